@@ -1,0 +1,55 @@
+"""capsyn: control alphabet policies from nonlinear models, small enough for any machine."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from capsyn.alphabet import Alphabet as Alphabet
+    from capsyn.domain import Ball as Ball
+    from capsyn.domain import Box as Box
+    from capsyn.errors import CapsynError as CapsynError
+    from capsyn.policy import Policy as Policy
+    from capsyn.problem import Problem as Problem
+    from capsyn.settings import SsacSettings as SsacSettings
+    from capsyn.subdivision import subdivide as subdivide
+    from capsyn.synthesis import synthesize as synthesize
+
+__version__ = "0.1.0"
+
+_PUBLIC = {
+    "Alphabet": "alphabet",
+    "Ball": "domain",
+    "Box": "domain",
+    "CapsynError": "errors",
+    "Policy": "policy",
+    "Problem": "problem",
+    "SsacSettings": "settings",
+    "subdivide": "subdivision",
+    "synthesize": "synthesis",
+}
+__all__ = [
+    "Alphabet",
+    "Ball",
+    "Box",
+    "CapsynError",
+    "Policy",
+    "Problem",
+    "SsacSettings",
+    "subdivide",
+    "synthesize",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that ``import capsyn`` stays fast."""
+    if name in _PUBLIC:
+        value = getattr(importlib.import_module(f"capsyn.{_PUBLIC[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module 'capsyn' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_PUBLIC])

@@ -1,0 +1,101 @@
+"""The alphabet: the finite list of actuator settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.validation import describe, distinct, finite_array, texts
+
+MAX_SYMBOLS = 63
+"""Most symbols of an alphabet: sets of symbols, and the default, are bits of 64-bit words."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alphabet:
+    """The symbols that a controller may choose from (Definition 1 of the paper).
+
+    Parameters
+    ----------
+    values : (N, m), or (N,) for one input
+        Control vectors [input units], all different, N <= 63.
+    names : N strings, optional
+        Names of the symbols. Default: their values as text.
+    inputs, units : m strings, optional
+        Names and units of the inputs. Default: ``u1 .. um`` and no units.
+
+    Raises
+    ------
+    ProblemError
+        Empty or duplicate symbols, wrong shapes, NaN or infinite numbers.
+    """
+
+    values: Any
+    names: Any = None
+    inputs: Any = None
+    units: Any = None
+
+    def __post_init__(self) -> None:
+        values = self.values
+        try:
+            values = np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            raise ProblemError(f"`alphabet` must be numbers; got {describe(values)}") from None
+        if values.ndim == 1:
+            values = values[:, None]
+        if values.ndim != 2 or values.shape[1] == 0 and values.shape[0]:
+            raise ProblemError(f"`alphabet` must have shape (N, m); got {np.shape(self.values)}")
+        if not len(values):
+            raise ProblemError("`alphabet` must have at least one symbol; got none")
+        if len(values) > MAX_SYMBOLS:
+            raise ProblemError(
+                f"`alphabet` must have at most {MAX_SYMBOLS} symbols; got {len(values)}"
+            )
+        values = finite_array("alphabet", values + 0.0, 2)  # + 0.0 makes -0.0 the symbol 0.0
+        unique, first = np.unique(values, axis=0, return_index=True)
+        if len(unique) < len(values):
+            twice = next(i for i in range(len(values)) if i not in first)
+            raise ProblemError(
+                f"`alphabet` must have distinct symbols; got {values[twice].tolist()} twice"
+            )
+        m = values.shape[1]
+        names = texts("alphabet names", self.names, len(values), [_text(v) for v in values])
+        distinct("alphabet names", names)
+        inputs = texts("alphabet inputs", self.inputs, m, [f"u{i + 1}" for i in range(m)])
+        distinct("alphabet inputs", inputs)
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "names", names)
+        object.__setattr__(self, "inputs", inputs)
+        object.__setattr__(self, "units", texts("alphabet units", self.units, m, [""] * m))
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return self.values.shape[1]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Alphabet) and self.to_json() == other.to_json()
+
+    def __hash__(self) -> int:
+        return hash((self.values.tobytes(), self.names, self.inputs, self.units))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the alphabet as plain data."""
+        return {
+            "values": self.values.tolist(),
+            "names": list(self.names),
+            "inputs": list(self.inputs),
+            "units": list(self.units),
+        }
+
+
+def _text(value: np.ndarray) -> str:
+    """Return the default name of a symbol; repr keeps close values apart."""
+    numbers = [repr(float(v)).removesuffix(".0") for v in value]
+    return numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"

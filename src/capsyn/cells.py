@@ -1,0 +1,201 @@
+"""The cells of a policy: a grid of trees in one integer array."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.errors import PolicyFormatError
+from capsyn.validation import whole_number, whole_numbers
+
+MAX_COUNT = 2**31 - 1
+"""Most finest cells along one axis."""
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """Leaf cells of one level.
+
+    Parameters
+    ----------
+    level : int
+        Level of subdivision, 0 for the root grid.
+    entries : (M,)
+        Their places in ``CellTree.entries``.
+    lower : (M, n)
+        Integer coordinates of their lower corners, in finest cells.
+    labels : (M,)
+        Leaf numbers: symbols, and N for the default.
+    """
+
+    level: int
+    entries: np.ndarray
+    lower: np.ndarray
+    labels: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class CellTree:
+    """Cells as a grid of trees, on integer coordinates of finest cells.
+
+    Parameters
+    ----------
+    partitions, refinement : (n,) ints
+        Cells of the root grid per axis, and children of a split cell per axis (>= 2).
+    max_level : int
+        Most times that a cell may be split.
+    entries : (M,) int32
+        The root grid in C order, then blocks of ``prod(refinement)`` children in C order, level
+        by level. An entry >= 0 is the place of its block; an entry < 0 is ``-1 - leaf``.
+    mixed_cells : (K,) int32
+        Leaf entries, ascending, whose test points did not agree.
+    mixed_labels : (K,) uint64
+        For each of them the set of labels seen, as a bit mask.
+    """
+
+    partitions: tuple[int, ...]
+    refinement: tuple[int, ...]
+    max_level: int
+    entries: np.ndarray
+    mixed_cells: np.ndarray
+    mixed_labels: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Number of axes."""
+        return len(self.partitions)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Finest cells along each axis."""
+        return lattice_counts(self.partitions, self.refinement, self.max_level)
+
+    def sizes(self, level: int) -> np.ndarray:
+        """Return the edge lengths (n,) of cells of a level, in finest cells."""
+        return np.array([r ** (self.max_level - level) for r in self.refinement], dtype=np.int64)
+
+    def find(self, steps: np.ndarray) -> np.ndarray:
+        """Return the entries (B,) of the leaves that hold finest cells (B, n)."""
+        size = self.sizes(0)
+        entry = np.ravel_multi_index(tuple((steps // size).T), self.partitions)
+        active = np.flatnonzero(self.entries[entry] >= 0)
+        rest = steps[active] % size
+        while active.size:
+            size = size // self.refinement
+            child = np.ravel_multi_index(tuple((rest // size).T), self.refinement)
+            place = self.entries[entry[active]] + child
+            entry[active] = place
+            deeper = self.entries[place] >= 0
+            active, rest = active[deeper], rest[deeper] % size
+        return entry
+
+    def labels(self, steps: np.ndarray) -> np.ndarray:
+        """Return the leaf numbers (B,) of finest cells (B, n)."""
+        return -1 - self.entries[self.find(steps)]
+
+    def levels(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Yield (level, entries (M,), lower corners (M, n)) of all cells, level by level."""
+        offsets = np.stack(np.unravel_index(np.arange(math.prod(self.partitions)), self.partitions))
+        lower = offsets.T * self.sizes(0)
+        places = np.arange(len(lower))
+        children = np.stack(
+            np.unravel_index(np.arange(math.prod(self.refinement)), self.refinement), axis=1
+        )
+        for level in range(self.max_level + 1):
+            yield level, places, lower
+            split = self.entries[places] >= 0
+            if level == self.max_level or not split.any():
+                return
+            starts = self.entries[places[split]].astype(np.int64)
+            places = (starts[:, None] + np.arange(len(children))).ravel()
+            corners = lower[split][:, None, :] + children * self.sizes(level + 1)
+            lower = corners.reshape(-1, self.n)
+
+    def leaves(self) -> Iterator[Leaves]:
+        """Yield the leaf cells of every level."""
+        for level, places, lower in self.levels():
+            leaf = self.entries[places] < 0
+            yield Leaves(level, places[leaf], lower[leaf], -1 - self.entries[places[leaf]])
+
+    @functools.cached_property
+    def leaf_count(self) -> int:
+        """Number of leaf cells."""
+        return int(np.count_nonzero(self.entries < 0))
+
+    def level_volumes(self) -> np.ndarray:
+        """Return the share of the domain that one cell of each level takes, (max_level + 1,)."""
+        cells = math.prod(self.partitions)
+        children = math.prod(self.refinement)
+        return 1.0 / np.array([cells * children**k for k in range(self.max_level + 1)], dtype=float)
+
+    def check(self, leaf_count: int) -> None:
+        """Raise `PolicyFormatError` unless the arrays are one well-formed grid of trees.
+
+        Parameters
+        ----------
+        leaf_count : int
+            Number of different leaves: leaf numbers must be below it.
+        """
+        entries, children = self.entries, math.prod(self.refinement)
+        level, start, end = 0, 0, math.prod(self.partitions)
+        if len(entries) < end:
+            raise PolicyFormatError(f"{len(entries)} cells are fewer than the root grid's {end}")
+        while True:  # blocks follow each other without gaps, so this ends at the last entry
+            here = entries[start:end]
+            if (here < -leaf_count).any():
+                raise PolicyFormatError("a cell has an unknown label")
+            blocks = here[here >= 0].astype(np.int64)
+            if not np.array_equal(blocks, end + children * np.arange(len(blocks))):
+                raise PolicyFormatError("the blocks of cells are not one after the other")
+            if not len(blocks):
+                break
+            level += 1
+            start, end = end, end + children * len(blocks)
+            if level > self.max_level or end > len(entries):
+                raise PolicyFormatError("the cells are deeper or more than the file says")
+        if end != len(entries):
+            raise PolicyFormatError(f"{len(entries) - end} cells belong to no block")
+        mixed = self.mixed_cells
+        if mixed.shape != self.mixed_labels.shape:
+            raise PolicyFormatError("mixed cells and their labels differ in number")
+        if len(mixed) and (
+            mixed.min() < 0
+            or mixed.max() >= len(entries)
+            or (np.diff(mixed.astype(np.int64)) <= 0).any()
+            or (entries[mixed] >= 0).any()
+        ):
+            raise PolicyFormatError("the mixed cells are no ascending leaf cells")
+        leaf = (-1 - entries[mixed]).astype(np.uint64)
+        if not ((self.mixed_labels >> leaf) & np.uint64(1)).all():
+            raise PolicyFormatError("a mixed cell's label is not among the labels seen in it")
+        if leaf_count < 64 and (self.mixed_labels >> np.uint64(leaf_count)).any():
+            raise PolicyFormatError("a mixed cell has an unknown label")
+
+
+def lattice_counts(
+    partitions: tuple[int, ...], refinement: tuple[int, ...], max_level: int
+) -> tuple[int, ...]:
+    """Return the finest cells along each axis, ``partitions * refinement ** max_level``."""
+    return tuple(q * r**max_level for q, r in zip(partitions, refinement))
+
+
+def grid_settings(
+    partitions: object, refinement: object, max_level: object, n: int
+) -> tuple[tuple[int, ...], tuple[int, ...], int]:
+    """Return validated (partitions, refinement, max_level) for `n` axes.
+
+    Raises
+    ------
+    ProblemError
+        Not whole numbers, or more than 2^31 finest cells along an axis.
+    """
+    q = whole_numbers("partitions", partitions, n, least=1)
+    r = whole_numbers("refinement", refinement, n, least=2)
+    most = 0
+    while max(lattice_counts(q, r, most + 1)) <= MAX_COUNT and most < 31:
+        most += 1
+    return q, r, whole_number("max_level", max_level, least=0, most=most)

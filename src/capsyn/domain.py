@@ -1,0 +1,201 @@
+"""Sets of states: `Box` with its integer lattice, and `Ball`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.validation import describe, distinct, finite_array, finite_number, texts
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box of states with names, units and periodic axes.
+
+    Parameters
+    ----------
+    lower, upper : (n,)
+        Bounds [state units], ``lower < upper``.
+    names, units : n strings, optional
+        Default: ``x1 .. xn`` and no units.
+    periodic : n booleans, optional
+        True where ``upper`` is the same point as ``lower`` (an angle). Default: nowhere.
+
+    Notes
+    -----
+    The box carries an integer lattice: axis `i` is cut into ``counts[i]`` equal steps, and the
+    face with integer coordinate ``k`` lies at ``lower + (upper - lower) * (k / count)``, rounded
+    as written (``upper`` itself for ``k == count``). A state belongs to step ``k`` exactly when
+    ``face(k) <= state < face(k + 1)`` in floating point; on an ordinary axis the upper face of
+    the box belongs to the last step. Every backend and export follows this rule.
+
+    Raises
+    ------
+    ProblemError
+        Wrong shapes, NaN or infinite bounds, or ``upper <= lower``.
+    """
+
+    lower: Any
+    upper: Any
+    names: Any = None
+    units: Any = None
+    periodic: Any = None
+
+    def __post_init__(self) -> None:
+        lower = finite_array("lower", self.lower, 1)
+        upper = finite_array("upper", self.upper, 1)
+        n = len(lower)
+        if n == 0 or upper.shape != lower.shape:
+            raise ProblemError(
+                f"`lower` and `upper` must have one entry per state; got {n} and {len(upper)}"
+            )
+        names = texts("names", self.names, n, [f"x{i + 1}" for i in range(n)])
+        distinct("names", names)
+        for name, low, high in zip(names, lower, upper):
+            if not low < high or not np.isfinite(high - low):
+                raise ProblemError(
+                    f"`upper` must be greater than `lower` on axis '{name}'; got [{low}, {high}]"
+                )
+        units = texts("units", self.units, n, [""] * n)
+        periodic = (False,) * n if self.periodic is None else self.periodic
+        if (
+            isinstance(periodic, str)
+            or not isinstance(periodic, (Sequence, np.ndarray))
+            or len(periodic) != n
+            or not all(isinstance(p, (bool, np.bool_)) for p in periodic)
+        ):
+            raise ProblemError(f"`periodic` must be {n} boolean(s); got {describe(periodic)}")
+        for key, value in {
+            "lower": lower,
+            "upper": upper,
+            "names": names,
+            "units": units,
+            "periodic": tuple(bool(p) for p in periodic),
+        }.items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.lower)
+
+    @property
+    def widths(self) -> np.ndarray:
+        """``upper - lower`` [state units], (n,)."""
+        return self.upper - self.lower
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Box) and self.to_json() == other.to_json()
+
+    def __hash__(self) -> int:
+        return hash((tuple(self.lower), tuple(self.upper), self.names, self.periodic))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the box as plain data."""
+        return {
+            "lower": self.lower.tolist(),
+            "upper": self.upper.tolist(),
+            "names": list(self.names),
+            "units": list(self.units),
+            "periodic": list(self.periodic),
+        }
+
+    def faces(self, axis: int, k: np.ndarray, count: int) -> np.ndarray:
+        """Return the positions of the faces with integer coordinates `k` on one axis."""
+        low, high = self.lower[axis], self.upper[axis]
+        return np.where(k >= count, high, low + (high - low) * (k / count))
+
+    def check_resolution(self, counts: Sequence[int]) -> None:
+        """Raise where neighbouring faces of a lattice would fall together in floating point."""
+        for i, count in enumerate(counts):
+            step = (self.upper[i] - self.lower[i]) / count
+            if step < 8 * np.spacing(max(abs(self.lower[i]), abs(self.upper[i]))):
+                raise ProblemError(
+                    f"`max_level` is too high: axis '{self.names[i]}' would be cut into "
+                    f"{count} steps of {step:g}, finer than floating point near its bounds"
+                )
+
+    def points(self, coordinates: np.ndarray, counts: Sequence[int]) -> np.ndarray:
+        """Return the states (B, n) at lattice coordinates (B, n)."""
+        return np.stack(
+            [self.faces(i, coordinates[:, i], counts[i]) for i in range(self.n)], axis=1
+        )
+
+    def wrap(self, states: np.ndarray) -> np.ndarray:
+        """Return the states (B, n) with periodic axes brought into ``[lower, upper)``.
+
+        A wrapped coordinate that rounds to ``upper`` becomes ``lower``.
+        """
+        if not any(self.periodic):
+            return states
+        states = states.copy()
+        for i in np.flatnonzero(self.periodic):
+            low, high, x = self.lower[i], self.upper[i], states[:, i]
+            with np.errstate(invalid="ignore"):
+                off = ~((x >= low) & (x < high))
+                rest = np.fmod(x[off] - low, high - low)
+            rest = low + np.where(rest < 0, rest + (high - low), rest)
+            x[off] = np.where(rest >= high, low, rest)
+        return states
+
+    def contains(self, states: np.ndarray) -> np.ndarray:
+        """Return (B,) booleans: finite, and within the bounds of the axes that are not periodic."""
+        with np.errstate(invalid="ignore"):
+            inside = (states >= self.lower) & (states <= self.upper)
+        return np.all((inside | self.periodic) & np.isfinite(states), axis=1)
+
+    def locate(self, states: np.ndarray, counts: Sequence[int]) -> np.ndarray:
+        """Return the lattice steps (B, n) that hold the states (B, n).
+
+        States beyond an ordinary axis take its nearest step. The states must be finite or
+        infinite, not NaN; on periodic axes finite.
+        """
+        states = self.wrap(states)
+        steps = np.empty(states.shape, dtype=np.int64)
+        for i, count in enumerate(counts):
+            low, high = self.lower[i], self.upper[i]
+            x = np.clip(states[:, i], low, high)
+            k = np.minimum((x - low) * (count / (high - low)), count - 1).astype(np.int64)
+            k -= x < self.faces(i, k, count)
+            k += (x >= self.faces(i, k + 1, count)) & (k + 1 < count)
+            steps[:, i] = k
+        return steps
+
+    def sample(self, count: int, seed: int = 0) -> np.ndarray:
+        """Return `count` states (count, n) drawn uniformly from the box."""
+        unit = np.random.default_rng(seed).random((count, self.n))
+        return self.lower + unit * self.widths
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """A ball of states: ``|x - center| <= radius``.
+
+    Parameters
+    ----------
+    center : (n,)
+        Centre [state units].
+    radius : float
+        Radius > 0 [state units].
+    """
+
+    center: Any
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", finite_array("center", self.center, 1))
+        object.__setattr__(self, "radius", finite_number("radius", self.radius, above=0.0))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Ball) and self.to_json() == other.to_json()
+
+    def __hash__(self) -> int:
+        return hash((tuple(self.center), self.radius))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the ball as plain data."""
+        return {"center": self.center.tolist(), "radius": self.radius}

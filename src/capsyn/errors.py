@@ -1,0 +1,46 @@
+"""Every exception and warning of capsyn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class CapsynError(Exception):
+    """Base of every error that capsyn raises on purpose."""
+
+
+class ProblemError(CapsynError, ValueError):
+    """An argument, a model or a setting that cannot be used; the message names it."""
+
+
+class PolicyFormatError(CapsynError, ValueError):
+    """A file that is no policy, or one that is damaged, tampered with or too new."""
+
+
+class OutsideDomainError(CapsynError, ValueError):
+    """A state outside the domain, or not finite, where the policy's rule is ``"error"``."""
+
+
+class SynthesisError(CapsynError, RuntimeError):
+    """A synthesis that had to stop, for instance because too many solves were not finite."""
+
+
+class KernelBuildError(CapsynError, RuntimeError):
+    """The C backend was asked for and could not be built.
+
+    Attributes
+    ----------
+    command : list of str
+        The compiler command that failed; empty when no compiler was found.
+    output : str
+        What the compiler printed.
+    """
+
+    def __init__(self, message: str, command: Sequence[str] = (), output: str = "") -> None:
+        super().__init__(message)
+        self.command = list(command)
+        self.output = output
+
+
+class CapsynWarning(UserWarning):
+    """Something that the user should know and that does not stop the work."""

@@ -1,0 +1,209 @@
+"""The lattice points that a subdivision solves, each once."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.domain import Box
+from capsyn.errors import ProblemError, SynthesisError
+
+CHUNK = 4096
+"""Most states that are labelled in one call."""
+NOT_FINITE_LIMIT = 0.01
+"""Share of solves without a finite result that stops a synthesis."""
+
+Label = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a subdivision is.
+
+    Parameters
+    ----------
+    level, max_level : int
+        The level being labelled, and the last one.
+    cells : int
+        Cells of this level.
+    solved, solves : int
+        Points of this level that are solved, and all of them.
+    total : int
+        Points solved since the start.
+    """
+
+    level: int
+    max_level: int
+    cells: int
+    solved: int
+    solves: int
+    total: int
+
+
+class LatticePoints:
+    """Solved lattice points: sorted integer keys, and a bit mask for each.
+
+    A mask has bit `i` where symbol `i` could be best, bit N for the default; it is kept in the
+    smallest unsigned type that holds N + 1 bits.
+    """
+
+    def __init__(
+        self,
+        label: Label,
+        domain: Box,
+        lattice: tuple[int, ...],
+        n_symbols: int,
+        pool: ThreadPoolExecutor | None,
+        progress: Callable[[Progress], None] | None,
+    ) -> None:
+        self._label, self._domain, self._lattice = label, domain, lattice
+        self._pool, self._progress = pool, progress
+        bits = next(b for b in (8, 16, 32, 64) if n_symbols < b)
+        self.dtype = np.dtype(f"uint{bits}").type
+        self._default = self.dtype(1 << n_symbols)
+        extents = [
+            count if periodic else count + 1 for count, periodic in zip(lattice, domain.periodic)
+        ]
+        if math.prod(extents) >= 2**63:
+            raise ProblemError(
+                f"`max_level` needs a lattice of {' x '.join(map(str, extents))} points, "
+                "more than 64-bit keys can tell apart"
+            )
+        self._strides = [math.prod(extents[i + 1 :]) for i in range(domain.n)]
+        self._keys = np.empty(0, dtype=np.int64)
+        self._masks = np.empty(0, dtype=self.dtype)
+        self._pending: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self.count = 0
+        self.indifferent = 0
+        self.not_finite = 0
+        self.example: list[float] | None = None
+        self.seconds = 0.0
+
+    def encode(self, offsets: np.ndarray, corners: np.ndarray) -> np.ndarray:
+        """Return the keys (U, M) of lattice points ``offsets (U, n) + corners (M, n)``.
+
+        Periodic axes wrap.
+        """
+        strides = np.array(self._strides, dtype=np.int64)
+        keys = (offsets @ strides)[:, None] + (corners @ strides)[None, :]
+        for i in np.flatnonzero(self._domain.periodic):
+            seam = np.add.outer(offsets[:, i], corners[:, i]) == self._lattice[i]
+            keys[seam] -= self._lattice[i] * self._strides[i]
+        return keys
+
+    def ask(self, keys: np.ndarray) -> Question:
+        """Return which of the keys (K,) are new, and how to spread the answers."""
+        self._merge()
+        order = np.argsort(keys)
+        ordered = keys[order]
+        first = np.ones(len(keys), dtype=bool)
+        np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
+        inverse = np.empty(len(keys), dtype=np.int64)
+        inverse[order] = np.cumsum(first) - 1
+        distinct, samples = ordered[first], order[first]
+        places = np.searchsorted(self._keys, distinct)
+        new = np.ones(len(distinct), dtype=bool)
+        within = places < len(self._keys)
+        new[within] = self._keys[places[within]] != distinct[within]
+        return Question(distinct, inverse, places, new, samples)
+
+    def answer(self, question: Question, level: int, max_level: int, cells: int) -> np.ndarray:
+        """Return the masks (K,) of a question's keys, solving those that are new."""
+        keys = question.distinct[question.new]
+        masks = self._solve(keys, level, max_level, cells)
+        known = np.empty(len(question.distinct), dtype=self.dtype)
+        known[~question.new] = self._masks[question.places[~question.new]]
+        known[question.new] = masks
+        self._pending = (question.places[question.new], keys, masks)
+        self.count += len(keys)
+        return known[question.inverse]
+
+    def _merge(self) -> None:
+        """Put the points of the last answer among the sorted ones."""
+        if self._pending is not None:
+            places, keys, masks = self._pending
+            self._keys = np.insert(self._keys, places, keys)
+            self._masks = np.insert(self._masks, places, masks)
+            self._pending = None
+
+    def _solve(self, keys: np.ndarray, level: int, max_level: int, cells: int) -> np.ndarray:
+        started = time.perf_counter()
+        masks = np.empty(len(keys), dtype=self.dtype)
+        size = min(CHUNK, max(256, -(-len(keys) // 16)))
+        parts = [slice(i, i + size) for i in range(0, len(keys), size)]
+        missing = np.zeros(len(keys), dtype=bool)
+
+        def work(part: slice) -> int:
+            found = self._label(self._states(keys[part]))
+            missing[part] = found == 0
+            masks[part] = found
+            return len(found)
+
+        done = 0
+        for count in self._map(work, parts):
+            done += count
+            if self._progress:
+                total = self.count + done
+                self._progress(Progress(level, max_level, cells, done, len(keys), total))
+        self.seconds += time.perf_counter() - started
+        self._count_missing(keys, masks, missing)
+        self.indifferent += int(np.count_nonzero(masks & (masks - self.dtype(1))))
+        return masks
+
+    def _map(self, work: Callable[[slice], int], parts: Iterable[slice]) -> Iterator[int]:
+        return self._pool.map(work, parts) if self._pool else map(work, parts)
+
+    def _count_missing(self, keys: np.ndarray, masks: np.ndarray, missing: np.ndarray) -> None:
+        """Give points without a finite result the default, and stop where they are many."""
+        if not missing.any():
+            return
+        masks[missing] = self._default
+        self.not_finite += int(missing.sum())
+        if self.example is None:
+            self.example = self._states(keys[missing][:1])[0].tolist()
+        solves = self.count + len(keys)
+        if self.not_finite > NOT_FINITE_LIMIT * solves:
+            raise SynthesisError(
+                f"{self.not_finite} of {solves} solves gave no finite result, for instance at "
+                f"state {self.example}: check the model there"
+            )
+
+    def _states(self, keys: np.ndarray) -> np.ndarray:
+        """Return the states (K, n) of keys (K,)."""
+        states = np.empty((len(keys), self._domain.n))
+        rest = keys
+        for i, stride in enumerate(self._strides):
+            k = rest // stride
+            rest = rest - k * stride
+            states[:, i] = self._domain.faces(i, k, self._lattice[i])
+        return states
+
+
+@dataclass(frozen=True)
+class Question:
+    """Keys, sorted and made distinct.
+
+    Parameters
+    ----------
+    distinct : (D,)
+        The distinct keys, ascending.
+    inverse : (K,)
+        Place of every key that was asked for in `distinct`.
+    places : (D,)
+        Where they stand, or would stand, among the points solved before.
+    new : (D,)
+        Whether they are yet to be solved.
+    samples : (D,)
+        For each distinct key the place of one of its copies among the keys that were asked for.
+    """
+
+    distinct: np.ndarray
+    inverse: np.ndarray
+    places: np.ndarray
+    new: np.ndarray
+    samples: np.ndarray

@@ -1,0 +1,216 @@
+"""The system's C compiler, and the cache of what it built.
+
+A cached library is used only from a directory that belongs to this user and is closed to others,
+and only when its bytes have the checksum that was written beside it; otherwise it is built again,
+in a temporary directory if need be.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from capsyn.errors import KernelBuildError
+
+FLAGS = (
+    "-O2",
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fopenmp-simd",
+)
+PLAIN_FLAGS = ("-O2",)
+COMMON_FLAGS = ("-std=gnu11", "-fPIC", "-shared")
+BUILD_TIMEOUT = 600
+"""Seconds that one compiler run may take."""
+
+_lock = threading.Lock()
+_loaded: dict[str, ctypes.CDLL] = {}
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler: its command, and the first line of ``--version``."""
+
+    command: tuple[str, ...]
+    version: str
+
+    @property
+    def is_clang(self) -> bool:
+        """Whether this is clang, which finds vector functions in its own way."""
+        return "clang" in self.version
+
+
+def find_compiler() -> Compiler:
+    """Return the C compiler: ``CC`` if set, else the first of cc, gcc and clang.
+
+    Raises
+    ------
+    KernelBuildError
+        None is found, or it does not run.
+    """
+    return _find_compiler(os.environ.get("CC", ""), os.environ.get("PATH", ""))
+
+
+@functools.lru_cache(maxsize=8)
+def _find_compiler(cc: str, path: str) -> Compiler:
+    candidates = [shlex.split(cc)] if cc.strip() else [["cc"], ["gcc"], ["clang"]]
+    for command in candidates:
+        found = shutil.which(command[0], path=path)
+        if found:
+            arguments = [found, *command[1:]]
+            try:
+                run = subprocess.run(
+                    [*arguments, "--version"], capture_output=True, text=True, timeout=30
+                )
+            except (OSError, subprocess.TimeoutExpired) as error:
+                raise KernelBuildError(
+                    f"the C compiler {found} does not run: {error}", arguments
+                ) from None
+            if run.returncode:
+                raise KernelBuildError(
+                    f"the C compiler {found} does not run", arguments, run.stdout + run.stderr
+                )
+            return Compiler(tuple(arguments), (run.stdout.splitlines() or [""])[0])
+    wanted = f"CC={cc}" if cc.strip() else "cc, gcc or clang"
+    raise KernelBuildError(f"no C compiler found: {wanted} is not on the PATH")
+
+
+@functools.lru_cache(maxsize=1)
+def _cpu() -> str:
+    """Return a text that differs between machines whose native code differs."""
+    try:
+        text = Path("/proc/cpuinfo").read_text()
+        keep = ("model name", "flags", "Features", "CPU part")
+        lines = {line for line in text.splitlines() if line.startswith(keep)}
+        return platform.machine() + "\n".join(sorted(lines))
+    except OSError:
+        return platform.machine() + platform.processor()
+
+
+def cache_directory() -> Path:
+    """Return the directory of the kernel cache: ``CAPSYN_CACHE_DIR``, or the user's own."""
+    chosen = os.environ.get("CAPSYN_CACHE_DIR")
+    if chosen:
+        return Path(chosen)
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("capsyn", appauthor=False))
+
+
+def _trusted_cache() -> Path | None:
+    """Return the cache directory if it is this user's alone, creating it where needed."""
+    try:
+        directory = cache_directory()
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = directory.lstat()
+        if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o077):
+            return None
+        if directory.is_symlink() or not os.access(directory, os.W_OK):
+            return None
+        return directory
+    except (OSError, RuntimeError):
+        return None
+
+
+def load(source: str, flags: tuple[str, ...] = ()) -> ctypes.CDLL:
+    """Return the shared library built from C source, from the cache if it is there.
+
+    Parameters
+    ----------
+    source : str
+        One C translation unit.
+    flags : tuple of str
+        Compiler flags beside the usual ones.
+
+    Raises
+    ------
+    KernelBuildError
+        There is no compiler, or it fails with the usual flags and with plain ones.
+    """
+    compiler = find_compiler()
+    first_error: KernelBuildError | None = None
+    usual: tuple[str, ...] = FLAGS
+    if compiler.is_clang and sys.platform == "linux" and platform.machine() == "x86_64":
+        usual = (*FLAGS, "-fveclib=libmvec")
+    for chosen in (usual, PLAIN_FLAGS):
+        try:
+            return _load(compiler, source, (*chosen, *COMMON_FLAGS, *flags))
+        except KernelBuildError as error:
+            first_error = first_error or error
+    assert first_error is not None
+    raise first_error
+
+
+def _load(compiler: Compiler, source: str, flags: tuple[str, ...]) -> ctypes.CDLL:
+    parts = (source, *flags, *compiler.command, compiler.version, _cpu())
+    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:40]
+    with _lock:
+        if key in _loaded:
+            return _loaded[key]
+        cache = _trusted_cache()
+        if cache is not None:
+            library = _cached(cache / f"{key}.so")
+            if library is None:
+                try:
+                    library = _build_in_cache(compiler, source, flags, cache, key)
+                except OSError:  # a full or read-only disk: build elsewhere
+                    library = None
+            if library is not None:
+                _loaded[key] = library
+                return library
+        with tempfile.TemporaryDirectory(prefix="capsyn-") as directory:
+            target = Path(directory) / "kernel.so"
+            _compile(compiler, source, flags, target)
+            _loaded[key] = ctypes.CDLL(str(target))
+        return _loaded[key]
+
+
+def _cached(path: Path) -> ctypes.CDLL | None:
+    """Return the library at `path` if its checksum file vouches for its bytes."""
+    try:
+        wanted = path.with_suffix(".sha256").read_text().strip()
+        if hashlib.sha256(path.read_bytes()).hexdigest() == wanted:
+            return ctypes.CDLL(str(path))
+    except (OSError, UnicodeDecodeError):
+        pass  # absent or damaged: the caller builds it again
+    return None
+
+
+def _build_in_cache(
+    compiler: Compiler, source: str, flags: tuple[str, ...], cache: Path, key: str
+) -> ctypes.CDLL:
+    with tempfile.TemporaryDirectory(prefix=".build-", dir=cache) as directory:
+        target = Path(directory) / "kernel.so"
+        _compile(compiler, source, flags, target)
+        checksum = Path(directory) / "kernel.sha256"
+        checksum.write_text(hashlib.sha256(target.read_bytes()).hexdigest() + "\n")
+        os.replace(target, cache / f"{key}.so")
+        os.replace(checksum, cache / f"{key}.sha256")
+    return ctypes.CDLL(str(cache / f"{key}.so"))
+
+
+def _compile(compiler: Compiler, source: str, flags: tuple[str, ...], target: Path) -> None:
+    file = target.with_suffix(".c")
+    file.write_text(source)
+    command = [*compiler.command, *flags, "-o", str(target), str(file), "-lm"]
+    try:
+        run = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_TIMEOUT)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise KernelBuildError(f"the C compiler failed: {error}", command) from None
+    if run.returncode:
+        lines = run.stderr.strip().splitlines() or ["no message"]
+        raise KernelBuildError(
+            f"the C compiler failed with status {run.returncode}: {lines[0]}", command, run.stderr
+        )

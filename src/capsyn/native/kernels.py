@@ -1,0 +1,132 @@
+"""Compiled kernels as Python callables on NumPy arrays."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.model import Model
+from capsyn.native.build import load
+from capsyn.native.source import declarations, hand_written
+
+LANES = 64
+OUTSIDE, NOT_FINITE = -2, -3
+"""What `LookupKernel` writes for states outside the domain, or not finite."""
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+@dataclass(frozen=True)
+class SsacKernel:
+    """Steps 1 and 2 of sSAC at t0 for batches of states, compiled.
+
+    Calling it with states (B, n), a horizon [s] and a number of steps returns the cost (B,), the
+    mode insertion gradients (B, N) and their scales (B, N). It is safe to call from threads.
+    """
+
+    function: Any
+    n: int
+    symbols: int
+    rounding: float
+
+    @staticmethod
+    def build(model: Model, precision: str, rounding: float, lanes: int = LANES) -> SsacKernel:
+        """Return the kernel of a model whose control is bound; `KernelBuildError` if it fails.
+
+        `rounding` is the input of that name of ``Model.insertion``.
+        """
+        names = ("step", "adjoint", "terminal_cost", "insertion")
+        programs = {name: getattr(model, name) for name in names}
+        n, symbols = dict(model.step.inputs)["x"], dict(model.insertion.outputs)["gradients"]
+        source = "\n".join(
+            [
+                declarations(programs.values(), precision, lanes),
+                f"#define STATES {n}\n#define SYMBOLS {symbols}",
+                *(
+                    program.to_c(name, uniform=["dt", "rounding"])
+                    for name, program in programs.items()
+                ),
+                hand_written("ssac.c"),
+            ]
+        )
+        function = load(source, ("-ffp-contract=fast",)).capsyn_ssac
+        function.restype = ctypes.c_int
+        p = ctypes.c_void_p
+        function.argtypes = [
+            ctypes.c_int64,
+            p,
+            ctypes.c_double,
+            ctypes.c_int,
+            ctypes.c_double,
+            p,
+            p,
+            p,
+        ]
+        return SsacKernel(function, n, symbols, rounding)
+
+    def __call__(
+        self, states: np.ndarray, horizon: float, steps: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (cost, gradients, scales) of the states (B, n)."""
+        states = np.ascontiguousarray(states, dtype=np.float64)
+        count = len(states)
+        cost = np.empty(count)
+        gradients, scales = np.empty((2, self.symbols, count))
+        outputs = [_pointer(a) for a in (cost, gradients, scales)]
+        if self.function(count, _pointer(states), horizon, steps, self.rounding, *outputs):
+            raise MemoryError(f"no memory for {steps} integration steps")
+        return cost, gradients.T, scales.T
+
+
+@dataclass(frozen=True)
+class LookupKernel:
+    """Labels of states from the arrays of a cell tree, compiled for `n` states."""
+
+    function: Any
+    n: int
+
+    @staticmethod
+    def build(n: int) -> LookupKernel:
+        """Return the kernel for `n` states; `KernelBuildError` if it fails."""
+        source = f"#define STATES {n}\n" + hand_written("lookup.c")
+        function = load(source, ("-ffp-contract=off",)).capsyn_lookup
+        function.restype = None
+        p = ctypes.c_void_p
+        function.argtypes = [ctypes.c_int64, p, p, p, p, p, p, p, ctypes.c_int, p, p]
+        return LookupKernel(function, n)
+
+    def __call__(
+        self,
+        states: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        periodic: tuple[bool, ...],
+        counts: tuple[int, ...],
+        partitions: tuple[int, ...],
+        refinement: tuple[int, ...],
+        entries: np.ndarray,
+        nearest: bool,
+    ) -> np.ndarray:
+        """Return leaf numbers (B,) int32, `OUTSIDE` or `NOT_FINITE`, of states (B, n)."""
+        arrays = [
+            np.ascontiguousarray(states, dtype=np.float64),
+            np.ascontiguousarray(lower),
+            np.ascontiguousarray(upper),
+            np.array(periodic, dtype=np.uint8),
+            *(np.array(a, dtype=np.int64) for a in (counts, partitions, refinement)),
+        ]
+        entries = np.ascontiguousarray(entries, dtype=np.int32)
+        labels = np.empty(len(states), dtype=np.int32)
+        self.function(
+            len(states),
+            *map(_pointer, arrays),
+            nearest,
+            _pointer(entries),
+            _pointer(labels),
+        )
+        return labels

@@ -1,0 +1,245 @@
+"""The control alphabet policy: one symbol for every state."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import warnings
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from capsyn.alphabet import Alphabet
+from capsyn.cells import CellTree
+from capsyn.domain import Ball, Box
+from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
+from capsyn.model import Model
+from capsyn.settings import SsacSettings
+from capsyn.validation import describe
+
+if TYPE_CHECKING:
+    from capsyn.native.kernels import LookupKernel
+
+COMPILED_FROM = 50_000
+"""Batches of this size are looked up by the compiled kernel where there is a compiler."""
+
+Outside = str | int
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A control alphabet policy ``<U, L, T>`` (Definition 2 of the paper).
+
+    Calling the policy with states (..., n) returns symbol indices (...,) into
+    ``policy.alphabet.values``; -1 stands for the default control.
+
+    Parameters
+    ----------
+    name : str
+        Name of the problem.
+    domain : Box
+        States that have cells.
+    alphabet : Alphabet
+        The symbols U.
+    default : (m,)
+        Default control [input units].
+    cells : CellTree
+        The partitions L.
+    outside : "error", "nearest" or symbol index
+        What a state outside the domain gets: an error, the symbol of the nearest cell, or a safe
+        symbol. A state that is not finite gets an error, or the safe symbol.
+    min_dwell : float
+        Least time between switches [s], for whoever runs the policy.
+    target : Ball or Box, optional
+        What "arrived" means.
+    horizon : float, optional
+        Prediction horizon T [s] of the controller that the policy came from.
+    settings : SsacSettings, optional
+        Its settings.
+    model : Model, optional
+        Its model, as programs.
+    statistics : dict
+        Counts and shares of the synthesis, as plain data.
+    timings : dict
+        Seconds of the synthesis by part; not part of the policy's file.
+    """
+
+    name: str
+    domain: Box
+    alphabet: Alphabet
+    default: np.ndarray
+    cells: CellTree
+    outside: Outside = "error"
+    min_dwell: float = 0.0
+    target: Ball | Box | None = None
+    horizon: float | None = None
+    settings: SsacSettings | None = None
+    model: Model | None = None
+    statistics: dict[str, Any] = field(default_factory=dict)
+    timings: dict[str, float] = field(default_factory=dict)
+
+    def __call__(self, states: Any, outside: Outside | None = None, backend: str = "auto") -> Any:
+        """Return the symbol indices (...,) of states (..., n); -1 is the default control.
+
+        Parameters
+        ----------
+        states : (..., n)
+            States [state units].
+        outside : "error", "nearest" or symbol index, optional
+            Overrides the policy's own rule.
+        backend : "auto", "c" or "numpy"
+            Which lookup to use; all give the same symbols.
+
+        Raises
+        ------
+        OutsideDomainError
+            A state outside the domain under rule ``"error"``, or one that is not finite under
+            ``"error"`` or ``"nearest"``.
+        """
+        try:
+            states = np.asarray(states, dtype=float)
+        except (TypeError, ValueError):
+            raise ProblemError(f"`states` must be numbers; got {describe(states)}") from None
+        n = self.domain.n
+        if states.ndim == 0 or states.shape[-1] != n:
+            raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")
+        rule = check_outside(self.outside if outside is None else outside, self.alphabet)
+        flat = states.reshape(-1, n)
+        kernel = _lookup_kernel(n, backend, len(flat))
+        if kernel is None:
+            labels = self._labels(flat, rule == "nearest")
+        else:
+            tree = self.cells
+            labels = kernel(
+                flat,
+                self.domain.lower,
+                self.domain.upper,
+                self.domain.periodic,
+                tree.counts,
+                tree.partitions,
+                tree.refinement,
+                tree.entries,
+                rule == "nearest",
+            )
+        lost = labels < 0
+        if lost.any():
+            if isinstance(rule, str):
+                first = int(np.flatnonzero(lost)[0])
+                self._raise_outside(flat[first], first)
+            labels[lost] = rule
+        labels[labels == len(self.alphabet)] = -1
+        return labels.reshape(states.shape[:-1])[()]
+
+    def _labels(self, states: np.ndarray, nearest: bool) -> np.ndarray:
+        """Return leaf numbers of states (B, n), negative for states that have none."""
+        finite = np.isfinite(states).all(axis=1)
+        found = finite if nearest else self.domain.contains(states)
+        labels = np.full(len(states), -2, dtype=np.int32)
+        steps = self.domain.locate(states[found], self.cells.counts)
+        labels[found] = self.cells.labels(steps)
+        return labels
+
+    def _raise_outside(self, state: np.ndarray, index: int) -> None:
+        text = "(" + ", ".join(f"{v:g}" for v in state) + ")"
+        if not np.isfinite(state).all():
+            raise OutsideDomainError(f"state {index} must be finite; got {text}")
+        bounds = " x ".join(
+            f"[{low:g}, {high:g}]" for low, high in zip(self.domain.lower, self.domain.upper)
+        )
+        raise OutsideDomainError(
+            f"state {index} must lie in the domain {bounds}; got {text} "
+            '(outside="nearest" or a safe symbol would answer)'
+        )
+
+    def control(self, states: Any, outside: Outside | None = None) -> np.ndarray:
+        """Return the control vectors (..., m) [input units] of states (..., n)."""
+        table = np.vstack([self.alphabet.values, self.default])
+        return table[self(states, outside)]
+
+    def symbol_name(self, symbol: int) -> str:
+        """Return the name of a symbol index; -1 is ``default``."""
+        return "default" if symbol < 0 else self.alphabet.names[symbol]
+
+    @functools.cached_property
+    def volume_shares(self) -> np.ndarray:
+        """Share of the domain's volume of each symbol, and of the default last, (N + 1,)."""
+        shares = np.zeros(len(self.alphabet) + 1)
+        volumes = self.cells.level_volumes()
+        for leaves in self.cells.leaves():
+            counts = np.bincount(leaves.labels, minlength=len(shares))
+            shares += counts * volumes[leaves.level]
+        return shares
+
+    @functools.cached_property
+    def mixed_share(self) -> float:
+        """Share of the volume of finest cells whose test points did not agree."""
+        volumes = self.cells.level_volumes()
+        mixed = np.zeros(len(self.cells.entries), dtype=bool)
+        mixed[self.cells.mixed_cells] = True
+        return float(
+            math.fsum(mixed[x.entries].sum() * volumes[x.level] for x in self.cells.leaves())
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the policy to a file; what was there is replaced only by a whole new one."""
+        from capsyn.policy_file import save
+
+        save(self, path)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Policy:
+        """Return the policy in a file.
+
+        Raises
+        ------
+        PolicyFormatError
+            The file is no policy, damaged, tampered with, or of a newer format.
+        """
+        from capsyn.policy_file import load
+
+        return load(path)
+
+    def __repr__(self) -> str:
+        return (
+            f"Policy('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
+            f"{self.cells.leaf_count} cells)"
+        )
+
+
+def check_outside(rule: Any, alphabet: Alphabet) -> Outside:
+    """Return an out-of-domain rule, validated; a symbol may be given by index or name."""
+    if isinstance(rule, str):
+        if rule in ("error", "nearest"):
+            return rule
+        if rule in alphabet.names:
+            return alphabet.names.index(rule)
+    elif isinstance(rule, (int, np.integer)) and not isinstance(rule, bool):
+        if -1 <= rule < len(alphabet):
+            return int(rule)
+    raise ProblemError(
+        '`outside` must be "error", "nearest" or a symbol (its name, or its index, '
+        f"-1 to {len(alphabet) - 1}); got {describe(rule)}"
+    )
+
+
+def _lookup_kernel(n: int, backend: str, count: int) -> LookupKernel | None:
+    if backend not in ("auto", "c", "numpy"):
+        raise ProblemError(f'`backend` must be "auto", "c" or "numpy"; got {describe(backend)}')
+    if backend == "numpy" or (backend == "auto" and count < COMPILED_FROM):
+        return None
+    try:
+        return _built_lookup_kernel(n)
+    except KernelBuildError as error:
+        if backend == "c":
+            raise
+        warnings.warn(f"looking up with NumPy: {error}", CapsynWarning, stacklevel=3)
+        return None
+
+
+@functools.lru_cache(maxsize=16)
+def _built_lookup_kernel(n: int) -> LookupKernel:
+    from capsyn.native.kernels import LookupKernel
+
+    return LookupKernel.build(n)

@@ -1,0 +1,234 @@
+"""Policy files: safetensors with one metadata key that holds JSON. See docs/policy-format.md."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capsyn.alphabet import Alphabet
+from capsyn.cells import CellTree, grid_settings
+from capsyn.domain import Ball, Box
+from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.model import Model
+from capsyn.policy import Policy, check_outside
+from capsyn.settings import SsacSettings
+from capsyn.validation import finite_array, finite_number
+
+FORMAT = "capsyn-policy"
+VERSION = 1
+ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
+
+
+def atomic_write(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
+    """Call `write` with a temporary name beside `path`, then rename it to `path`.
+
+    A failure at any moment leaves what was at `path`, and no temporary file.
+    """
+    path = Path(path)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~umask)
+        os.replace(temporary, path)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise `ProblemError` unless a file can be written at `path`; nothing there is touched."""
+    path = Path(path)
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(f"'{path}' is a directory")
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        reason = error.strerror or error
+        raise ProblemError(f"cannot write the output '{path}': {reason}") from None
+
+
+def save(policy: Policy, path: str | os.PathLike[str]) -> None:
+    """Write a policy file atomically; the same policy gives the same bytes."""
+    content = _content(policy)
+    arrays = {name: getattr(policy.cells, name) for name in ARRAYS}
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "policy": content,
+        "sha256": _digest(content, arrays),
+    }
+    metadata = {FORMAT: _canonical(document)}
+    atomic_write(path, lambda temporary: _write(arrays, temporary, metadata))
+
+
+def _write(arrays: dict[str, np.ndarray], path: Path, metadata: dict[str, str]) -> None:
+    from safetensors.numpy import save_file
+
+    save_file({k: np.ascontiguousarray(v) for k, v in arrays.items()}, path, metadata)
+
+
+def _canonical(data: Any) -> str:
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _digest(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> str:
+    digest = hashlib.sha256(_canonical(content).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}:{array.dtype.str}:{array.shape}".encode())
+        digest.update(array.data)
+    return digest.hexdigest()
+
+
+def _content(policy: Policy) -> dict[str, Any]:
+    target = policy.target
+    kind = "ball" if isinstance(target, Ball) else "box"
+    tree = policy.cells
+    return {
+        "name": policy.name,
+        "domain": policy.domain.to_json(),
+        "alphabet": policy.alphabet.to_json(),
+        "default": policy.default.tolist(),
+        "partitions": list(tree.partitions),
+        "refinement": list(tree.refinement),
+        "max_level": tree.max_level,
+        "outside": policy.outside,
+        "min_dwell": policy.min_dwell,
+        "target": None if target is None else {kind: target.to_json()},
+        "horizon": policy.horizon,
+        "settings": None if policy.settings is None else policy.settings.to_json(),
+        "model": None if policy.model is None else policy.model.to_json(),
+        "statistics": policy.statistics,
+    }
+
+
+def content_hash(policy: Policy) -> str:
+    """Return the SHA-256 of what the policy is, the same that its file carries."""
+    return _digest(_content(policy), {name: getattr(policy.cells, name) for name in ARRAYS})
+
+
+def load(path: str | os.PathLike[str]) -> Policy:
+    """Return the policy in a file, every size and value of it checked."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = file.metadata() or {}
+            if FORMAT not in metadata:
+                raise PolicyFormatError(f"'{path}' is a safetensors file but no policy")
+            document = _parse(metadata[FORMAT], path)
+            if set(file.keys()) != set(ARRAYS):
+                raise PolicyFormatError(f"'{path}' does not hold the arrays of a policy")
+            arrays = {name: file.get_tensor(name) for name in ARRAYS}
+    except FileNotFoundError:
+        raise PolicyFormatError(f"there is no file '{path}'") from None
+    except (SafetensorError, OSError, ValueError, TypeError) as error:
+        if isinstance(error, PolicyFormatError):
+            raise
+        raise PolicyFormatError(f"'{path}' is no policy file: {error}") from None
+    try:
+        return _policy(document, arrays)
+    except (PolicyFormatError, ProblemError) as error:
+        raise PolicyFormatError(f"'{path}' is damaged: {error}") from None
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        ArithmeticError,
+        RecursionError,
+    ) as error:
+        raise PolicyFormatError(f"'{path}' is damaged: {type(error).__name__} {error}") from None
+
+
+def _parse(text: str, path: str | os.PathLike[str]) -> dict[str, Any]:
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError):
+        raise PolicyFormatError(f"'{path}' is damaged: its metadata is not JSON") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise PolicyFormatError(f"'{path}' is no policy file")
+    version = document.get("version")
+    if type(version) is not int or version < 1:
+        raise PolicyFormatError(f"'{path}' is damaged: it has no format version")
+    if version > VERSION:
+        raise PolicyFormatError(
+            f"'{path}' has format version {version}; this capsyn reads up to {VERSION}: upgrade it"
+        )
+    return document
+
+
+def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
+    content = document["policy"]
+    for name, dtype in ARRAYS.items():
+        if arrays[name].dtype != dtype or arrays[name].ndim != 1:
+            raise PolicyFormatError(f"array '{name}' must be one-dimensional {np.dtype(dtype)}")
+    if document["sha256"] != _digest(content, arrays):
+        raise PolicyFormatError("its content does not match its checksum")
+    domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
+    partitions, refinement, max_level = grid_settings(
+        content["partitions"], content["refinement"], content["max_level"], domain.n
+    )
+    tree = CellTree(partitions, refinement, max_level, **arrays)
+    if math.prod(partitions) > len(tree.entries):
+        raise PolicyFormatError("it has fewer cells than its root grid")
+    tree.check(len(alphabet) + 1)
+    domain.check_resolution(tree.counts)
+    default = finite_array("default", content["default"], 1)
+    if default.shape != (alphabet.m,):
+        raise PolicyFormatError("default control and alphabet differ in size")
+    if not isinstance(content["name"], str) or not isinstance(content["statistics"], dict):
+        raise PolicyFormatError("name or statistics")
+    settings, model, horizon = (content[key] for key in ("settings", "model", "horizon"))
+    if settings is not None:
+        settings = _settings(settings)
+        settings.efforts(alphabet.values)
+    return Policy(
+        name=content["name"],
+        domain=domain,
+        alphabet=alphabet,
+        default=default,
+        cells=tree,
+        outside=check_outside(content["outside"], alphabet),
+        min_dwell=finite_number("min_dwell", content["min_dwell"], least=0.0),
+        target=_target(content["target"], domain.n),
+        horizon=None if horizon is None else finite_number("horizon", horizon, above=0.0),
+        settings=settings,
+        model=None
+        if model is None
+        else Model.from_json(model, domain.n, alphabet.m, len(alphabet)),
+        statistics=content["statistics"],
+    )
+
+
+def _settings(data: dict[str, Any]) -> SsacSettings:
+    known = {f.name for f in dataclasses.fields(SsacSettings)}
+    if set(data) != known:
+        raise PolicyFormatError("its settings are not those of this format version")
+    return SsacSettings(**data)
+
+
+def _target(data: Any, n: int) -> Ball | Box | None:
+    if data is None:
+        return None
+    ((kind, value),) = data.items()
+    target = {"ball": Ball, "box": Box}[kind](**value)
+    size = len(target.center) if isinstance(target, Ball) else target.n
+    if size != n:
+        raise PolicyFormatError("its target has another dimension")
+    return target

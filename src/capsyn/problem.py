@@ -1,0 +1,222 @@
+"""The user's words: a system, a goal, an alphabet, validated."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from capsyn.alphabet import Alphabet
+from capsyn.cells import grid_settings
+from capsyn.domain import Ball, Box
+from capsyn.errors import ProblemError
+from capsyn.policy import Outside, check_outside
+from capsyn.settings import SsacSettings
+from capsyn.validation import describe, finite_array, finite_number
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A system, a goal and an alphabet: all that a synthesis needs.
+
+    Parameters
+    ----------
+    name : str
+        Name of the problem.
+    dynamics : callable ``(x, u) -> n components``
+        Eq. (1) of the paper [state unit / s]. `x` and `u` are CasADi column vectors; CasADi
+        functions and NumPy ufuncs both work on them.
+    domain : Box
+        States to label.
+    alphabet : Alphabet, or (N, m) or (N,) numbers
+        The symbols [input units].
+    default : (m,) or float
+        Control of the prediction [input units]; it need not be a symbol.
+    horizon : float
+        Prediction horizon T > 0 [s].
+    running_cost, terminal_cost : callables ``x -> scalar``, optional
+        Eq. (3) [cost / s] and [cost]; at least one. No factor 1/2 is implied.
+    target : Ball or Box, optional
+        What "arrived" means; carried in the policy.
+    outside : "error", "nearest" or symbol
+        What a state outside the domain gets; carried in the policy.
+    min_dwell : float
+        Least time between switches [s]; carried in the policy.
+    settings : SsacSettings
+        Options of the controller.
+    partitions, refinement : int or (n,)
+        Cells of the root grid, and children of a split cell, per axis.
+    max_level : int
+        Most times that a cell is split.
+    description : str
+        One line for ``capsyn list``.
+
+    Raises
+    ------
+    ProblemError
+        Anything that cannot be used, in one line that names it.
+    """
+
+    name: str
+    dynamics: Callable[[Any, Any], Any]
+    domain: Box
+    alphabet: Alphabet
+    default: Any
+    horizon: float
+    running_cost: Callable[[Any], Any] | None = None
+    terminal_cost: Callable[[Any], Any] | None = None
+    target: Ball | Box | None = None
+    outside: Outside = "error"
+    min_dwell: float = 0.0
+    settings: SsacSettings = field(default_factory=SsacSettings)
+    partitions: Any = 9
+    refinement: Any = 2
+    max_level: int = 4
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        def keep(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        if not isinstance(self.name, str) or not self.name.strip():
+            raise ProblemError(f"`name` must be a non-empty string; got {describe(self.name)}")
+        if not isinstance(self.domain, Box):
+            raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
+        if not isinstance(self.alphabet, Alphabet):
+            keep("alphabet", Alphabet(self.alphabet))
+        default = np.atleast_1d(np.asarray(self.default, dtype=object))
+        default = finite_array("default", default.tolist(), 1)
+        if default.shape != (self.alphabet.m,):
+            raise ProblemError(
+                f"`default` must have shape ({self.alphabet.m},), one entry per input; "
+                f"got {default.shape}"
+            )
+        keep("default", default)
+        keep("horizon", finite_number("horizon", self.horizon, above=0.0))
+        keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
+        keep("outside", check_outside(self.outside, self.alphabet))
+        if not isinstance(self.settings, SsacSettings):
+            raise ProblemError(
+                f"`settings` must be a capsyn.SsacSettings; got {describe(self.settings)}"
+            )
+        self.settings.efforts(self.alphabet.values)
+        self._check_target()
+        q, r, level = grid_settings(self.partitions, self.refinement, self.max_level, self.domain.n)
+        keep("partitions", q)
+        keep("refinement", r)
+        keep("max_level", level)
+        if self.running_cost is None and self.terminal_cost is None:
+            raise ProblemError(
+                "`running_cost` and `terminal_cost` must not both be None: there is no goal"
+            )
+        for name in ("dynamics", "running_cost", "terminal_cost"):
+            value = getattr(self, name)
+            if value is None and name != "dynamics":
+                continue
+            if not callable(value):
+                raise ProblemError(f"`{name}` must be a function; got {describe(value)}")
+        self.functions()
+
+    def _check_target(self) -> None:
+        target, n = self.target, self.domain.n
+        if target is None:
+            return
+        if not isinstance(target, (Ball, Box)):
+            raise ProblemError(f"`target` must be a Ball or a Box; got {describe(target)}")
+        size = len(target.center) if isinstance(target, Ball) else target.n
+        if size != n:
+            raise ProblemError(f"`target` must have {n} dimension(s); got {size}")
+
+    def functions(self) -> dict[str, ca.Function]:
+        """Return CasADi functions: ``dynamics(x, u)``, ``running_cost(x)``, ``terminal_cost(x)``.
+
+        A cost that is None is the constant 0.
+        """
+        x, u = ca.SX.sym("x", self.domain.n), ca.SX.sym("u", self.alphabet.m)
+        costs = {
+            name: _expression(name, getattr(self, name) or (lambda x: 0.0), [x], 1)
+            for name in ("running_cost", "terminal_cost")
+        }
+        expressions = {
+            "dynamics": _expression("dynamics", self.dynamics, [x, u], self.domain.n),
+            **costs,
+        }
+        arguments = {"dynamics": [x, u], "running_cost": [x], "terminal_cost": [x]}
+        return {
+            name: _function(name, arguments[name], expression)
+            for name, expression in expressions.items()
+        }
+
+    def replace(self, **changes: Any) -> Problem:
+        """Return the problem with some fields replaced."""
+        return dataclasses.replace(self, **changes)
+
+
+@contextlib.contextmanager
+def _numpy_functions() -> Iterator[None]:
+    """Let NumPy ufuncs on CasADi values give CasADi values, without a warning, for a while."""
+    options = ca.GlobalOptions
+    if not hasattr(options, "setNumpyMode"):  # CasADi before 3.8 has only this behaviour
+        yield
+        return
+    before = options.getNumpyMode()
+    options.setNumpyMode(-1)
+    try:
+        yield
+    finally:
+        options.setNumpyMode(before)
+
+
+def _expression(
+    name: str, function: Callable[..., Any], arguments: Sequence[ca.SX], size: int
+) -> ca.SX:
+    """Return what a user's function gives on symbols, as a dense column of `size` components."""
+    try:
+        with _numpy_functions():
+            value = function(*arguments)
+            if isinstance(value, (list, tuple, np.ndarray)):
+                value = ca.vertcat(*list(value))
+            value = ca.SX(value)
+    except Exception as error:  # whatever a user's function raises becomes one line
+        reason = " ".join(str(error).split()) or type(error).__name__
+        shapes = ", ".join(
+            f"{symbol}: {argument.numel()}" for symbol, argument in zip("xu", arguments)
+        )
+        raise ProblemError(
+            f"`{name}` failed on symbols with sizes ({shapes}): {describe_text(reason)}"
+        ) from error
+    if size == 1 and value.numel() != 1:
+        raise ProblemError(f"`{name}` must return a scalar; got shape {value.shape}")
+    if value.shape == (1, size) and size > 1:
+        value = value.T
+    if value.shape != (size, 1):
+        raise ProblemError(
+            f"`{name}` must return {size} component(s), one per state; got {value.numel()}"
+        )
+    return ca.densify(value)
+
+
+def describe_text(text: str, limit: int = 200) -> str:
+    """Return a text cut to a length that fits a one-line message."""
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def _function(name: str, arguments: Sequence[ca.SX], expression: ca.SX) -> ca.Function:
+    foreign = [s.name() for s in ca.symvar(ca.vertcat(expression, 0))]
+    declared = {s.name() for a in arguments for s in ca.symvar(a)}
+    for symbol in foreign:
+        if symbol not in declared:
+            raise ProblemError(
+                f"`{name}` must use only its arguments; it uses the undeclared symbol '{symbol}'"
+            )
+    try:
+        return ca.Function(name, list(arguments), [expression])
+    except RuntimeError as error:
+        raise ProblemError(
+            f"`{name}` must use only its arguments: {describe_text(' '.join(str(error).split()))}"
+        ) from None

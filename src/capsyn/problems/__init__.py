@@ -1,0 +1,42 @@
+"""Built-in problems, by name; each module makes its own."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Callable
+
+from capsyn.errors import ProblemError
+from capsyn.problem import Problem
+
+_MAKERS = {
+    "cart-pendulum": ("cart_pendulum", "cart_pendulum"),
+    "cart-pendulum-4": ("cart_pendulum", "cart_pendulum_4"),
+    "double-tank-a": ("double_tank", "double_tank_a"),
+    "double-tank-b": ("double_tank", "double_tank_b"),
+    "cart-pole": ("cart_pole", "cart_pole"),
+}
+
+
+def names() -> list[str]:
+    """Return the names of the built-in problems."""
+    return list(_MAKERS)
+
+
+def get(name: str) -> Problem:
+    """Return a built-in problem.
+
+    Raises
+    ------
+    ProblemError
+        There is none of this name; the message suggests the nearest.
+    """
+    if name not in _MAKERS:
+        near = difflib.get_close_matches(name, _MAKERS, n=1, cutoff=0.4)
+        hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(_MAKERS)}"
+        raise ProblemError(f"there is no problem '{name}'; {hint}")
+    module, function = _MAKERS[name]
+    maker: Callable[[], Problem] = getattr(
+        importlib.import_module(f"capsyn.problems.{module}"), function
+    )
+    return maker()

@@ -1,0 +1,54 @@
+"""Cart-pendulum inversion by energy (Section V of the paper)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from capsyn.alphabet import Alphabet
+from capsyn.domain import Box
+from capsyn.problem import Problem
+from capsyn.settings import SsacSettings
+
+GRAVITY = 9.81  # m/s^2
+LENGTH = 2.0  # m
+MASS = 1.0  # kg
+
+
+def dynamics(x: Any, u: Any) -> list[Any]:
+    """Return ``(omega, (g sin theta + u cos theta) / h)``, eq. (11); `u` accelerates the cart."""
+    return [x[1], (GRAVITY * ca.sin(x[0]) + u[0] * ca.cos(x[0])) / LENGTH]
+
+
+def energy(x: Any) -> Any:
+    """Return the pendulum's energy [J], 0 at rest upright."""
+    kinetic = 0.5 * MASS * LENGTH**2 * x[1] ** 2
+    return kinetic + MASS * GRAVITY * LENGTH * (ca.cos(x[0]) - 1)
+
+
+def cart_pendulum(values: tuple[float, ...] = (5.0, -5.0), name: str = "cart-pendulum") -> Problem:
+    """Return the problem of Fig. 3: two accelerations, tracking the upright energy, eq. (12)."""
+    return Problem(
+        name=name,
+        dynamics=dynamics,
+        domain=Box(
+            [0.0, -5.0],
+            [2 * ca.pi, 5.0],
+            names=["theta", "omega"],
+            units=["rad", "rad/s"],
+            periodic=[True, False],
+        ),
+        alphabet=Alphabet(values, inputs=["acceleration"], units=["m/s^2"]),
+        default=0.0,
+        horizon=1.2,
+        terminal_cost=lambda x: 0.5 * energy(x) ** 2,
+        outside="nearest",
+        settings=SsacSettings(gamma=-5.0, control_weight=0.3),
+        description=f"swing-up of a pendulum by {len(values)} accelerations of its cart",
+    )
+
+
+def cart_pendulum_4() -> Problem:
+    """Return the problem of Fig. 4a: four accelerations."""
+    return cart_pendulum((-5.0, -2.0, 2.0, 5.0), "cart-pendulum-4")

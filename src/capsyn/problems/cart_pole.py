@@ -1,0 +1,42 @@
+"""Balancing a pole on a cart whose motor knows two accelerations; four states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from capsyn.alphabet import Alphabet
+from capsyn.domain import Box
+from capsyn.problem import Problem
+from capsyn.settings import SsacSettings
+
+GRAVITY = 9.81  # m/s^2
+LENGTH = 2.0  # m
+
+
+def dynamics(x: Any, u: Any) -> list[Any]:
+    """Return the rates of (x, v, theta, omega) under the cart's acceleration."""
+    return [x[1], u[0], x[3], (GRAVITY * ca.sin(x[2]) + u[0] * ca.cos(x[2])) / LENGTH]
+
+
+def cart_pole() -> Problem:
+    """Return the balancing problem: quadratic running cost over 0.6 s."""
+    return Problem(
+        name="cart-pole",
+        dynamics=dynamics,
+        domain=Box(
+            [-2.0, -3.0, -0.6, -3.0],
+            [2.0, 3.0, 0.6, 3.0],
+            names=["x", "v", "theta", "omega"],
+            units=["m", "m/s", "rad", "rad/s"],
+        ),
+        alphabet=Alphabet([-5.0, 5.0], inputs=["acceleration"], units=["m/s^2"]),
+        default=0.0,
+        horizon=0.6,
+        running_cost=lambda x: x[0] ** 2 + 0.5 * x[1] ** 2 + 10 * x[2] ** 2 + x[3] ** 2,
+        settings=SsacSettings(rule="steepest", steps=20),
+        partitions=4,
+        max_level=2,
+        description="balance of a pole by two accelerations of its cart",
+    )

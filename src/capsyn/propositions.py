@@ -1,0 +1,120 @@
+"""What a subdivision will take, known beforehand: Propositions 1 and 2 of the paper, memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from capsyn.cells import grid_settings, lattice_counts
+from capsyn.domain import Box
+from capsyn.errors import ProblemError
+from capsyn.validation import describe
+
+BYTES_PER_SOLVE = 100
+BYTES_PER_CELL = 200
+"""Peak memory of a subdivision, measured and rounded up."""
+
+
+def level_for_precision(
+    domain: Box, precision: Sequence[float], partitions: Any, refinement: Any = 2
+) -> int:
+    """Return the least maximum level whose finest cells are no larger than wanted, eq. (9).
+
+    Parameters
+    ----------
+    domain : Box
+        The domain.
+    precision : (n,)
+        Wanted edge lengths of the finest cells [state units].
+    partitions, refinement : int or (n,)
+        Cells of the root grid, and children of a split cell, per axis.
+    """
+    wanted = np.asarray(precision, dtype=float)
+    if wanted.shape != (domain.n,) or not (np.isfinite(wanted) & (wanted > 0)).all():
+        raise ProblemError(
+            f"`precision` must be {domain.n} positive number(s); got {describe(precision)}"
+        )
+    q, r, _ = grid_settings(partitions, refinement, 0, domain.n)
+    level = 0
+    while any(
+        width > delta * (cells * factor**level)
+        for width, delta, cells, factor in zip(domain.widths.tolist(), wanted.tolist(), q, r)
+    ):
+        level += 1
+    return level
+
+
+def worst_case_solves(
+    partitions: Sequence[int], refinement: Sequence[int], max_level: int, interior_points: int = 1
+) -> int:
+    """Return the largest number of solves by eq. (10), counted as the paper does.
+
+    Parameters
+    ----------
+    partitions, refinement : (n,) ints
+        Cells of the root grid, and children of a split cell, per axis.
+    max_level : int
+        Most times that a cell is split.
+    interior_points : int
+        Test points of a cell beside its vertices.
+    """
+    counts = lattice_counts(tuple(partitions), tuple(refinement), max_level)
+    vertices = math.prod(count + 1 for count in counts)
+    cells = (1 + math.prod(refinement) ** max_level) * math.prod(partitions)
+    return vertices + cells * interior_points
+
+
+def worst_case_memory(
+    partitions: Sequence[int],
+    refinement: Sequence[int],
+    max_level: int,
+    interior_points: int,
+    max_solves: int | None = None,
+) -> int:
+    """Return the bytes that the worst case of a subdivision may take."""
+    cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
+    solves = worst_case_solves(partitions, refinement, max_level, interior_points)
+    if max_solves is not None:  # every block of cells has at least one point of its own
+        solves = min(solves, max_solves)
+        cells = min(cells, max_solves * math.prod(refinement))
+    return BYTES_PER_SOLVE * solves + BYTES_PER_CELL * cells
+
+
+def available_memory() -> int | None:
+    """Return the bytes of memory that are free for use; None where the system does not say."""
+    try:
+        with open("/proc/meminfo") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return int(line.split()[1]) * 1024
+    except (OSError, ValueError):
+        pass  # not Linux: nothing is known, and nothing is refused
+    return None
+
+
+def check_memory(
+    partitions: tuple[int, ...],
+    refinement: tuple[int, ...],
+    max_level: int,
+    interior_points: int,
+    max_solves: int | None,
+) -> None:
+    """Raise `ProblemError` where the worst case exceeds the memory that is available."""
+    available = available_memory()
+
+    def need(level: int) -> int:
+        return worst_case_memory(partitions, refinement, level, interior_points, max_solves)
+
+    if available is None or need(max_level) <= available:
+        return
+    fits = max((k for k in range(max_level) if need(k) <= available), default=None)
+    advice = "use fewer partitions" if fits is None else f"max_level <= {fits} fits"
+    solves = worst_case_solves(partitions, refinement, max_level, interior_points)
+    raise ProblemError(
+        f"`max_level` {max_level} may take {need(max_level) / 1e9:.3g} GB at worst "
+        f"({solves:.3g} solves); {available / 1e9:.3g} GB is available: {advice}, "
+        "or bound it with `max_solves`"
+    )

@@ -1,0 +1,297 @@
+"""Switched sequential action control (Section III of the paper), for batches of states."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.domain import Box
+from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
+from capsyn.model import Model
+from capsyn.settings import SsacSettings
+from capsyn.validation import describe
+
+TIE = 1e-5
+"""Perturbation of mode insertion gradients, relative to their scales, that makes symbols tie."""
+BLOCK = 2048
+"""States that the NumPy backend handles at once, so that its buffers stay in the CPU's cache."""
+ROUNDING = 64
+"""Units of the last place by which quantities that should vanish may differ from 0."""
+STEP_LADDER = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+STEP_SAMPLES = 512
+
+Solver = Callable[[np.ndarray, float, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Steps 1 and 2 of sSAC at t0 for B states and N symbols.
+
+    Parameters
+    ----------
+    cost : (B,)
+        Cost ``J0`` of the default prediction, eq. (3).
+    gradients : (B, N)
+        Mode insertion gradients ``dJ/dlambda+`` at t0, eq. (6) [cost / s].
+    scales : (B, N)
+        Largest size each gradient could have given the adjoint and the change of dynamics.
+    """
+
+    cost: np.ndarray
+    gradients: np.ndarray
+    scales: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class BatchController:
+    """sSAC for batches of states: one forward and one adjoint pass each.
+
+    Build it with `batch_controller`.
+
+    Parameters
+    ----------
+    solver : callable
+        ``(states, horizon, steps) -> (cost, gradients, scales)``, safe to call from threads.
+    backend : "c" or "numpy"
+        What the solver is.
+    horizon : float
+        Prediction horizon T [s].
+    efforts : (N,)
+        Control efforts ``u^T R u`` of the symbols.
+    settings : SsacSettings
+        Options, with `steps` given.
+    """
+
+    solver: Solver
+    backend: str
+    horizon: float
+    efforts: np.ndarray
+    settings: SsacSettings
+
+    def solve(self, states: np.ndarray) -> Solution:
+        """Return costs and mode insertion gradients of states (B, n)."""
+        assert self.settings.steps is not None
+        return Solution(*self.solver(states, self.horizon, self.settings.steps))
+
+    def scores(self, solution: Solution) -> np.ndarray:
+        """Return what each symbol scores (B, N), eq. (8) or the steepest rule; least is best."""
+        distance = solution.gradients
+        if self.settings.rule == "schedule":
+            distance = (distance - self._wanted(solution)) ** 2
+        return distance + self.efforts
+
+    def symbols(self, states: np.ndarray) -> np.ndarray:
+        """Return the symbols (B,) that sSAC applies at t0; -1 is the default control.
+
+        Exact ties of the scores go to the symbol of lowest index. States without a finite
+        result get the default.
+        """
+        solution = self.solve(states)
+        scores = self.scores(solution)
+        finite = np.isfinite(scores).all(axis=1)
+        best = np.where(finite, np.argmin(scores, axis=1), -1)
+        if self.settings.on_no_descent == "default":
+            best = np.where(_take(solution.gradients, best) >= 0, -1, best)
+        return best
+
+    def masks(self, states: np.ndarray) -> np.ndarray:
+        """Return the symbols that could be best as bit masks (B,), 0 without a finite result.
+
+        A symbol could be best when it is for some perturbation of each mode insertion gradient
+        by at most `TIE` of its scale. Bit N stands for the default control.
+        """
+        return self.possible(self.solve(states))
+
+    def possible(self, solution: Solution) -> np.ndarray:
+        """Return the masks (B,) of solved states; see `masks`."""
+        low, high = self._bounds(solution)
+        least = high.min(axis=1)
+        could = low <= least[:, None]
+        n = could.shape[1]
+        bits = np.uint64(1) << np.arange(n, dtype=np.uint64)
+        margin = TIE * solution.scales
+        default = np.zeros(len(could), dtype=bool)
+        if self.settings.on_no_descent == "default":
+            default = (could & (solution.gradients + margin >= 0)).any(axis=1)
+            could &= solution.gradients - margin < 0
+        masks = np.where(could, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
+        masks |= default.astype(np.uint64) << np.uint64(n)
+        masks[~(np.isfinite(least) & np.isfinite(solution.cost))] = 0
+        return masks
+
+    def _wanted(self, solution: Solution) -> np.ndarray:
+        """Return ``alpha_d`` (B, 1)."""
+        if self.settings.alpha_d is not None:
+            return np.full((len(solution.cost), 1), self.settings.alpha_d)
+        return self.settings.gamma * solution.cost[:, None]
+
+    def _bounds(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and greatest scores (B, N) under the perturbations of a tie."""
+        margin = TIE * solution.scales
+        with np.errstate(invalid="ignore", over="ignore"):
+            if self.settings.rule == "steepest":
+                low, high = solution.gradients - margin, solution.gradients + margin
+            else:
+                distance = np.abs(solution.gradients - self._wanted(solution))
+                low = np.maximum(distance - margin, 0.0) ** 2
+                high = (distance + margin) ** 2
+            return low + self.efforts, high + self.efforts
+
+
+def batch_controller(
+    model: Model,
+    domain: Box,
+    values: np.ndarray,
+    default: np.ndarray,
+    horizon: float,
+    settings: SsacSettings,
+    backend: str = "auto",
+    seed: int = 0,
+) -> BatchController:
+    """Return the controller of a model, with its kernel built and its steps chosen.
+
+    Parameters
+    ----------
+    model : Model
+        The system.
+    domain : Box
+        Where the states of the step-doubling check are drawn from.
+    values : (N, m)
+        The symbols' control vectors [input units].
+    default : (m,)
+        Control of the prediction [input units].
+    horizon : float
+        Prediction horizon T [s].
+    settings : SsacSettings
+        Options; steps that are not given are chosen by `choose_steps`.
+    backend : "auto", "c" or "numpy"
+        ``"auto"`` takes C where there is a working compiler, else NumPy with a warning.
+    seed : int
+        Seed of the sample states.
+
+    Raises
+    ------
+    KernelBuildError
+        ``backend="c"`` and the kernel cannot be built.
+    """
+    bound = bind_default(model, default)
+    solver, used = make_solver(bound, settings.precision, backend)
+    if settings.steps is None:
+        steps = choose_steps(solver, domain.sample(STEP_SAMPLES, seed), horizon, settings)
+        settings = dataclasses.replace(settings, steps=steps)
+    return BatchController(solver, used, horizon, settings.efforts(values), settings)
+
+
+def bind_default(model: Model, default: np.ndarray) -> Model:
+    """Return the model with its control fixed where the prediction uses it."""
+    return dataclasses.replace(
+        model,
+        step=model.step.bind(u=default),
+        adjoint=model.adjoint.bind(u=default),
+        insertion=model.insertion.bind(u=default),
+    )
+
+
+def make_solver(model: Model, precision: str, backend: str) -> tuple[Solver, str]:
+    """Return a solver of a model whose control is bound, and its backend, "c" or "numpy"."""
+    if backend not in ("auto", "c", "numpy"):
+        raise ProblemError(f'`backend` must be "auto", "c" or "numpy"; got {describe(backend)}')
+    dtype = np.float32 if precision == "single" else np.float64
+    rounding = float(ROUNDING * np.finfo(dtype).eps / TIE)
+    if backend != "numpy":
+        from capsyn.native.kernels import SsacKernel
+
+        try:
+            return SsacKernel.build(model, precision, rounding), "c"
+        except KernelBuildError as error:
+            if backend == "c":
+                raise
+            warnings.warn(f"solving with NumPy: {error}", CapsynWarning, stacklevel=4)
+    return NumpySolver(model, dtype, rounding), "numpy"
+
+
+@dataclass(frozen=True)
+class NumpySolver:
+    """The same computation as the compiled kernel, by NumPy on blocks of states."""
+
+    model: Model
+    dtype: type[np.floating]
+    rounding: float
+
+    def __call__(
+        self, states: np.ndarray, horizon: float, steps: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (cost (B,), gradients (B, N), scales (B, N)) of states (B, n)."""
+        parts = [
+            self._block(states[k : k + BLOCK], horizon, steps)
+            for k in range(0, max(len(states), 1), BLOCK)
+        ]
+        cost, gradients, scales = zip(*parts)
+        return np.concatenate(cost), np.concatenate(gradients), np.concatenate(scales)
+
+    def _block(
+        self, states: np.ndarray, horizon: float, steps: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        model, dtype = self.model, self.dtype
+        dt = [horizon / steps]
+        path = [np.ascontiguousarray(states.T, dtype)]
+        total = np.zeros(len(states), dtype)
+        with np.errstate(all="ignore"):
+            for _ in range(steps):
+                state, cost = model.step.evaluate(path[-1], dt, dtype=dtype)
+                path.append(state)
+                total += cost[0]
+            cost, rho = model.terminal_cost.evaluate(path[-1], dtype=dtype)
+            total += cost[0]
+            for state in reversed(path[:-1]):
+                (rho,) = model.adjoint.evaluate(state, dt, rho, dtype=dtype)
+            gradients, scales = model.insertion.evaluate(
+                path[0], rho, total[None, :], [self.rounding], dtype=dtype
+            )
+        return total.astype(float), gradients.T.astype(float), scales.T.astype(float)
+
+
+def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: SsacSettings) -> int:
+    """Return the fewest steps of `STEP_LADDER` whose error meets ``settings.tolerance``.
+
+    The error is the 99th percentile, over the states (B, n), of the difference that twice the
+    steps make to the mode insertion gradients, relative to their scales. Where it stops
+    falling first (a switch in the dynamics, single precision), the best steps so far are
+    returned with a warning.
+    """
+    best, least, stalled = STEP_LADDER[0], np.inf, 0
+    solved: dict[int, np.ndarray] = {}
+
+    def gradients(steps: int) -> tuple[np.ndarray, np.ndarray]:
+        if steps not in solved:
+            solved[steps] = np.stack(solver(states, horizon, steps)[1:])
+        return solved[steps][0], solved[steps][1]
+
+    for steps in STEP_LADDER:
+        coarse, (fine, scale) = gradients(steps)[0], gradients(2 * steps)
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            errors = np.abs(coarse - fine) / scale
+        errors = errors[np.isfinite(errors)]
+        error = float(np.percentile(errors, 99)) if errors.size else 0.0
+        if error <= settings.tolerance:
+            return steps
+        stalled = 0 if error < 0.7 * least else stalled + 1
+        if error < least:
+            best, least = steps, error
+        if stalled == 3:
+            break
+    warnings.warn(
+        f"the step-doubling check reached {least:.2g} with {best} steps, not the tolerance "
+        f"{settings.tolerance:.2g}: give `steps` or a larger `tolerance`",
+        CapsynWarning,
+        stacklevel=4,
+    )
+    return best
+
+
+def _take(values: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    return np.take_along_axis(values, columns[:, None], axis=1)[:, 0]

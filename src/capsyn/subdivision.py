@@ -1,0 +1,378 @@
+"""Algorithm 1 of the paper: adaptive cell subdivision, over any labelling function.
+
+Test points lie on an integer lattice eight times finer than the finest cells, so that vertices,
+centres, edge midpoints and the points of the quarter rule are whole numbers, and a point that
+cells or levels share is solved once.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from capsyn.alphabet import Alphabet
+from capsyn.cell_points import CellPoints
+from capsyn.cells import CellTree, grid_settings, lattice_counts
+from capsyn.domain import Box
+from capsyn.errors import ProblemError, SynthesisError
+from capsyn.lattice_points import Label, LatticePoints, Progress, Question
+from capsyn.policy import Outside, Policy, check_outside
+from capsyn.propositions import check_memory, worst_case_solves
+from capsyn.validation import describe, one_of, whole_number
+
+FINE = 8
+"""Lattice units along the edge of a finest cell."""
+ROLES = ("vertices", "centers", "others", "quarter")
+"""What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
+
+
+def subdivide(
+    label: Label,
+    domain: Box,
+    symbols: int | Alphabet,
+    *,
+    partitions: Any = 9,
+    refinement: Any = 2,
+    max_level: int = 4,
+    test_points: str = "vertices+center",
+    seed: int = 0,
+    returns: str = "symbols",
+    preference: Sequence[int] | None = None,
+    outside: Outside = "error",
+    name: str = "policy",
+    max_solves: int | None = None,
+    threads: int = 1,
+    progress: Callable[[Progress], None] | None = None,
+) -> Policy:
+    """Return the policy of a labelling function, by Algorithm 1 of the paper.
+
+    Parameters
+    ----------
+    label : callable
+        States (B, n) to symbol indices (B,), -1 for the default; or, with
+        ``returns="masks"``, to uint64 masks (B,) of the symbols that could be best, bit N for the
+        default, 0 where there is no finite answer.
+    domain : Box
+        States to label.
+    symbols : int or Alphabet
+        Number of symbols N, or the alphabet itself.
+    partitions, refinement : int or (n,)
+        Cells of the root grid, and children of a split cell, per axis.
+    max_level : int
+        Most times that a cell is split.
+    test_points : str
+        ``"vertices+center"``, with ``+edge_midpoints`` and ``+random:R`` added as wanted.
+    seed : int
+        Seed of the random test points.
+    preference : sequence of int, optional
+        Symbols (N for the default), most preferred first, to break ties. Default: by index.
+    outside : "error", "nearest" or symbol
+        Rule of the policy for states outside the domain.
+    name : str
+        Name of the policy.
+    max_solves : int, optional
+        Stop before a level that would exceed so many solves, with a valid coarser policy.
+    threads : int
+        Threads that call `label`; the result does not depend on it.
+    progress : callable, optional
+        Called with a `Progress` now and then.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used, or a label that is no symbol.
+    SynthesisError
+        More than 1 % of the states have no finite answer.
+
+    Notes
+    -----
+    A cell is uniform when one symbol could be best at all its test points, and it takes the most
+    preferred of those. A tie must not hide a switching surface: above the finest level, a test
+    point of a uniform cell where several symbols tie is moved a quarter of the way to the cell's
+    centre and must agree there too. A mixed cell of the finest level takes the symbol that most
+    of its points could have, among those that some point determines alone.
+    """
+    alphabet = symbols if isinstance(symbols, Alphabet) else Alphabet(range(_count(symbols)))
+    n_symbols = len(alphabet)
+    q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
+    points = CellPoints.parse(test_points)
+    one_of("returns", returns, ["symbols", "masks"])
+    seed = whole_number("seed", seed, least=0)
+    threads = whole_number("threads", threads, least=1)
+    if max_solves is not None:
+        max_solves = whole_number("max_solves", max_solves, least=1)
+    order = list(range(n_symbols + 1)) if preference is None else [int(s) for s in preference]
+    if sorted(order) != list(range(n_symbols + 1)):
+        raise ProblemError(
+            f"`preference` must name each of 0..{n_symbols} once; got {describe(preference)}"
+        )
+    outside = check_outside(outside, alphabet)
+    lattice = tuple(FINE * count for count in lattice_counts(q, r, max_level))
+    domain.check_resolution(lattice)
+    check_memory(q, r, max_level, points.interior(domain.n), max_solves)
+    masks = label if returns == "masks" else _masks_of_symbols(label, n_symbols)
+    started = time.perf_counter()
+    with ThreadPoolExecutor(threads) as pool:
+        store = LatticePoints(
+            masks, domain, lattice, n_symbols, pool if threads > 1 else None, progress
+        )
+        work = _Subdivision(q, r, max_level, points, seed, order, store)
+        cells = work.run(max_solves)
+    return Policy(
+        name=name,
+        domain=domain,
+        alphabet=alphabet,
+        default=np.zeros(alphabet.m),
+        cells=cells,
+        outside=outside,
+        statistics=work.statistics(),
+        timings={
+            "label": store.seconds,
+            "subdivide": time.perf_counter() - started - store.seconds,
+        },
+    )
+
+
+def _count(symbols: Any) -> int:
+    return whole_number("symbols", symbols, least=1)
+
+
+def _masks_of_symbols(label: Label, n_symbols: int) -> Label:
+    """Return a labelling function that gives masks from one that gives symbols."""
+
+    def masks(states: np.ndarray) -> np.ndarray:
+        symbols = np.asarray(label(states))
+        if symbols.shape != (len(states),) or not np.issubdtype(symbols.dtype, np.integer):
+            raise ProblemError(
+                f"`label` must return ({len(states)},) integers; got "
+                f"{symbols.dtype} of shape {symbols.shape}"
+            )
+        wrong = (symbols < -1) | (symbols >= n_symbols)
+        if wrong.any():
+            i = int(np.flatnonzero(wrong)[0])
+            raise ProblemError(
+                f"`label` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
+                f"at state {states[i].tolist()}"
+            )
+        bits = np.where(symbols < 0, n_symbols, symbols).astype(np.uint64)
+        return np.uint64(1) << bits
+
+    return masks
+
+
+class _Subdivision:
+    """Algorithm 1, level by level, all cells of a level at once.
+
+    Arrays over the test points of a level have the point first and the parent cell last, so that
+    all work on masks runs along contiguous memory.
+    """
+
+    def __init__(
+        self,
+        partitions: tuple[int, ...],
+        refinement: tuple[int, ...],
+        max_level: int,
+        test_points: CellPoints,
+        seed: int,
+        order: list[int],
+        points: LatticePoints,
+    ) -> None:
+        self._n, self._q, self._r = len(partitions), partitions, refinement
+        self._max_level, self._test_points, self._seed = max_level, test_points, seed
+        self._order, self._points = order, points
+        self._offsets = test_points.offsets(self._n)
+        self._roles = np.zeros(len(ROLES), dtype=np.int64)
+        self._levels: list[dict[str, int]] = []
+        self._stopped = False
+
+    def run(self, max_solves: int | None) -> CellTree:
+        """Return the cells."""
+        blocks: list[np.ndarray] = []  # entries, level by level
+        parents = np.zeros((1, self._n), dtype=np.int64)  # lower corners in lattice units
+        start = 0
+        mixed = np.empty(0, dtype=np.int64)  # within the last level
+        seen = np.empty(0, dtype=np.uint64)
+        for level in range(self._max_level + 1):
+            split = np.array(self._q if level == 0 else self._r)
+            size = FINE * np.array([r ** (self._max_level - level) for r in self._r])
+            children = int(np.prod(split))
+            cells = children * len(parents)
+            if start + cells > 2**31 - 1:
+                raise SynthesisError(f"level {level} has more cells than 32-bit entries can number")
+            keys, table, roles = self._test_keys(parents, split, size, level)
+            question = self._points.ask(keys.ravel())
+            new = int(question.new.sum())
+            if max_solves is not None and self._points.count + new > max_solves:
+                if level == 0:
+                    raise ProblemError(
+                        f"`max_solves` must be at least the {new} solves of level 0; "
+                        f"got {max_solves}"
+                    )
+                self._stopped = True
+                break
+            self._count_roles(question, np.repeat(roles, len(parents)))
+            masks = self._points.answer(question, level, self._max_level, cells)
+            masks = masks.reshape(keys.shape)[table]  # (children, points, parents)
+            lower = self._children(parents, split, size)
+            common = np.bitwise_and.reduce(masks, axis=1)
+            if level < self._max_level:
+                common = self._quarter_rule(common, masks, lower, size, level)
+            entries = np.ascontiguousarray(-1 - self._preferred(common).T).ravel()
+            if level:  # the mixed cells of the level above are split after all
+                blocks[-1][mixed] = start + children * np.arange(len(parents))
+            parent, child = np.nonzero(common.T == 0)
+            mixed = parent * children + child
+            labels, seen = self._mode(masks[child, :, parent])
+            entries[mixed] = -1 - labels
+            self._levels.append({"cells": cells, "mixed": len(mixed), "solves": new})
+            blocks.append(entries)
+            if not mixed.size:
+                break
+            last, start = start, start + cells
+            parents = lower[mixed]
+        return CellTree(
+            self._q,
+            self._r,
+            self._max_level,
+            np.concatenate(blocks),
+            (mixed + last if mixed.size else mixed).astype(np.int32),
+            seen.astype(np.uint64),
+        )
+
+    def statistics(self) -> dict[str, Any]:
+        """Return the counts of the subdivision as plain data."""
+        points = self._points
+        leaves = [x["cells"] - x["mixed"] for x in self._levels]
+        leaves[-1] = self._levels[-1]["cells"]
+        return {
+            "solves": points.count,
+            "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
+            "cells": sum(leaves),
+            "leaves_by_level": leaves,
+            "mixed_cells": self._levels[-1]["mixed"],
+            "levels": list(self._levels),
+            "stopped_by_max_solves": self._stopped,
+            "indifferent_points": points.indifferent,
+            "not_finite_points": points.not_finite,
+            "not_finite_example": points.example,
+            "test_points": str(self._test_points),
+            "seed": self._seed,
+            "worst_case_solves": worst_case_solves(
+                self._q, self._r, self._max_level, self._test_points.interior(self._n)
+            ),
+        }
+
+    def _children(self, parents: np.ndarray, split: np.ndarray, size: np.ndarray) -> np.ndarray:
+        """Return the lower corners (M, n) of all children, block by block in C order."""
+        return (parents[:, None, :] + _grid(split) * size).reshape(-1, self._n)
+
+    def _test_keys(
+        self, parents: np.ndarray, split: np.ndarray, size: np.ndarray, level: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the keys of a level's test points.
+
+        Returns
+        -------
+        keys : (U, parents)
+            Keys of the U different points of a block of children.
+        table : (children, P)
+            The rows of `keys` that are the test points of each child.
+        roles : (U,)
+            Indices into `ROLES`.
+        """
+        grid = _grid(split)
+        local = 2 * grid[:, None, :] + self._offsets[None, :, :]
+        extents = tuple(2 * split + 1)
+        numbers = np.ravel_multi_index(tuple(np.moveaxis(local, -1, 0)), extents)
+        distinct, table = np.unique(numbers, return_inverse=True)
+        table = table.reshape(numbers.shape)
+        halves = np.stack(np.unravel_index(distinct, extents), axis=1)
+        odd = (halves % 2).sum(axis=1)
+        roles = np.where(odd == 0, 0, np.where(odd == self._n, 1, 2))
+        keys = self._points.encode(halves * (size // 2), parents)
+        count = self._test_points.random
+        if count:
+            rng = np.random.default_rng([self._seed, level])
+            shape = (len(parents), len(grid), count, self._n)
+            inner = grid[:, None, :] * size + rng.integers(1, size, size=shape)
+            inner = np.moveaxis(inner, 0, 2).reshape(-1, len(parents), self._n)
+            strides = self._points.encode(inner.reshape(-1, self._n), np.zeros((1, self._n), int))
+            corners = self._points.encode(np.zeros((1, self._n), int), parents)
+            keys = np.vstack([keys, strides.reshape(-1, len(parents)) + corners])
+            rows = len(distinct) + np.arange(len(grid) * count).reshape(len(grid), count)
+            table = np.hstack([table, rows])
+            roles = np.append(roles, np.full(len(grid) * count, 2))
+        return keys, table, roles
+
+    def _count_roles(self, question: Question, roles: np.ndarray) -> None:
+        new = roles[question.samples[question.new]]
+        self._roles += np.bincount(new, minlength=len(ROLES))
+
+    def _quarter_rule(
+        self,
+        common: np.ndarray,
+        masks: np.ndarray,
+        lower: np.ndarray,
+        size: np.ndarray,
+        level: int,
+    ) -> np.ndarray:
+        """Return `common` (children, parents) after a second look at tied points.
+
+        Only fixed points are looked at again; the centre stays where it is.
+        """
+        movable = np.flatnonzero((self._offsets != 1).any(axis=1))
+        fixed = masks[:, movable]
+        tied = ((fixed & (fixed - masks.dtype.type(1))) != 0) & (common != 0)[:, None, :]
+        child, point, parent = np.nonzero(tied)
+        if not child.size:
+            return common
+        # offset / 2 + (1 / 2 - offset / 2) / 4 = (3 offset + 1) / 8 of the cell, offset in halves
+        eighths = 3 * self._offsets[movable[point]] + 1
+        corners = lower[parent * len(common) + child]
+        places = corners + eighths * (size // FINE)
+        question = self._points.ask(
+            self._points.encode(np.zeros((1, self._n), dtype=np.int64), places)[0]
+        )
+        self._count_roles(question, np.full(len(places), ROLES.index("quarter")))
+        moved = self._points.answer(question, level, self._max_level, len(lower))
+        common = common.copy()
+        np.bitwise_and.at(common, (child, parent), moved)
+        return common
+
+    def _preferred(self, masks: np.ndarray) -> np.ndarray:
+        """Return the most preferred symbol of each mask; anything where it is 0."""
+        labels = np.full(masks.shape, self._order[-1], dtype=np.int32)
+        for symbol in reversed(self._order[:-1]):
+            labels[(masks & masks.dtype.type(1 << symbol)) != 0] = symbol
+        return labels
+
+    def _mode(self, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the labels (K,) of mixed cells and the sets of labels seen in them (K,).
+
+        The labels seen are those of determined points, or of all points where none is determined.
+        Every point votes for each label it could have; ties go by preference.
+        """
+        masks = np.ascontiguousarray(masks.T)
+        zero, one = masks.dtype.type(0), masks.dtype.type(1)
+        single = np.where((masks & (masks - one)) == 0, masks, zero)
+        seen = np.bitwise_or.reduce(single, axis=0)
+        seen = np.where(seen == 0, np.bitwise_or.reduce(masks, axis=0), seen)
+        labels = np.full(len(seen), self._order[0], dtype=np.int32)
+        most = np.zeros(len(seen), dtype=np.int64)
+        for symbol in self._order:
+            bit = masks.dtype.type(1 << symbol)
+            votes = np.count_nonzero(masks & bit, axis=0) * ((seen & bit) != 0)
+            labels[votes > most] = symbol
+            most = np.maximum(votes, most)
+        return labels, np.asarray(seen)
+
+
+def _grid(split: np.ndarray) -> np.ndarray:
+    """Return the integer positions (children, n) of the cells of a block in C order."""
+    places = np.arange(math.prod(split.tolist()))
+    return np.stack(np.unravel_index(places, tuple(split.tolist())), axis=1)

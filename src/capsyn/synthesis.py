@@ -1,0 +1,201 @@
+"""From a problem to a policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from capsyn.domain import Box
+from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.lattice_points import Progress
+from capsyn.policy import Outside, Policy
+from capsyn.problem import Problem
+from capsyn.settings import SsacSettings
+from capsyn.ssac import TIE, BatchController, batch_controller
+from capsyn.subdivision import subdivide
+from capsyn.transcription import transcribe
+from capsyn.validation import describe, whole_number
+
+SAMPLES = 2048
+"""Random states by which the controller is judged, see ``Policy.statistics['sample']``."""
+
+
+def synthesize(
+    problem: Problem,
+    *,
+    partitions: Any = None,
+    refinement: Any = None,
+    max_level: int | None = None,
+    settings: SsacSettings | None = None,
+    outside: Outside | None = None,
+    min_dwell: float | None = None,
+    test_points: str = "vertices+center",
+    seed: int = 0,
+    max_solves: int | None = None,
+    backend: str = "auto",
+    threads: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Policy:
+    """Return the control alphabet policy of a problem: sSAC at every test point, Algorithm 1.
+
+    Parameters
+    ----------
+    problem : Problem
+        System, goal and alphabet, with their own settings.
+    partitions, refinement, max_level, settings, outside, min_dwell : optional
+        Override the problem's own.
+    test_points : str
+        ``"vertices+center"``, with ``+edge_midpoints`` and ``+random:R`` added as wanted.
+    seed : int
+        Seed of everything that is random.
+    max_solves : int, optional
+        Stop before a level that would exceed so many solves, with a valid coarser policy.
+    backend : "auto", "c" or "numpy"
+        How to solve: compiled where there is a compiler, or as told.
+    threads : int, optional
+        Threads that solve; default: one per processor. The policy does not depend on it.
+    progress : callable, optional
+        Called with a `Progress` now and then.
+
+    Returns
+    -------
+    Policy
+        With its model, so that it can be simulated and checked without the problem. The same
+        problem and settings give the same policy, whatever the threads and the backend (as long
+        as their last bits of rounding do not decide a tie).
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
+    SynthesisError
+        More than 1 % of the solves have no finite result.
+    KernelBuildError
+        ``backend="c"`` without a working compiler.
+    """
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
+    overrides = {
+        "partitions": partitions,
+        "refinement": refinement,
+        "max_level": max_level,
+        "settings": settings,
+        "outside": outside,
+        "min_dwell": min_dwell,
+    }
+    problem = problem.replace(**{k: v for k, v in overrides.items() if v is not None})
+    threads = _processors() if threads is None else whole_number("threads", threads, least=1)
+    seed = whole_number("seed", seed, least=0)
+    started = time.perf_counter()
+    model = transcribe(problem)
+    values, domain = problem.alphabet.values, problem.domain
+    controller = batch_controller(
+        model, domain, values, problem.default, problem.horizon, problem.settings, backend, seed
+    )
+    ready = time.perf_counter()
+    policy = subdivide(
+        controller.masks,
+        domain,
+        problem.alphabet,
+        partitions=problem.partitions,
+        refinement=problem.refinement,
+        max_level=problem.max_level,
+        test_points=test_points,
+        seed=seed,
+        returns="masks",
+        preference=preference(controller, problem.default),
+        outside=problem.outside,
+        name=problem.name,
+        max_solves=max_solves,
+        threads=threads,
+        progress=progress,
+    )
+    _warn_not_finite(policy)
+    return dataclasses.replace(
+        policy,
+        default=problem.default,
+        min_dwell=problem.min_dwell,
+        target=problem.target,
+        horizon=problem.horizon,
+        settings=controller.settings,
+        model=model,
+        statistics=policy.statistics | {"sample": sample_statistics(controller, domain, seed)},
+        timings={"prepare": ready - started, **policy.timings},
+    )
+
+
+def preference(controller: BatchController, default: np.ndarray) -> list[int]:
+    """Return the symbols (N for the default) by least control effort, then by lowest index."""
+    settings = controller.settings
+    efforts = np.append(controller.efforts, settings.efforts(default[None, :]))
+    return [int(k) for k in np.argsort(efforts, kind="stable")]
+
+
+def sample_statistics(controller: BatchController, domain: Box, seed: int) -> dict[str, Any]:
+    """Return what sSAC does at random states, as estimates of shares of the volume.
+
+    ``no_descent``: the chosen symbol does not lower the cost to first order; ``indifferent``:
+    several symbols tie; ``not_finite``: no result. ``wanted_over_reachable``: median of
+    ``|alpha_d|`` over the steepest descent on offer; ``effort_over_choice``: median of the
+    spread of the efforts over the spread of the rest of the score; ``reach``: median share of
+    the cost that the best symbol would take off if it acted over the whole horizon, to first
+    order.
+    """
+    states = domain.sample(SAMPLES, seed + 1)
+    solution = controller.solve(states)
+    masks = controller.possible(solution)
+    finite = masks != 0
+    gradients, cost = solution.gradients[finite], solution.cost[finite]
+    scores = controller.scores(solution)[finite]
+    chosen = np.argmin(scores, axis=1)[:, None]
+    slope = np.take_along_axis(gradients, chosen, axis=1)
+    margin = TIE * np.take_along_axis(solution.scales[finite], chosen, axis=1)
+    best = -gradients.min(axis=1)
+    indifferent = (masks & (masks - np.uint64(1))) != 0
+
+    def median(values: np.ndarray) -> float | None:
+        values = values[np.isfinite(values)]
+        return float(f"{np.median(values):.4g}") if values.size else None
+
+    settings = controller.settings
+    wanted = np.abs(settings.gamma * cost if settings.alpha_d is None else settings.alpha_d)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = {
+            "wanted_over_reachable": None
+            if settings.rule == "steepest"
+            else median(wanted / np.maximum(best, 0.0)),
+            "effort_over_choice": median(
+                np.ptp(controller.efforts) / np.ptp(scores - controller.efforts, axis=1)
+            ),
+            "reach": median(best * controller.horizon / np.abs(cost)),
+        }
+    return {
+        "states": SAMPLES,
+        "no_descent": float((slope > margin).sum() / SAMPLES),
+        "indifferent": float(indifferent.sum() / SAMPLES),
+        "not_finite": float((~finite).sum() / SAMPLES),
+        **ratios,
+    }
+
+
+def _warn_not_finite(policy: Policy) -> None:
+    count = policy.statistics["not_finite_points"]
+    if count:
+        warnings.warn(
+            f"{count} of {policy.statistics['solves']} solves gave no finite result and take the "
+            f"default control, for instance at state {policy.statistics['not_finite_example']}",
+            CapsynWarning,
+            stacklevel=3,
+        )
+
+
+def _processors() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

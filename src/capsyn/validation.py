@@ -1,0 +1,96 @@
+"""Checks of arguments: each raises a one-line `ProblemError` with what is wanted and what came."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+
+
+def describe(value: Any, limit: int = 60) -> str:
+    """Return a short one-line text of a value, for messages."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def finite_array(name: str, value: Any, ndim: int) -> np.ndarray:
+    """Return `value` as a read-only float array of `ndim` dimensions without NaN or infinity."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise ProblemError(f"`{name}` must be numbers; got {describe(value)}") from None
+    if array.ndim != ndim:
+        raise ProblemError(f"`{name}` must have {ndim} dimension(s); got shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise ProblemError(f"`{name}` must be finite; got {describe(value)}")
+    array.flags.writeable = False
+    return array
+
+
+def finite_number(
+    name: str, value: Any, *, above: float | None = None, least: float | None = None
+) -> float:
+    """Return `value` as a finite float that is greater than `above` and at least `least`."""
+    bound = f" > {above:g}" if above is not None else f" >= {least:g}" if least is not None else ""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ProblemError(f"`{name}` must be a number{bound}; got {describe(value)}") from None
+    wrong = (above is not None and number <= above) or (least is not None and number < least)
+    if not np.isfinite(number) or wrong:
+        raise ProblemError(f"`{name}` must be a finite number{bound}; got {describe(value)}")
+    return number
+
+
+def whole_number(name: str, value: Any, *, least: int, most: int | None = None) -> int:
+    """Return `value` as an int within ``[least, most]``; a float, even 4.0, is refused."""
+    wanted = f"a whole number >= {least}" + (f" and <= {most}" if most is not None else "")
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise ProblemError(f"`{name}` must be {wanted}; got {describe(value)}")
+    if value < least or (most is not None and value > most):
+        raise ProblemError(f"`{name}` must be {wanted}; got {describe(value)}")
+    return int(value)
+
+
+def whole_numbers(name: str, value: Any, n: int, *, least: int) -> tuple[int, ...]:
+    """Return one int per axis from an int (for all axes) or a sequence of `n` ints."""
+    if isinstance(value, (int, np.integer)):
+        return (whole_number(name, value, least=least),) * n
+    if isinstance(value, str) or not isinstance(value, (Sequence, np.ndarray)) or len(value) != n:
+        raise ProblemError(
+            f"`{name}` must be a whole number or {n} of them, one per axis; got {describe(value)}"
+        )
+    return tuple(whole_number(f"{name}[{i}]", v, least=least) for i, v in enumerate(value))
+
+
+def texts(name: str, value: Any, count: int, default: Sequence[str]) -> tuple[str, ...]:
+    """Return `count` strings, or `default` where `value` is None."""
+    if value is None:
+        return tuple(default)
+    if (
+        isinstance(value, str)
+        or not isinstance(value, Sequence)
+        or len(value) != count
+        or not all(isinstance(v, str) for v in value)
+    ):
+        raise ProblemError(f"`{name}` must be {count} string(s); got {describe(value)}")
+    return tuple(value)
+
+
+def distinct(name: str, value: Sequence[str]) -> None:
+    """Raise unless the strings are non-empty and all different."""
+    for i, text in enumerate(value):
+        if not text or text in value[:i]:
+            raise ProblemError(f"`{name}` must be non-empty and distinct; got {describe(value)}")
+
+
+def one_of(name: str, value: Any, choices: Sequence[str]) -> str:
+    """Return `value` if it is one of the `choices`."""
+    if not isinstance(value, str) or value not in choices:
+        raise ProblemError(
+            f"`{name}` must be one of {', '.join(map(repr, choices))}; got {describe(value)}"
+        )
+    return value
