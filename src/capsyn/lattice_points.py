@@ -69,7 +69,8 @@ class LatticePoints:
         extents = [
             count if periodic else count + 1 for count, periodic in zip(lattice, domain.periodic)
         ]
-        if math.prod(extents) >= 2**63:
+        self._size = math.prod(extents)
+        if self._size >= 2**63:
             raise ProblemError(
                 f"`max_level` needs a lattice of {' x '.join(map(str, extents))} points, "
                 "more than 64-bit keys can tell apart"
@@ -99,8 +100,7 @@ class LatticePoints:
     def ask(self, keys: np.ndarray) -> Question:
         """Return which of the keys (K,) are new, and how to spread the answers."""
         self._merge()
-        order = np.argsort(keys)
-        ordered = keys[order]
+        ordered, order = self._sort(keys)
         first = np.ones(len(keys), dtype=bool)
         np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
         inverse = np.empty(len(keys), dtype=np.int64)
@@ -111,6 +111,15 @@ class LatticePoints:
         within = places < len(self._keys)
         new[within] = self._keys[places[within]] != distinct[within]
         return Question(distinct, inverse, places, new, samples)
+
+    def _sort(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the keys in ascending order, and the places that they came from."""
+        bits = len(keys).bit_length()
+        if self._size >> (63 - bits):  # key and place do not fit one word
+            order = np.argsort(keys)
+            return keys[order], order
+        packed = np.sort((keys << bits) | np.arange(len(keys)))
+        return packed >> bits, packed & ((1 << bits) - 1)
 
     def answer(self, question: Question, level: int, max_level: int, cells: int) -> np.ndarray:
         """Return the masks (K,) of a question's keys, solving those that are new."""

@@ -1,0 +1,57 @@
+# Every target makes the virtual environment that it needs; nothing outside this folder is touched,
+# but for Debian packages that the tests need, which are installed where apt-get and root allow it.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DEBIAN_PACKAGES := gcc libc6-dev clang
+
+.PHONY: help demo test check bench figures debian clean
+
+help:
+	@echo "make demo     synthesise the paper's two-symbol pendulum policy and draw it"
+	@echo "make test     install what the tests need and run them all"
+	@echo "make check    formatting, lint, types"
+	@echo "make bench    measure, and write benchmarks/README.md and results.json"
+	@echo "make figures  draw the figures of the README again"
+	@echo "make clean    remove what the other targets made"
+
+$(VENV)/installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/developed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@ $(VENV)/installed
+
+demo: $(VENV)/installed
+	@mkdir -p build/demo
+	$(BIN)/capsyn synth cart-pendulum -o build/demo/cart-pendulum.cap
+	$(BIN)/capsyn plot build/demo/cart-pendulum.cap -o build/demo/cart-pendulum.png
+
+test: $(VENV)/developed debian
+	$(BIN)/python -m pytest
+
+check: $(VENV)/developed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: $(VENV)/developed
+	$(BIN)/python benchmarks/run.py
+
+figures: $(VENV)/installed
+	$(BIN)/python docs/figures/draw.py
+
+debian:
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  missing=$$(for p in $(DEBIAN_PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || echo $$p; done); \
+	  if [ -n "$$missing" ]; then \
+	    apt-get update -qq && \
+	    DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends $$missing >/dev/null; \
+	  fi; \
+	fi
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis

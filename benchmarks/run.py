@@ -1,0 +1,64 @@
+"""Run every benchmark in its own process; write README.md and results.json beside this file."""
+
+import json
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+from capsyn import __version__
+from capsyn.native.build import find_compiler
+
+HERE = Path(__file__).parent
+QUESTIONS = ("solve", "synthesis", "lookup", "command", "counts")
+
+INTRODUCTION = """# Benchmarks
+
+`make bench` runs one script per question, each in a process of its own, and writes this file and
+`results.json`. Times are medians; trust the ratios, which are measured within one run, more than
+the times. "Wanted" is what the project asks of itself on two cores.
+"""
+
+
+def machine():
+    """Return what the figures were measured on."""
+    model = platform.processor() or platform.machine()
+    cpu = Path("/proc/cpuinfo")
+    cores = 0
+    if cpu.exists():
+        lines = [line.partition(":") for line in cpu.read_text().splitlines()]
+        models = [value.strip() for key, _, value in lines if key.strip() == "model name"]
+        model, cores = models[0] if models else model, len(models)
+    return {
+        "machine": f"{model}, {cores or '?'} processors, {platform.system()} {platform.machine()}",
+        "compiler": find_compiler().version,
+        "python": platform.python_version(),
+        "capsyn": __version__,
+    }
+
+
+def main():
+    """Measure and write."""
+    setting, rows = machine(), []
+    for question in QUESTIONS:
+        print(f"{question} ...", flush=True)
+        run = subprocess.run(
+            [sys.executable, str(HERE / f"{question}.py")], capture_output=True, text=True
+        )
+        if run.returncode:
+            sys.exit(f"{question} failed:\n{run.stderr}")
+        rows += json.loads(run.stdout.splitlines()[-1])
+    lines = [INTRODUCTION]
+    lines += [f"- {key}: {value}" for key, value in setting.items()]
+    lines += ["", "| what | figure | wanted |", "|---|---|---|"]
+    for row in rows:
+        value = row["value"]
+        figure = f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
+        lines.append(f"| {row['what']} | {figure} {row['unit']} | {row.get('wanted', '')} |")
+        print(lines[-1])
+    (HERE / "README.md").write_text("\n".join(lines) + "\n")
+    (HERE / "results.json").write_text(json.dumps({**setting, "rows": rows}, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,5 @@
+"""``python -m capsyn``."""
+
+from capsyn.cli import main
+
+main()

@@ -1,0 +1,430 @@
+"""The command line: words in, tables out; no numerics."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from capsyn.errors import CapsynError, CapsynWarning, ProblemError
+
+if TYPE_CHECKING:
+    from capsyn.lattice_points import Progress
+    from capsyn.settings import SsacSettings
+
+app = typer.Typer(
+    name="capsyn",
+    help="Control alphabet policies: from a nonlinear model and a list of actuator settings to a "
+    "controller small enough for any machine.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
+File = Annotated[str, typer.Argument(metavar="FILE", help="A policy file.")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from capsyn import __version__
+
+        typer.echo(f"capsyn {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command("list")
+def list_problems(as_json: Json = False) -> None:
+    """List the built-in problems."""
+    from capsyn import problems
+
+    found = [problems.get(name) for name in problems.names()]
+    rows = [
+        {
+            "name": p.name,
+            "states": p.domain.n,
+            "symbols": len(p.alphabet),
+            "max_level": p.max_level,
+            "description": p.description,
+        }
+        for p in found
+    ]
+    _show(as_json, rows, lambda: _table(rows))
+
+
+@app.command()
+def synth(
+    problem: Annotated[
+        str,
+        typer.Argument(
+            metavar="PROBLEM",
+            help="A built-in name, path/to/file.py[:name] or package.module:name.",
+        ),
+    ],
+    output: Annotated[
+        str | None, typer.Option("--output", "-o", metavar="FILE", help="Default: NAME.cap")
+    ] = None,
+    max_level: Annotated[int | None, typer.Option(help="Most times that a cell is split.")] = None,
+    partitions: Annotated[
+        str | None, typer.Option(metavar="Q[,Q..]", help="Cells of the root grid per axis.")
+    ] = None,
+    refinement: Annotated[
+        str | None, typer.Option(metavar="R[,R..]", help="Children of a split cell per axis.")
+    ] = None,
+    rule: Annotated[str | None, typer.Option(help="schedule or steepest.")] = None,
+    gamma: Annotated[float | None, typer.Option(help="Wanted sensitivity over cost.")] = None,
+    alpha_d: Annotated[float | None, typer.Option(help="Wanted sensitivity, absolute.")] = None,
+    control_weight: Annotated[float | None, typer.Option(help="Weight R of the effort.")] = None,
+    on_no_descent: Annotated[str | None, typer.Option(help="best or default.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Integration steps over the horizon.")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="Of the step-doubling check.")] = None,
+    precision: Annotated[str | None, typer.Option(help="double or single.")] = None,
+    outside: Annotated[
+        str | None, typer.Option(help="error, nearest, or a symbol's name or index.")
+    ] = None,
+    min_dwell: Annotated[
+        float | None, typer.Option(help="Least time between switches [s].")
+    ] = None,
+    test_points: Annotated[
+        str, typer.Option(help="vertices, then +center, +edge_midpoints, +random:R.")
+    ] = "vertices+center",
+    seed: Annotated[int, typer.Option(help="Of everything that is random.")] = 0,
+    max_solves: Annotated[int | None, typer.Option(help="Stop at a level before so many.")] = None,
+    backend: Annotated[str, typer.Option(help="auto, c or numpy.")] = "auto",
+    threads: Annotated[int | None, typer.Option(help="Default: one per processor.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make the control alphabet policy of a problem."""
+    from capsyn import problems
+    from capsyn.policy_file import check_writable
+    from capsyn.report import report
+    from capsyn.synthesis import synthesize
+
+    if output is not None:
+        check_writable(output)
+    chosen = problems.find(problem)
+    path = output or f"{chosen.name}.cap"
+    check_writable(path)
+    changes = {
+        "rule": rule,
+        "gamma": gamma,
+        "alpha_d": alpha_d,
+        "control_weight": control_weight,
+        "on_no_descent": on_no_descent,
+        "steps": steps,
+        "tolerance": tolerance,
+        "precision": precision,
+    }
+    with _progress() as progress:
+        policy = synthesize(
+            chosen,
+            partitions=_whole_numbers("--partitions", partitions),
+            refinement=_whole_numbers("--refinement", refinement),
+            max_level=max_level,
+            settings=_settings(chosen.settings, changes),
+            outside=_outside(outside),
+            min_dwell=min_dwell,
+            test_points=test_points,
+            seed=seed,
+            max_solves=max_solves,
+            backend=backend,
+            threads=threads,
+            progress=progress,
+        )
+    policy.save(path)
+    data = report(policy) | {"file": path, "seconds": policy.timings}
+
+    def show() -> None:
+        _print_report(data)
+        typer.echo(f"wrote {path} in {sum(policy.timings.values()):.2f} s")
+
+    _show(as_json, data, show)
+
+
+@app.command()
+def info(file: File, as_json: Json = False) -> None:
+    """Say what a policy is, and what smells."""
+    from capsyn.policy import Policy
+    from capsyn.report import report
+
+    data = report(Policy.load(file))
+    _show(as_json, data, lambda: _print_report(data))
+
+
+@app.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
+def query(
+    file: File,
+    state: Annotated[list[str], typer.Argument(metavar="X1 X2 ..", help="A state.")],
+    outside: Annotated[
+        str | None, typer.Option(help="error, nearest, or a symbol's name or index.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Look up the symbol of a state."""
+    from capsyn.policy import Policy
+
+    policy = Policy.load(file)
+    names = policy.domain.names
+    if len(state) != len(names):
+        raise ProblemError(
+            f"the state must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
+        )
+    values = [_number(name, text) for name, text in zip(names, state)]
+    rule = _outside(outside)
+    symbol = int(policy(values, rule))
+    control = policy.control(values, rule).tolist()
+    data = {
+        "state": values,
+        "symbol": symbol,
+        "name": policy.symbol_name(symbol),
+        "control": control,
+    }
+    pairs = [
+        f"{name} = {value:g} {unit}".rstrip()
+        for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)
+    ]
+    _show(as_json, data, lambda: typer.echo(f"{data['name']} ({symbol}): {', '.join(pairs)}"))
+
+
+@app.command()
+def plot(
+    file: File,
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="FILE", help="A .png, .pdf or .svg file.")
+    ],
+    plane: Annotated[str | None, typer.Option(metavar="X,Y", help="Two states.")] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Another state's value; may be repeated."),
+    ] = None,
+    outlines: Annotated[bool, typer.Option(help="Outline the cells.")] = True,
+) -> None:
+    """Draw the cells of a policy in the plane of two states."""
+    from capsyn.plots import check_format, save_policy_plot
+    from capsyn.policy import Policy
+    from capsyn.policy_file import check_writable
+
+    check_format(output)
+    check_writable(output)
+    policy = Policy.load(file)
+    axes: tuple[str, ...] = tuple(plane.split(",")) if plane else policy.domain.names[:2]
+    values = {}
+    for item in at or []:
+        name, equals, value = item.partition("=")
+        if not equals:
+            raise ProblemError(f"--at must be NAME=VALUE; got '{item}'")
+        values[name] = _number(name, value)
+    save_policy_plot(policy, output, axes, values, outlines)
+    typer.echo(f"wrote {output}")
+
+
+@app.command()
+def bench(
+    backend: Annotated[str, typer.Option(help="auto, c or numpy.")] = "auto",
+    threads: Annotated[int | None, typer.Option(help="Default: one per processor.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make the paper's six policies: solves beside the paper's, and time."""
+    from capsyn.paper import count_solves
+
+    rows = count_solves(backend=backend, threads=threads)
+    _show(as_json, rows, lambda: _table(rows))
+
+
+def main() -> None:
+    """Run the command line; an error is one line on stderr and exit status 2."""
+    warnings.showwarning = _show_warning
+    # ClickException, wherever this Typer keeps its click
+    click_error: Any = typer.BadParameter.__mro__[2]
+    try:
+        status = typer.main.get_command(app).main(standalone_mode=False)
+    except CapsynError as error:
+        _fail(str(error))
+    except typer.Abort:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+    except click_error as error:
+        _fail(error.format_message())
+    except (OSError, MemoryError) as error:
+        _fail(f"{type(error).__name__}: {error}")
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _fail(message: str) -> None:
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+def _show_warning(message: Any, category: type[Warning], *rest: Any, **more: Any) -> None:
+    text = (
+        str(message) if issubclass(category, CapsynWarning) else f"{category.__name__}: {message}"
+    )
+    print(f"warning: {' '.join(text.split())}", file=sys.stderr)
+
+
+def _show(as_json: bool, data: Any, text: Callable[[], None]) -> None:
+    if as_json:
+        typer.echo(json.dumps(data, indent=2))
+    else:
+        text()
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ProblemError(f"`{name}` must be a number; got '{text}'") from None
+
+
+def _whole_numbers(name: str, text: str | None) -> list[int] | int | None:
+    if text is None:
+        return None
+    try:
+        values = [int(part) for part in text.split(",")]
+    except ValueError:
+        raise ProblemError(f"{name} must be whole numbers such as 9 or 9,5; got '{text}'") from None
+    return values[0] if len(values) == 1 else values
+
+
+def _outside(text: str | None) -> str | int | None:
+    with contextlib.suppress(TypeError, ValueError):
+        return int(text)  # type: ignore[arg-type]
+    return text
+
+
+def _settings(settings: SsacSettings, changes: dict[str, Any]) -> SsacSettings | None:
+    import dataclasses
+
+    changes = {k: v for k, v in changes.items() if v is not None}
+    if "alpha_d" in changes and "gamma" not in changes:
+        changes["gamma"] = type(settings).gamma  # the problem's own gamma gives way
+    if "gamma" in changes and "alpha_d" not in changes:
+        changes["alpha_d"] = None
+    return dataclasses.replace(settings, **changes) if changes else None
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[Progress], None] | None]:
+    """Yield a callback that draws a progress bar per level; None unless on a terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        TextColumn("level {task.fields[level]}"),
+        BarColumn(),
+        TextColumn("{task.completed:,}/{task.total:,} solves"),
+        TextColumn("{task.fields[cells]:,} cells"),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Bars(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[tuple[int, int], Any] = {}
+
+        def progress(now: Progress) -> None:
+            key = (now.level, now.solves)
+            if key not in tasks:
+                tasks[key] = bars.add_task(
+                    "",
+                    total=now.solves,
+                    level=f"{now.level}/{now.max_level}",
+                    cells=now.cells,
+                    rate="",
+                )
+            task = bars.tasks[tasks[key]]
+            rate = task.finished_speed or task.speed
+            shown = f"{rate:,.0f}/s" if rate else ""
+            bars.update(tasks[key], completed=now.solved, rate=shown)
+
+        yield progress
+
+
+def _table(rows: list[dict[str, Any]]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD)
+    for key in rows[0]:
+        right = isinstance(rows[0][key], (int, float))
+        table.add_column(key.replace("_", " "), justify="right" if right else "left")
+    for row in rows:
+        table.add_row(*(_text(value) for value in row.values()))
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _print_report(data: dict[str, Any]) -> None:
+    def line(name: str, value: str) -> None:
+        typer.echo(f"{name:<13}{value}")
+
+    statistics = data["statistics"]
+    line("policy", data["name"])
+    for state in data["states"]:
+        unit = f" {state['unit']}" if state["unit"] else ""
+        periodic = ", periodic" if state["periodic"] else ""
+        line(
+            "state", f"{state['name']} in [{state['lower']:g}, {state['upper']:g}]{unit}{periodic}"
+        )
+    for symbol in data["symbols"]:
+        line("symbol", f"{symbol['name']}: {symbol['volume_share']:.2%} of the volume")
+    if data["default"]["volume_share"]:
+        line("default", f"{data['default']['volume_share']:.2%} of the volume")
+    grid = " x ".join(str(state["partitions"]) for state in data["states"])
+    mixed = f"{data['mixed_cells']:,} mixed ones, {data['mixed_share']:.2%} of the volume"
+    line(
+        "cells",
+        f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
+    )
+    line("table", f"{data['table_bytes']:,} bytes")
+    if "solves" in statistics:
+        roles = ", ".join(f"{v:,} {k}" for k, v in sorted(statistics["solves_by_role"].items()))
+        line("solves", f"{statistics['solves']:,} ({roles})")
+        line("worst case", f"{statistics['worst_case_solves']:,} solves")
+        line("ties", f"{statistics['indifferent_points']:,} test points where several symbols tie")
+        line("not finite", f"{statistics['not_finite_points']:,} test points")
+    sample = statistics.get("sample")
+    if sample:
+        line(
+            "controller",
+            f"no descent in {sample['no_descent']:.2%} of the volume, several symbols tie in "
+            f"{sample['indifferent']:.2%}, no finite result in {sample['not_finite']:.2%} "
+            f"({sample['states']:,} random states)",
+        )
+    settings = data["settings"]
+    if settings:
+        wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
+        rule = settings["rule"]
+        goal = f", {wanted} {settings[wanted]:g}" if rule == "schedule" else ""
+        line(
+            "settings",
+            f"horizon {data['horizon']:g} s in {settings['steps']} steps, rule {rule}{goal}, "
+            f"control weight {settings['control_weight']}, {settings['precision']} precision",
+        )
+    line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
+    for hint in data["hints"]:
+        line("hint", hint)

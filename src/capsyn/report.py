@@ -1,0 +1,111 @@
+"""What a policy is, in figures, and hints where a figure smells."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from capsyn.policy import Policy
+from capsyn.policy_file import content_hash
+
+
+def report(policy: Policy) -> dict[str, Any]:
+    """Return the figures of a policy as plain data."""
+    tree, domain, alphabet = policy.cells, policy.domain, policy.alphabet
+    shares = policy.volume_shares.tolist()
+    names = [*alphabet.names, "default"]
+    return {
+        "name": policy.name,
+        "states": [
+            {
+                "name": domain.names[i],
+                "unit": domain.units[i],
+                "lower": domain.lower[i],
+                "upper": domain.upper[i],
+                "periodic": domain.periodic[i],
+                "partitions": tree.partitions[i],
+                "refinement": tree.refinement[i],
+            }
+            for i in range(domain.n)
+        ],
+        "symbols": [
+            {"name": names[k], "value": alphabet.values[k].tolist(), "volume_share": shares[k]}
+            for k in range(len(alphabet))
+        ],
+        "inputs": list(alphabet.inputs),
+        "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
+        "unused_symbols": [names[k] for k in range(len(alphabet)) if not shares[k]],
+        "max_level": tree.max_level,
+        "cells": tree.leaf_count,
+        "table_bytes": tree.entries.nbytes,
+        "mixed_cells": len(tree.mixed_cells),
+        "mixed_share": policy.mixed_share,
+        "outside": policy.outside
+        if isinstance(policy.outside, str)
+        else policy.symbol_name(policy.outside),
+        "min_dwell": policy.min_dwell,
+        "horizon": policy.horizon,
+        "settings": None if policy.settings is None else policy.settings.to_json(),
+        "statistics": policy.statistics,
+        "sha256": content_hash(policy),
+        "hints": hints(policy),
+    }
+
+
+def hints(policy: Policy) -> list[str]:
+    """Return one sentence for each figure that suggests a mistake or a better choice."""
+    found = []
+    shares = policy.volume_shares
+    unused = [name for name, share in zip(policy.alphabet.names, shares) if not share]
+    if unused:
+        found.append(
+            f"never used: {', '.join(unused)}; drop them, or look at gamma and control_weight"
+        )
+    if policy.mixed_share > 0.1:
+        found.append(
+            f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "
+            "the boundaries are coarse; raise max_level"
+        )
+    count, solves = (policy.statistics.get(k, 0) for k in ("not_finite_points", "solves"))
+    if count:
+        found.append(
+            f"{count} of {solves} solves gave no finite result and take the default control, for "
+            f"instance at {policy.statistics['not_finite_example']}: check the model there"
+        )
+    if policy.statistics.get("stopped_by_max_solves"):
+        found.append("max_solves stopped the subdivision before max_level")
+    sample = policy.statistics.get("sample")
+    if not sample:
+        return found
+    if sample["no_descent"] > 0.05:
+        found.append(
+            f"in {sample['no_descent']:.0%} of the volume the chosen symbol does not lower the "
+            "cost to first order: the alphabet may be too weak there, or the horizon too short"
+        )
+    if sample["indifferent"] > 0.05:
+        found.append(
+            f"in {sample['indifferent']:.0%} of the volume several symbols tie: the cost may not "
+            "see what the inputs do within the horizon"
+        )
+    if sample["reach"] is not None and sample["reach"] < 0.01:
+        found.append(
+            f"the best symbol, acting all along the horizon, takes off {sample['reach']:.2%} of "
+            "the cost (median, first order): the horizon may be too short or the alphabet too weak"
+        )
+    wanted = sample["wanted_over_reachable"]
+    if wanted is not None and wanted > 1000:
+        found.append(
+            f"the wanted sensitivity is {wanted:.3g} times what the symbols reach (median): gamma "
+            "or alpha_d is not scaled to the cost, and control_weight has no effect"
+        )
+    if wanted is not None and wanted < 0.1:
+        found.append(
+            f"the wanted sensitivity is {wanted:.2g} of what the symbols reach (median): gamma or "
+            "alpha_d is not scaled to the cost, and the weakest symbols win"
+        )
+    effort = sample["effort_over_choice"]
+    if effort is not None and effort > 1:
+        found.append(
+            f"the control efforts differ {effort:.3g} times more than the rest of the scores "
+            "(median): control_weight decides, not the goal"
+        )
+    return found
