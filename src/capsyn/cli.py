@@ -27,6 +27,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+INTERRUPTED = 130
+"""Exit status after Ctrl-C."""
+
 Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A policy file.")]
 
@@ -257,12 +260,13 @@ def main() -> None:
     except CapsynError as error:
         _fail(str(error))
     except typer.Abort:
-        print("interrupted", file=sys.stderr)
-        sys.exit(130)
+        status = INTERRUPTED  # what other versions of Typer return
     except click_error as error:
         _fail(error.format_message())
     except (OSError, MemoryError) as error:
         _fail(f"{type(error).__name__}: {error}")
+    if status == INTERRUPTED:
+        print("interrupted", file=sys.stderr)
     sys.exit(status if isinstance(status, int) else 0)
 
 

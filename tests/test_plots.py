@@ -1,0 +1,88 @@
+"""Pictures of policies, asserted by what was put on the axes."""
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+import capsyn
+from capsyn.errors import ProblemError
+from capsyn.plots import PALETTE, plot_policy, save_policy_plot, symbol_colors
+
+
+def policy_of(n, symbols=2, level=2):
+    names = ["a", "b", "c", "d"][:n]
+    box = capsyn.Box([-1.0] * n, [1.0] * n, names=names, units=["m"] + [""] * (n - 1))
+    return capsyn.subdivide(
+        lambda x: np.minimum((np.abs(x).sum(axis=1) * 2).astype(int), symbols - 1),
+        box,
+        symbols,
+        partitions=3,
+        max_level=level,
+    )
+
+
+def area(path):
+    x, y = path.vertices[:4].T
+    return np.ptp(x) * np.ptp(y)
+
+
+@pytest.mark.parametrize(("n", "plane"), [(2, (0, 1)), (3, (2, 0)), (4, ("d", "b"))])
+def test_the_cells_in_a_plane_tile_it_and_have_the_lookups_colours(n, plane):
+    policy = policy_of(n)
+    at = {name: 0.3 for name in policy.domain.names}
+    ax = plot_policy(policy, plane, at, Figure().add_subplot())
+    (cells,) = ax.collections
+    paths = cells.get_paths()
+    assert sum(map(area, paths)) == pytest.approx(4.0)
+    indices = [policy.domain.names.index(p) if isinstance(p, str) else p for p in plane]
+    states = np.full((len(paths), n), 0.3)
+    states[:, indices] = [path.vertices[:4].mean(axis=0) for path in paths]
+    wanted = [PALETTE[k] for k in policy(states)]
+    assert [to_hex(c).upper() for c in cells.get_facecolor()] == wanted
+
+
+def test_axes_carry_names_units_bounds_and_a_legend_with_the_symbols_seen():
+    ax = plot_policy(policy_of(2, symbols=3), ax=Figure().add_subplot())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("a [m]", "b")
+    assert (*ax.get_xlim(), *ax.get_ylim()) == (-1, 1, -1, 1)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["0", "1", "2"]
+
+
+def test_many_symbols_get_different_colours():
+    for count in (1, 8, 9, 63):
+        assert len({to_hex(color) for color in symbol_colors(count)}) == count
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"plane": (0, 0)}, "`plane`"),
+        ({"plane": (0, 5)}, "`plane`"),
+        ({"plane": ("a", "z")}, "`plane`"),
+        ({"plane": ("a",)}, "`plane`"),
+        ({"at": {"z": 0.0}}, "`at`"),
+        ({"at": {"a": np.nan}}, "`at a`"),
+        ({"at": {"b": 7.0}}, "`at`"),
+    ],
+)
+def test_bad_arguments(options, words):
+    with pytest.raises(ProblemError, match=words):
+        plot_policy(policy_of(3), **options)
+
+
+def test_one_state_cannot_be_drawn():
+    with pytest.raises(ProblemError, match="two states"):
+        plot_policy(policy_of(1))
+
+
+def test_a_failing_save_keeps_the_old_picture(tmp_path):
+    path = tmp_path / "p.png"
+    path.write_text("old")
+    with pytest.raises(ProblemError):
+        save_policy_plot(policy_of(2), path, plane=(0, 7))
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,23 @@
+"""The README's example does what the README says."""
+
+import re
+from pathlib import Path
+
+import capsyn
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_example_runs_and_prints_what_it_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    exec(compile(code, "README.md", "exec"), {})
+    said = re.search(r"print\(.*#\s*(.*):", code).group(1)
+    assert capsys.readouterr().out.strip() == said
+    assert capsyn.Policy.load(tmp_path / "boat.cap").name == "boat"
+
+
+def test_links_and_pictures_exist():
+    for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        for link in re.findall(r"\]\((?!https?:)([^)#]+)\)", document.read_text()):
+            assert (document.parent / link).exists(), f"{document.name}: {link}"

@@ -1,0 +1,61 @@
+"""Figures and hints of policies."""
+
+import dataclasses
+import json
+
+import pytest
+
+import capsyn
+from capsyn import SsacSettings, problems, synthesize
+from capsyn.report import hints, report
+
+
+def hinted(problem, word, **options):
+    return any(word in hint for hint in hints(synthesize(problem, **options)))
+
+
+def test_the_built_in_problems_have_no_hints():
+    for name in ("cart-pendulum", "double-tank-a", "double-tank-b"):
+        assert hints(synthesize(problems.get(name))) == []
+
+
+def test_a_report_is_plain_data_and_agrees_with_the_policy():
+    policy = synthesize(problems.get("double-tank-a"))
+    data = json.loads(json.dumps(report(policy)))
+    assert data["cells"] == policy.cells.leaf_count == policy.statistics["cells"]
+    shares = [s["volume_share"] for s in data["symbols"]] + [data["default"]["volume_share"]]
+    assert sum(shares) == pytest.approx(1)
+    assert data["table_bytes"] == 4 * len(policy.cells.entries)
+
+
+def test_hints_name_what_smells():
+    pendulum = problems.get("cart-pendulum")
+    assert hinted(pendulum, "max_level", max_level=1)
+    assert hinted(pendulum, "max_solves", max_solves=400)
+    assert hinted(
+        pendulum, "never used", settings=SsacSettings(control_weight=1e9), max_level=1
+    ) is (False)  # two symbols of the same effort
+    four = problems.get("cart-pendulum-4")
+    heavy = SsacSettings(rule="steepest", control_weight=1e9)
+    assert hinted(four, "never used: -5, 5", settings=heavy, max_level=1)
+    assert hinted(four, "control_weight decides", settings=heavy, max_level=1)
+    assert hinted(pendulum, "weakest symbols win", settings=SsacSettings(gamma=-1e-6), max_level=1)
+    assert hinted(pendulum, "not scaled", settings=SsacSettings(alpha_d=-1e12), max_level=1)
+
+
+def test_hints_see_a_weak_alphabet_and_a_blind_cost():
+    box = capsyn.Box([-1.0, -1.0], [1.0, 1.0])
+    one_way = capsyn.Problem(
+        name="one-way",
+        dynamics=lambda x, u: [u[0], -x[1]],
+        domain=box,
+        alphabet=[1.0, 2.0],
+        default=0.0,
+        horizon=1.0,
+        running_cost=lambda x: x[0] ** 2,
+    )
+    assert hinted(one_way, "alphabet may be too weak")
+    blind = dataclasses.replace(one_way, running_cost=lambda x: x[1] ** 2)
+    assert hinted(blind, "several symbols tie")
+    short = dataclasses.replace(one_way, horizon=1e-5)
+    assert hinted(short, "horizon may be too short")
