@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.validation import describe, distinct, finite_array, texts
+from capsyn.validation import distinct, finite_array, numbers, texts
 
 MAX_SYMBOLS = 63
 """Most symbols of an alphabet: sets of symbols, and the default, are bits of 64-bit words."""
@@ -39,11 +39,7 @@ class Alphabet:
     units: Any = None
 
     def __post_init__(self) -> None:
-        values = self.values
-        try:
-            values = np.array(values, dtype=float)
-        except (TypeError, ValueError):
-            raise ProblemError(f"`alphabet` must be numbers; got {describe(values)}") from None
+        values = numbers("alphabet", self.values)
         if values.ndim == 1:
             values = values[:, None]
         if values.ndim != 2 or values.shape[1] == 0 and values.shape[0]:
@@ -54,7 +50,7 @@ class Alphabet:
             raise ProblemError(
                 f"`alphabet` must have at most {MAX_SYMBOLS} symbols; got {len(values)}"
             )
-        values = finite_array("alphabet", values + 0.0, 2)  # + 0.0 makes -0.0 the symbol 0.0
+        values = finite_array("alphabet", values, 2)
         unique, first = np.unique(values, axis=0, return_index=True)
         if len(unique) < len(values):
             twice = next(i for i in range(len(values)) if i not in first)

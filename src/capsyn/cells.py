@@ -64,6 +64,12 @@ class CellTree:
     mixed_cells: np.ndarray
     mixed_labels: np.ndarray
 
+    def __post_init__(self) -> None:
+        for name in ("entries", "mixed_cells", "mixed_labels"):
+            frozen = getattr(self, name).view()
+            frozen.flags.writeable = False
+            object.__setattr__(self, name, frozen)
+
     @property
     def n(self) -> int:
         """Number of axes."""
@@ -102,14 +108,15 @@ class CellTree:
         offsets = np.stack(np.unravel_index(np.arange(math.prod(self.partitions)), self.partitions))
         lower = offsets.T * self.sizes(0)
         places = np.arange(len(lower))
-        children = np.stack(
-            np.unravel_index(np.arange(math.prod(self.refinement)), self.refinement), axis=1
-        )
         for level in range(self.max_level + 1):
             yield level, places, lower
             split = self.entries[places] >= 0
             if level == self.max_level or not split.any():
                 return
+            # made only here: of a tree without blocks the refinement may be any number
+            children = np.stack(
+                np.unravel_index(np.arange(math.prod(self.refinement)), self.refinement), axis=1
+            )
             starts = self.entries[places[split]].astype(np.int64)
             places = (starts[:, None] + np.arange(len(children))).ravel()
             corners = lower[split][:, None, :] + children * self.sizes(level + 1)
@@ -191,10 +198,10 @@ def grid_settings(
     Raises
     ------
     ProblemError
-        Not whole numbers, or more than 2^31 finest cells along an axis.
+        Not whole numbers, or 2^31 finest cells or more along an axis.
     """
-    q = whole_numbers("partitions", partitions, n, least=1)
-    r = whole_numbers("refinement", refinement, n, least=2)
+    q = whole_numbers("partitions", partitions, n, least=1, most=MAX_COUNT)
+    r = whole_numbers("refinement", refinement, n, least=2, most=MAX_COUNT)
     most = 0
     while max(lattice_counts(q, r, most + 1)) <= MAX_COUNT and most < 31:
         most += 1

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 import warnings
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from capsyn.console import print_report, print_table, progress_bars, show
 from capsyn.errors import CapsynError, CapsynWarning, ProblemError
 
 if TYPE_CHECKING:
-    from capsyn.lattice_points import Progress
     from capsyn.settings import SsacSettings
 
 app = typer.Typer(
@@ -68,7 +66,7 @@ def list_problems(as_json: Json = False) -> None:
         }
         for p in found
     ]
-    _show(as_json, rows, lambda: _table(rows))
+    show(as_json, rows, lambda: print_table(rows))
 
 
 @app.command()
@@ -134,7 +132,7 @@ def synth(
         "tolerance": tolerance,
         "precision": precision,
     }
-    with _progress() as progress:
+    with progress_bars() as progress:
         policy = synthesize(
             chosen,
             partitions=_whole_numbers("--partitions", partitions),
@@ -153,11 +151,11 @@ def synth(
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
 
-    def show() -> None:
-        _print_report(data)
+    def told() -> None:
+        print_report(data)
         typer.echo(f"wrote {path} in {sum(policy.timings.values()):.2f} s")
 
-    _show(as_json, data, show)
+    show(as_json, data, told)
 
 
 @app.command()
@@ -167,7 +165,7 @@ def info(file: File, as_json: Json = False) -> None:
     from capsyn.report import report
 
     data = report(Policy.load(file))
-    _show(as_json, data, lambda: _print_report(data))
+    show(as_json, data, lambda: print_report(data))
 
 
 @app.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
@@ -202,7 +200,7 @@ def query(
         f"{name} = {value:g} {unit}".rstrip()
         for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)
     ]
-    _show(as_json, data, lambda: typer.echo(f"{data['name']} ({symbol}): {', '.join(pairs)}"))
+    show(as_json, data, lambda: typer.echo(f"{data['name']} ({symbol}): {', '.join(pairs)}"))
 
 
 @app.command()
@@ -247,7 +245,7 @@ def bench(
     from capsyn.paper import count_solves
 
     rows = count_solves(backend=backend, threads=threads)
-    _show(as_json, rows, lambda: _table(rows))
+    show(as_json, rows, lambda: print_table(rows))
 
 
 def main() -> None:
@@ -282,13 +280,6 @@ def _show_warning(message: Any, category: type[Warning], *rest: Any, **more: Any
     print(f"warning: {' '.join(text.split())}", file=sys.stderr)
 
 
-def _show(as_json: bool, data: Any, text: Callable[[], None]) -> None:
-    if as_json:
-        typer.echo(json.dumps(data, indent=2))
-    else:
-        text()
-
-
 def _number(name: str, text: str) -> float:
     try:
         return float(text)
@@ -321,114 +312,3 @@ def _settings(settings: SsacSettings, changes: dict[str, Any]) -> SsacSettings |
     if "gamma" in changes and "alpha_d" not in changes:
         changes["alpha_d"] = None
     return dataclasses.replace(settings, **changes) if changes else None
-
-
-@contextlib.contextmanager
-def _progress() -> Iterator[Callable[[Progress], None] | None]:
-    """Yield a callback that draws a progress bar per level; None unless on a terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bars
-
-    columns = (
-        TextColumn("level {task.fields[level]}"),
-        BarColumn(),
-        TextColumn("{task.completed:,}/{task.total:,} solves"),
-        TextColumn("{task.fields[cells]:,} cells"),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Bars(*columns, console=Console(stderr=True)) as bars:
-        tasks: dict[tuple[int, int], Any] = {}
-
-        def progress(now: Progress) -> None:
-            key = (now.level, now.solves)
-            if key not in tasks:
-                tasks[key] = bars.add_task(
-                    "",
-                    total=now.solves,
-                    level=f"{now.level}/{now.max_level}",
-                    cells=now.cells,
-                    rate="",
-                )
-            task = bars.tasks[tasks[key]]
-            rate = task.finished_speed or task.speed
-            shown = f"{rate:,.0f}/s" if rate else ""
-            bars.update(tasks[key], completed=now.solved, rate=shown)
-
-        yield progress
-
-
-def _table(rows: list[dict[str, Any]]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD)
-    for key in rows[0]:
-        right = isinstance(rows[0][key], (int, float))
-        table.add_column(key.replace("_", " "), justify="right" if right else "left")
-    for row in rows:
-        table.add_row(*(_text(value) for value in row.values()))
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    return f"{value:,}" if isinstance(value, int) else str(value)
-
-
-def _print_report(data: dict[str, Any]) -> None:
-    def line(name: str, value: str) -> None:
-        typer.echo(f"{name:<13}{value}")
-
-    statistics = data["statistics"]
-    line("policy", data["name"])
-    for state in data["states"]:
-        unit = f" {state['unit']}" if state["unit"] else ""
-        periodic = ", periodic" if state["periodic"] else ""
-        line(
-            "state", f"{state['name']} in [{state['lower']:g}, {state['upper']:g}]{unit}{periodic}"
-        )
-    for symbol in data["symbols"]:
-        line("symbol", f"{symbol['name']}: {symbol['volume_share']:.2%} of the volume")
-    if data["default"]["volume_share"]:
-        line("default", f"{data['default']['volume_share']:.2%} of the volume")
-    grid = " x ".join(str(state["partitions"]) for state in data["states"])
-    mixed = f"{data['mixed_cells']:,} mixed ones, {data['mixed_share']:.2%} of the volume"
-    line(
-        "cells",
-        f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
-    )
-    line("table", f"{data['table_bytes']:,} bytes")
-    if "solves" in statistics:
-        roles = ", ".join(f"{v:,} {k}" for k, v in sorted(statistics["solves_by_role"].items()))
-        line("solves", f"{statistics['solves']:,} ({roles})")
-        line("worst case", f"{statistics['worst_case_solves']:,} solves")
-        line("ties", f"{statistics['indifferent_points']:,} test points where several symbols tie")
-        line("not finite", f"{statistics['not_finite_points']:,} test points")
-    sample = statistics.get("sample")
-    if sample:
-        line(
-            "controller",
-            f"no descent in {sample['no_descent']:.2%} of the volume, several symbols tie in "
-            f"{sample['indifferent']:.2%}, no finite result in {sample['not_finite']:.2%} "
-            f"({sample['states']:,} random states)",
-        )
-    settings = data["settings"]
-    if settings:
-        wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
-        rule = settings["rule"]
-        goal = f", {wanted} {settings[wanted]:g}" if rule == "schedule" else ""
-        line(
-            "settings",
-            f"horizon {data['horizon']:g} s in {settings['steps']} steps, rule {rule}{goal}, "
-            f"control weight {settings['control_weight']}, {settings['precision']} precision",
-        )
-    line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
-    for hint in data["hints"]:
-        line("hint", hint)

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.validation import describe, distinct, finite_array, finite_number, texts
+from capsyn.validation import describe, distinct, finite_array, finite_number, is_list, texts
+
+LARGEST = 1e290
+"""Largest bound of a box: no finite state minus a bound overflows, nor does a width."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +39,7 @@ class Box:
     Raises
     ------
     ProblemError
-        Wrong shapes, NaN or infinite bounds, or ``upper <= lower``.
+        Wrong shapes, bounds that are NaN or beyond `LARGEST`, or ``upper <= lower``.
     """
 
     lower: Any
@@ -56,18 +59,18 @@ class Box:
         names = texts("names", self.names, n, [f"x{i + 1}" for i in range(n)])
         distinct("names", names)
         for name, low, high in zip(names, lower, upper):
-            if not low < high or not np.isfinite(high - low):
+            if not low < high:
                 raise ProblemError(
                     f"`upper` must be greater than `lower` on axis '{name}'; got [{low}, {high}]"
                 )
+            if max(abs(low), abs(high)) > LARGEST:
+                raise ProblemError(
+                    f"`lower` and `upper` must be within +-{LARGEST:g} on axis '{name}'; "
+                    f"got [{low}, {high}]"
+                )
         units = texts("units", self.units, n, [""] * n)
         periodic = (False,) * n if self.periodic is None else self.periodic
-        if (
-            isinstance(periodic, str)
-            or not isinstance(periodic, (Sequence, np.ndarray))
-            or len(periodic) != n
-            or not all(isinstance(p, (bool, np.bool_)) for p in periodic)
-        ):
+        if not is_list(periodic, n) or not all(isinstance(p, (bool, np.bool_)) for p in periodic):
             raise ProblemError(f"`periodic` must be {n} boolean(s); got {describe(periodic)}")
         for key, value in {
             "lower": lower,
@@ -112,8 +115,10 @@ class Box:
     def check_resolution(self, counts: Sequence[int]) -> None:
         """Raise where neighbouring faces of a lattice would fall together in floating point."""
         for i, count in enumerate(counts):
-            step = (self.upper[i] - self.lower[i]) / count
-            if step < 8 * np.spacing(max(abs(self.lower[i]), abs(self.upper[i]))):
+            low, high = float(self.lower[i]), float(self.upper[i])
+            step = (high - low) / count
+            # 1e-300: `locate` needs 1 / step, which must not overflow
+            if step < max(8 * np.spacing(max(abs(low), abs(high))), 1e-300):
                 raise ProblemError(
                     f"`max_level` is too high: axis '{self.names[i]}' would be cut into "
                     f"{count} steps of {step:g}, finer than floating point near its bounds"
@@ -187,7 +192,10 @@ class Ball:
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "center", finite_array("center", self.center, 1))
+        center = finite_array("center", self.center, 1)
+        if not len(center):
+            raise ProblemError("`center` must have one entry per state; got none")
+        object.__setattr__(self, "center", center)
         object.__setattr__(self, "radius", finite_number("radius", self.radius, above=0.0))
 
     def __eq__(self, other: object) -> bool:

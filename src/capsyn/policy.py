@@ -17,7 +17,7 @@ from capsyn.domain import Ball, Box
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from capsyn.model import Model
 from capsyn.settings import SsacSettings
-from capsyn.validation import describe
+from capsyn.validation import describe, finite_array, numbers
 
 if TYPE_CHECKING:
     from capsyn.native.kernels import LookupKernel
@@ -80,6 +80,20 @@ class Policy:
     statistics: dict[str, Any] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        default = finite_array("default", self.default, 1)
+        if default.shape != (self.alphabet.m,):
+            raise ProblemError(
+                f"`default` must have shape ({self.alphabet.m},), one entry per input; "
+                f"got {default.shape}"
+            )
+        object.__setattr__(self, "default", default)
+        if self.cells.n != self.domain.n:
+            raise ProblemError(
+                f"`cells` must have {self.domain.n} axes like the domain; got {self.cells.n}"
+            )
+        self.cells.check(len(self.alphabet) + 1)
+
     def __call__(self, states: Any, outside: Outside | None = None, backend: str = "auto") -> Any:
         """Return the symbol indices (...,) of states (..., n); -1 is the default control.
 
@@ -98,10 +112,7 @@ class Policy:
             A state outside the domain under rule ``"error"``, or one that is not finite under
             ``"error"`` or ``"nearest"``.
         """
-        try:
-            states = np.asarray(states, dtype=float)
-        except (TypeError, ValueError):
-            raise ProblemError(f"`states` must be numbers; got {describe(states)}") from None
+        states = numbers("states", states)
         n = self.domain.n
         if states.ndim == 0 or states.shape[-1] != n:
             raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")

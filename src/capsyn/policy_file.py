@@ -6,8 +6,8 @@ import contextlib
 import dataclasses
 import hashlib
 import json
-import math
 import os
+import secrets
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +22,7 @@ from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.model import Model
 from capsyn.policy import Policy, check_outside
 from capsyn.settings import SsacSettings
-from capsyn.validation import finite_array, finite_number
+from capsyn.validation import finite_number
 
 FORMAT = "capsyn-policy"
 VERSION = 1
@@ -35,14 +35,15 @@ def atomic_write(path: str | os.PathLike[str], write: Callable[[Path], None]) ->
     A failure at any moment leaves what was at `path`, and no temporary file.
     """
     path = Path(path)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
+    temporary = path.parent / f".capsyn-{secrets.token_hex(8)}{path.suffix}"
+    old = path.exists()
+    # a new file gets what the umask leaves of 0o666; asking for the umask is not safe in threads
+    start = 0o600 if old else 0o666
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, start))
     try:
+        mode = (path if old else temporary).stat().st_mode & 0o777
         write(temporary)
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(path.stat().st_mode & 0o777 if path.exists() else 0o666 & ~umask)
+        temporary.chmod(mode)  # writers may put another file in its place
         os.replace(temporary, path)
     finally:
         with contextlib.suppress(FileNotFoundError):
@@ -73,6 +74,7 @@ def save(policy: Policy, path: str | os.PathLike[str]) -> None:
         "sha256": _digest(content, arrays),
     }
     metadata = {FORMAT: _canonical(document)}
+    check_writable(path)
     atomic_write(path, lambda temporary: _write(arrays, temporary, metadata))
 
 
@@ -137,9 +139,10 @@ def load(path: str | os.PathLike[str]) -> Policy:
             arrays = {name: file.get_tensor(name) for name in ARRAYS}
     except FileNotFoundError:
         raise PolicyFormatError(f"there is no file '{path}'") from None
-    except (SafetensorError, OSError, ValueError, TypeError) as error:
-        if isinstance(error, PolicyFormatError):
-            raise
+    except PolicyFormatError:
+        raise
+    except (SafetensorError, OSError, ValueError, TypeError, AttributeError, KeyError) as error:
+        # the last two: types of array that NumPy does not have
         raise PolicyFormatError(f"'{path}' is no policy file: {error}") from None
     try:
         return _policy(document, arrays)
@@ -185,13 +188,7 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
         content["partitions"], content["refinement"], content["max_level"], domain.n
     )
     tree = CellTree(partitions, refinement, max_level, **arrays)
-    if math.prod(partitions) > len(tree.entries):
-        raise PolicyFormatError("it has fewer cells than its root grid")
-    tree.check(len(alphabet) + 1)
     domain.check_resolution(tree.counts)
-    default = finite_array("default", content["default"], 1)
-    if default.shape != (alphabet.m,):
-        raise PolicyFormatError("default control and alphabet differ in size")
     if not isinstance(content["name"], str) or not isinstance(content["statistics"], dict):
         raise PolicyFormatError("name or statistics")
     settings, model, horizon = (content[key] for key in ("settings", "model", "horizon"))
@@ -202,7 +199,7 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
         name=content["name"],
         domain=domain,
         alphabet=alphabet,
-        default=default,
+        default=content["default"],
         cells=tree,
         outside=check_outside(content["outside"], alphabet),
         min_dwell=finite_number("min_dwell", content["min_dwell"], least=0.0),

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.validation import finite_array, finite_number, one_of, whole_number
+from capsyn.validation import (
+    describe,
+    finite_array,
+    finite_number,
+    numbers,
+    one_of,
+    whole_number,
+)
 
 MAX_STEPS = 100_000
 """Most integration steps over a horizon."""
@@ -62,12 +69,15 @@ class SsacSettings:
                 raise ProblemError(f"`alpha_d` must be <= 0; got {self.alpha_d:g}")
             if self.gamma != type(self).gamma:
                 raise ProblemError("`alpha_d` must not be given together with `gamma`; got both")
-        if np.ndim(self.control_weight):
+        if numbers("control_weight", self.control_weight).ndim:
             weight = finite_array("control_weight", self.control_weight, 2)
-            if weight.shape[0] != weight.shape[1] or not np.array_equal(weight, weight.T):
-                raise ProblemError("`control_weight` must be a number or a symmetric (m, m) matrix")
+            got = describe(self.control_weight)
+            if not weight.size or not np.array_equal(weight, weight.T):
+                raise ProblemError(
+                    f"`control_weight` must be a number or a symmetric (m, m) matrix; got {got}"
+                )
             if np.linalg.eigvalsh(weight).min() < -1e-12 * np.abs(weight).max():
-                raise ProblemError("`control_weight` must be positive semidefinite")
+                raise ProblemError(f"`control_weight` must be positive semidefinite; got {got}")
             keep("control_weight", tuple(map(tuple, weight.tolist())))
         else:
             keep("control_weight", finite_number("control_weight", self.control_weight, least=0.0))

@@ -16,12 +16,20 @@ def describe(value: Any, limit: int = 60) -> str:
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
+def numbers(name: str, value: Any) -> np.ndarray:
+    """Return `value` as a float array, a copy only where it must be; text is no number."""
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "biufO":
+            raise TypeError
+        return array.astype(float, copy=False)
+    except (TypeError, ValueError, OverflowError):
+        raise ProblemError(f"`{name}` must be numbers; got {describe(value)}") from None
+
+
 def finite_array(name: str, value: Any, ndim: int) -> np.ndarray:
     """Return `value` as a read-only float array of `ndim` dimensions without NaN or infinity."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise ProblemError(f"`{name}` must be numbers; got {describe(value)}") from None
+    array = np.array(numbers(name, value) + 0.0)  # + 0.0: a copy, and -0.0 becomes 0.0
     if array.ndim != ndim:
         raise ProblemError(f"`{name}` must have {ndim} dimension(s); got shape {array.shape}")
     if not np.isfinite(array).all():
@@ -36,8 +44,10 @@ def finite_number(
     """Return `value` as a finite float that is greater than `above` and at least `least`."""
     bound = f" > {above:g}" if above is not None else f" >= {least:g}" if least is not None else ""
     try:
+        if isinstance(value, (str, bytes)) or np.iscomplexobj(value):
+            raise TypeError
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ProblemError(f"`{name}` must be a number{bound}; got {describe(value)}") from None
     wrong = (above is not None and number <= above) or (least is not None and number < least)
     if not np.isfinite(number) or wrong:
@@ -55,15 +65,26 @@ def whole_number(name: str, value: Any, *, least: int, most: int | None = None) 
     return int(value)
 
 
-def whole_numbers(name: str, value: Any, n: int, *, least: int) -> tuple[int, ...]:
+def is_list(value: Any, count: int) -> bool:
+    """Return whether `value` is a sequence, or an array of one dimension, with `count` entries."""
+    if isinstance(value, np.ndarray):
+        return value.shape == (count,)
+    return isinstance(value, Sequence) and not isinstance(value, str) and len(value) == count
+
+
+def whole_numbers(
+    name: str, value: Any, n: int, *, least: int, most: int | None = None
+) -> tuple[int, ...]:
     """Return one int per axis from an int (for all axes) or a sequence of `n` ints."""
     if isinstance(value, (int, np.integer)):
-        return (whole_number(name, value, least=least),) * n
-    if isinstance(value, str) or not isinstance(value, (Sequence, np.ndarray)) or len(value) != n:
+        return (whole_number(name, value, least=least, most=most),) * n
+    if not is_list(value, n):
         raise ProblemError(
             f"`{name}` must be a whole number or {n} of them, one per axis; got {describe(value)}"
         )
-    return tuple(whole_number(f"{name}[{i}]", v, least=least) for i, v in enumerate(value))
+    return tuple(
+        whole_number(f"{name}[{i}]", v, least=least, most=most) for i, v in enumerate(value)
+    )
 
 
 def texts(name: str, value: Any, count: int, default: Sequence[str]) -> tuple[str, ...]:

@@ -1,0 +1,82 @@
+"""Trees and policies for tests, made at random instead of by a subdivision."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from capsyn import Alphabet, Box, Policy
+from capsyn.cells import CellTree
+
+GRIDS = [
+    ((1,), (2,), 0),
+    ((5,), (3,), 3),
+    ((9,), (2,), 4),
+    ((3, 4), (2, 2), 3),
+    ((2, 1), (3, 2), 3),
+    ((1, 1), (2, 5), 2),
+    ((2, 3, 1), (2, 3, 2), 2),
+    ((1, 2, 1, 2), (2, 2, 3, 2), 2),
+]
+"""(partitions, refinement, max_level) for 1 to 4 axes, none of them the usual one."""
+
+
+def random_tree(
+    partitions: tuple[int, ...],
+    refinement: tuple[int, ...],
+    max_level: int,
+    leaf_count: int = 3,
+    split: float = 0.5,
+    seed: int = 0,
+) -> CellTree:
+    """Return a well-formed tree with random splits, labels and mixed cells."""
+    rng = np.random.default_rng(seed)
+    entries = -1 - rng.integers(0, leaf_count, math.prod(partitions))
+    start, level = 0, 0
+    while level < max_level:
+        here = start + np.flatnonzero(rng.random(len(entries) - start) < split)
+        if not here.size:
+            break
+        children = math.prod(refinement)
+        start = len(entries)
+        entries[here] = start + children * np.arange(len(here))
+        entries = np.append(entries, -1 - rng.integers(0, leaf_count, children * len(here)))
+        level += 1
+    leaves = np.flatnonzero(entries < 0)
+    mixed = leaves[rng.random(len(leaves)) < 0.3]
+    seen = rng.integers(0, 2**leaf_count, len(mixed), dtype=np.uint64)
+    seen |= np.uint64(1) << (-1 - entries[mixed]).astype(np.uint64)
+    return CellTree(
+        partitions,
+        refinement,
+        max_level,
+        entries.astype(np.int32),
+        mixed.astype(np.int32),
+        seen,
+    )
+
+
+def random_policy(grid: int, periodic: bool = False, seed: int = 0) -> Policy:
+    """Return a policy of two symbols over one of the `GRIDS`, with bounds that do not divide.
+
+    Where `periodic`, every second axis is, the last one too.
+    """
+    partitions, refinement, max_level = GRIDS[grid]
+    n = len(partitions)
+    rng = np.random.default_rng(seed)
+    lower = rng.normal(size=n)
+    turning = [periodic and (n - 1 - i) % 2 == 0 for i in range(n)]
+    domain = Box(lower, lower + rng.uniform(0.1, 7, n), periodic=turning)
+    tree = random_tree(partitions, refinement, max_level, seed=seed)
+    return Policy("random", domain, Alphabet([-1, 1]), np.zeros(1), tree)
+
+
+def states_at_faces(domain: Box, counts: tuple[int, ...], size: int, seed: int = 0) -> np.ndarray:
+    """Return states (3 size, n) on faces, edges, corners, seams and one rounding beside them."""
+    rng = np.random.default_rng(seed)
+    coordinates = np.stack([rng.integers(0, count + 1, size) for count in counts], axis=1)
+    states = domain.points(coordinates, counts)
+    inner = domain.sample(size, seed)
+    states = np.where(rng.random(states.shape) < 0.3, inner, states)
+    return np.vstack([states, np.nextafter(states, -np.inf), np.nextafter(states, np.inf)])
