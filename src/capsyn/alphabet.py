@@ -72,6 +72,15 @@ class Alphabet:
         """Number of inputs."""
         return self.values.shape[1]
 
+    def control(self, name: str, value: Any) -> np.ndarray:
+        """Return a control vector (m,) from m numbers, or from one number where m is 1."""
+        control = finite_array(name, value, 1 if numbers(name, value).ndim else 0).reshape(-1)
+        if control.shape != (self.m,):
+            raise ProblemError(
+                f"`{name}` must have shape ({self.m},), one entry per input; got {control.shape}"
+            )
+        return control
+
     def __len__(self) -> int:
         return len(self.values)
 

@@ -47,7 +47,8 @@ class CellPoints:
                 count = int(digits)
             elif part != name or name == "random":
                 raise ProblemError(
-                    f"`test_points` takes a count for random alone, as 'random:2'; got '{part}'"
+                    "`test_points` takes a count for random alone, as 'random:2'; "
+                    f"got {describe(part)}"
                 )
         return CellPoints("center" in names, "edge_midpoints" in names, count)
 

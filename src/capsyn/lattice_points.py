@@ -32,7 +32,8 @@ class Progress:
     cells : int
         Cells of this level.
     solved, solves : int
-        Points of this level that are solved, and all of them.
+        Points that are solved, and all of them, of this level's test points; later, of those of
+        the quarter rule.
     total : int
         Points solved since the start.
     """
@@ -43,6 +44,52 @@ class Progress:
     solved: int
     solves: int
     total: int
+
+
+def checked_masks(label: Label, n_symbols: int) -> Label:
+    """Return the labelling function with its masks checked."""
+    known = np.uint64(2 ** (n_symbols + 1) - 1)
+
+    def masks(states: np.ndarray) -> np.ndarray:
+        found = np.asarray(label(states))
+        if found.shape != (len(states),) or found.dtype.kind != "u":
+            raise ProblemError(
+                f"`label` must return ({len(states)},) unsigned integers; got "
+                f"{found.dtype} of shape {found.shape}"
+            )
+        wrong = found > known
+        if wrong.any():
+            i = int(np.flatnonzero(wrong)[0])
+            raise ProblemError(
+                f"`label` must return masks of bits 0 to {n_symbols}; got {int(found[i]):#b} "
+                f"at state {states[i].tolist()}"
+            )
+        return found
+
+    return masks
+
+
+def masks_of_symbols(label: Label, n_symbols: int) -> Label:
+    """Return a labelling function that gives masks from one that gives symbols."""
+
+    def masks(states: np.ndarray) -> np.ndarray:
+        symbols = np.asarray(label(states))
+        if symbols.shape != (len(states),) or not np.issubdtype(symbols.dtype, np.integer):
+            raise ProblemError(
+                f"`label` must return ({len(states)},) integers; got "
+                f"{symbols.dtype} of shape {symbols.shape}"
+            )
+        wrong = (symbols < -1) | (symbols >= n_symbols)
+        if wrong.any():
+            i = int(np.flatnonzero(wrong)[0])
+            raise ProblemError(
+                f"`label` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
+                f"at state {states[i].tolist()}"
+            )
+        bits = np.where(symbols < 0, n_symbols, symbols).astype(np.uint64)
+        return np.uint64(1) << bits
+
+    return masks
 
 
 class LatticePoints:
@@ -116,7 +163,7 @@ class LatticePoints:
         """Return the keys in ascending order, and the places that they came from."""
         bits = len(keys).bit_length()
         if self._size >> (63 - bits):  # key and place do not fit one word
-            order = np.argsort(keys)
+            order = np.argsort(keys, kind="stable")
             return keys[order], order
         packed = np.sort((keys << bits) | np.arange(len(keys)))
         return packed >> bits, packed & ((1 << bits) - 1)

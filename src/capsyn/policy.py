@@ -17,7 +17,7 @@ from capsyn.domain import Ball, Box
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from capsyn.model import Model
 from capsyn.settings import SsacSettings
-from capsyn.validation import describe, finite_array, numbers
+from capsyn.validation import describe, numbers
 
 if TYPE_CHECKING:
     from capsyn.native.kernels import LookupKernel
@@ -81,13 +81,7 @@ class Policy:
     timings: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        default = finite_array("default", self.default, 1)
-        if default.shape != (self.alphabet.m,):
-            raise ProblemError(
-                f"`default` must have shape ({self.alphabet.m},), one entry per input; "
-                f"got {default.shape}"
-            )
-        object.__setattr__(self, "default", default)
+        object.__setattr__(self, "default", self.alphabet.control("default", self.default))
         if self.cells.n != self.domain.n:
             raise ProblemError(
                 f"`cells` must have {self.domain.n} axes like the domain; got {self.cells.n}"

@@ -17,7 +17,7 @@ from capsyn.domain import Ball, Box
 from capsyn.errors import ProblemError
 from capsyn.policy import Outside, check_outside
 from capsyn.settings import SsacSettings
-from capsyn.validation import describe, finite_array, finite_number
+from capsyn.validation import describe, finite_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,14 +89,7 @@ class Problem:
             raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
         if not isinstance(self.alphabet, Alphabet):
             keep("alphabet", Alphabet(self.alphabet))
-        default = np.atleast_1d(np.asarray(self.default, dtype=object))
-        default = finite_array("default", default.tolist(), 1)
-        if default.shape != (self.alphabet.m,):
-            raise ProblemError(
-                f"`default` must have shape ({self.alphabet.m},), one entry per input; "
-                f"got {default.shape}"
-            )
-        keep("default", default)
+        keep("default", self.alphabet.control("default", self.default))
         keep("horizon", finite_number("horizon", self.horizon, above=0.0))
         keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
         keep("outside", check_outside(self.outside, self.alphabet))
@@ -179,9 +172,6 @@ def _expression(
     try:
         with _numpy_functions():
             value = function(*arguments)
-            if isinstance(value, (list, tuple, np.ndarray)):
-                value = ca.vertcat(*list(value))
-            value = ca.SX(value)
     except Exception as error:  # whatever a user's function raises becomes one line
         reason = " ".join(str(error).split()) or type(error).__name__
         shapes = ", ".join(
@@ -190,15 +180,20 @@ def _expression(
         raise ProblemError(
             f"`{name}` failed on symbols with sizes ({shapes}): {describe_text(reason)}"
         ) from error
-    if size == 1 and value.numel() != 1:
-        raise ProblemError(f"`{name}` must return a scalar; got shape {value.shape}")
-    if value.shape == (1, size) and size > 1:
-        value = value.T
-    if value.shape != (size, 1):
-        raise ProblemError(
-            f"`{name}` must return {size} component(s), one per state; got {value.numel()}"
-        )
-    return ca.densify(value)
+    wanted = f"{size} component(s), one per state" if name == "dynamics" else "a scalar"
+    try:
+        with _numpy_functions():
+            column = value
+            if isinstance(value, (list, tuple, np.ndarray)):
+                column = ca.vertcat(*list(value))
+            column = ca.SX(column)
+    except Exception:  # CasADi raises several types
+        raise ProblemError(f"`{name}` must return {wanted}; got {describe(value)}") from None
+    if column.shape == (1, size):
+        column = column.T
+    if column.shape != (size, 1):
+        raise ProblemError(f"`{name}` must return {wanted}; got shape {column.shape}")
+    return ca.densify(column)
 
 
 def describe_text(text: str, limit: int = 200) -> str:
@@ -207,16 +202,10 @@ def describe_text(text: str, limit: int = 200) -> str:
 
 
 def _function(name: str, arguments: Sequence[ca.SX], expression: ca.SX) -> ca.Function:
-    foreign = [s.name() for s in ca.symvar(ca.vertcat(expression, 0))]
-    declared = {s.name() for a in arguments for s in ca.symvar(a)}
-    for symbol in foreign:
-        if symbol not in declared:
-            raise ProblemError(
-                f"`{name}` must use only its arguments; it uses the undeclared symbol '{symbol}'"
-            )
-    try:
-        return ca.Function(name, list(arguments), [expression])
-    except RuntimeError as error:
+    function = ca.Function(name, list(arguments), [expression], {"allow_free": True})
+    foreign = function.get_free()
+    if foreign:
         raise ProblemError(
-            f"`{name}` must use only its arguments: {describe_text(' '.join(str(error).split()))}"
-        ) from None
+            f"`{name}` must use only its arguments; it uses the undeclared symbol '{foreign[0]}'"
+        )
+    return function

@@ -8,14 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cell_points import CellPoints
 from capsyn.cells import grid_settings, lattice_counts
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.validation import describe
 
-BYTES_PER_SOLVE = 100
-BYTES_PER_CELL = 200
-"""Peak memory of a subdivision, measured and rounded up."""
+BYTES_PER_SOLVE = 70
+BYTES_PER_CELL = 100
+BYTES_PER_MASK = 5
+"""Peak memory of a subdivision, measured and rounded up; the last per byte of a cell's masks."""
 
 
 def level_for_precision(
@@ -40,7 +42,7 @@ def level_for_precision(
     q, r, _ = grid_settings(partitions, refinement, 0, domain.n)
     level = 0
     while any(
-        width > delta * (cells * factor**level)
+        width / (cells * factor**level) > delta
         for width, delta, cells, factor in zip(domain.widths.tolist(), wanted.tolist(), q, r)
     ):
         level += 1
@@ -51,6 +53,9 @@ def worst_case_solves(
     partitions: Sequence[int], refinement: Sequence[int], max_level: int, interior_points: int = 1
 ) -> int:
     """Return the largest number of solves by eq. (10), counted as the paper does.
+
+    Points of the quarter rule, random points of the levels between, and parents' centres where
+    axes are refined by even and odd numbers come on top.
 
     Parameters
     ----------
@@ -71,16 +76,37 @@ def worst_case_memory(
     partitions: Sequence[int],
     refinement: Sequence[int],
     max_level: int,
-    interior_points: int,
+    test_points: CellPoints,
+    n_symbols: int,
     max_solves: int | None = None,
 ) -> int:
-    """Return the bytes that the worst case of a subdivision may take."""
+    """Return the bytes that the worst case of a subdivision may take.
+
+    Parameters
+    ----------
+    partitions, refinement : (n,) ints
+        Cells of the root grid, and children of a split cell, per axis.
+    max_level : int
+        Most times that a cell is split.
+    test_points : CellPoints
+        Test points of a cell.
+    n_symbols : int
+        Number of symbols N.
+    max_solves : int, optional
+        Bound of the solves.
+    """
+    n, root = len(partitions), math.prod(partitions)
+    interior = test_points.interior(n)
+    points = 2**n + interior
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
-    solves = worst_case_solves(partitions, refinement, max_level, interior_points)
+    solves = worst_case_solves(partitions, refinement, max_level, interior)
     if max_solves is not None:  # every block of cells has at least one point of its own
         solves = min(solves, max_solves)
-        cells = min(cells, max_solves * math.prod(refinement))
-    return BYTES_PER_SOLVE * solves + BYTES_PER_CELL * cells
+        cells = min(cells, max(root, max_solves * math.prod(refinement)))
+    mask_bytes = 2 ** (n_symbols // 8).bit_length()  # of N + 1 bits
+    per_cell = BYTES_PER_CELL + BYTES_PER_MASK * (mask_bytes + 1) * points
+    coordinates = 16 * n * points * root  # of all points of the root grid at once
+    return BYTES_PER_SOLVE * solves + per_cell * cells + coordinates
 
 
 def available_memory() -> int | None:
@@ -99,20 +125,22 @@ def check_memory(
     partitions: tuple[int, ...],
     refinement: tuple[int, ...],
     max_level: int,
-    interior_points: int,
+    test_points: CellPoints,
+    n_symbols: int,
     max_solves: int | None,
 ) -> None:
     """Raise `ProblemError` where the worst case exceeds the memory that is available."""
     available = available_memory()
 
     def need(level: int) -> int:
-        return worst_case_memory(partitions, refinement, level, interior_points, max_solves)
+        return worst_case_memory(partitions, refinement, level, test_points, n_symbols, max_solves)
 
     if available is None or need(max_level) <= available:
         return
     fits = max((k for k in range(max_level) if need(k) <= available), default=None)
     advice = "use fewer partitions" if fits is None else f"max_level <= {fits} fits"
-    solves = worst_case_solves(partitions, refinement, max_level, interior_points)
+    interior = test_points.interior(len(partitions))
+    solves = worst_case_solves(partitions, refinement, max_level, interior)
     raise ProblemError(
         f"`max_level` {max_level} may take {need(max_level) / 1e9:.3g} GB at worst "
         f"({solves:.3g} solves); {available / 1e9:.3g} GB is available: {advice}, "

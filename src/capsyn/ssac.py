@@ -12,6 +12,7 @@ import numpy as np
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
 from capsyn.model import Model
+from capsyn.program_builder import bind
 from capsyn.settings import SsacSettings
 from capsyn.validation import describe
 
@@ -23,6 +24,8 @@ ROUNDING = 64
 """Units of the last place by which quantities that should vanish may differ from 0."""
 STEP_LADDER = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
 STEP_SAMPLES = 512
+UNRESOLVED = 0.1
+"""Step-doubling errors above this come from steps too long to tell whether they will fall."""
 
 Solver = Callable[[np.ndarray, float, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
@@ -81,7 +84,8 @@ class BatchController:
         """Return what each symbol scores (B, N), eq. (8) or the steepest rule; least is best."""
         distance = solution.gradients
         if self.settings.rule == "schedule":
-            distance = (distance - self._wanted(solution)) ** 2
+            with np.errstate(invalid="ignore", over="ignore"):
+                distance = (distance - self._wanted(solution)) ** 2
         return distance + self.efforts
 
     def symbols(self, states: np.ndarray) -> np.ndarray:
@@ -92,7 +96,7 @@ class BatchController:
         """
         solution = self.solve(states)
         scores = self.scores(solution)
-        finite = np.isfinite(scores).all(axis=1)
+        finite = _finite(solution, scores)
         best = np.where(finite, np.argmin(scores, axis=1), -1)
         if self.settings.on_no_descent == "default":
             best = np.where(_take(solution.gradients, best) >= 0, -1, best)
@@ -116,11 +120,12 @@ class BatchController:
         margin = TIE * solution.scales
         default = np.zeros(len(could), dtype=bool)
         if self.settings.on_no_descent == "default":
-            default = (could & (solution.gradients + margin >= 0)).any(axis=1)
-            could &= solution.gradients - margin < 0
+            with np.errstate(invalid="ignore"):
+                default = (could & (solution.gradients + margin >= 0)).any(axis=1)
+                could &= solution.gradients - margin < 0
         masks = np.where(could, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
         masks |= default.astype(np.uint64) << np.uint64(n)
-        masks[~(np.isfinite(least) & np.isfinite(solution.cost))] = 0
+        masks[~_finite(solution, high)] = 0
         return masks
 
     def _wanted(self, solution: Solution) -> np.ndarray:
@@ -190,9 +195,9 @@ def bind_default(model: Model, default: np.ndarray) -> Model:
     """Return the model with its control fixed where the prediction uses it."""
     return dataclasses.replace(
         model,
-        step=model.step.bind(u=default),
-        adjoint=model.adjoint.bind(u=default),
-        insertion=model.insertion.bind(u=default),
+        step=bind(model.step, u=default),
+        adjoint=bind(model.adjoint, u=default),
+        insertion=bind(model.insertion, u=default),
     )
 
 
@@ -238,9 +243,9 @@ class NumpySolver:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         model, dtype = self.model, self.dtype
         dt = [horizon / steps]
-        path = [np.ascontiguousarray(states.T, dtype)]
         total = np.zeros(len(states), dtype)
         with np.errstate(all="ignore"):
+            path = [np.ascontiguousarray(states.T, dtype)]
             for _ in range(steps):
                 state, cost = model.step.evaluate(path[-1], dt, dtype=dtype)
                 path.append(state)
@@ -259,28 +264,35 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
     """Return the fewest steps of `STEP_LADDER` whose error meets ``settings.tolerance``.
 
     The error is the 99th percentile, over the states (B, n), of the difference that twice the
-    steps make to the mode insertion gradients, relative to their scales. Where it stops
-    falling first (a switch in the dynamics, single precision), the best steps so far are
-    returned with a warning.
+    steps make to the mode insertion gradients, relative to their scales; it is infinite for
+    states that only more steps make finite. Where it stops falling first (a switch in the
+    dynamics, single precision), the best steps so far are returned with a warning.
     """
     best, least, stalled = STEP_LADDER[0], np.inf, 0
     solved: dict[int, np.ndarray] = {}
 
-    def gradients(steps: int) -> tuple[np.ndarray, np.ndarray]:
+    def solve(steps: int) -> np.ndarray:
         if steps not in solved:
             solved[steps] = np.stack(solver(states, horizon, steps)[1:])
-        return solved[steps][0], solved[steps][1]
+        return solved[steps]
 
     for steps in STEP_LADDER:
-        coarse, (fine, scale) = gradients(steps)[0], gradients(2 * steps)
+        coarse, (fine, scale) = solve(steps)[0], solve(2 * steps)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             errors = np.abs(coarse - fine) / scale
-        errors = errors[np.isfinite(errors)]
-        error = float(np.percentile(errors, 99)) if errors.size else 0.0
+        errors[~np.isfinite(errors)] = np.nan
+        failed = ~(np.isfinite(coarse) & np.isfinite(fine) & np.isfinite(scale))
+        if failed.any():
+            failed &= np.isfinite(solve(2 * STEP_LADDER[-1])[0])
+            errors[failed] = np.inf
+        errors = errors[~np.isnan(errors)]
+        with np.errstate(invalid="ignore"):
+            error = float(np.percentile(errors, 99)) if errors.size else 0.0
+        error = np.inf if np.isnan(error) else error
         if error <= settings.tolerance:
             return steps
-        stalled = 0 if error < 0.7 * least else stalled + 1
-        if error < least:
+        stalled = 0 if error < 0.7 * least or error > UNRESOLVED else stalled + 1
+        if error <= least:
             best, least = steps, error
         if stalled == 3:
             break
@@ -291,6 +303,14 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
         stacklevel=4,
     )
     return best
+
+
+def _finite(solution: Solution, scores: np.ndarray) -> np.ndarray:
+    """Return (B,) booleans: whether everything about a state, its scores too, is finite."""
+    finite = np.isfinite(solution.cost)
+    for values in (solution.gradients, solution.scales, scores):
+        finite &= np.isfinite(values).all(axis=1)
+    return finite
 
 
 def _take(values: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -20,10 +20,17 @@ from capsyn.cell_points import CellPoints
 from capsyn.cells import CellTree, grid_settings, lattice_counts
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
-from capsyn.lattice_points import Label, LatticePoints, Progress, Question
+from capsyn.lattice_points import (
+    Label,
+    LatticePoints,
+    Progress,
+    Question,
+    checked_masks,
+    masks_of_symbols,
+)
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.propositions import check_memory, worst_case_solves
-from capsyn.validation import describe, one_of, whole_number
+from capsyn.validation import describe, is_list, one_of, whole_number
 
 FINE = 8
 """Lattice units along the edge of a finest cell."""
@@ -97,32 +104,27 @@ def subdivide(
     centre and must agree there too. A mixed cell of the finest level takes the symbol that most
     of its points could have, among those that some point determines alone.
     """
+    if not callable(label):
+        raise ProblemError(f"`label` must be a function; got {describe(label)}")
+    if not isinstance(domain, Box):
+        raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(domain)}")
     alphabet = symbols if isinstance(symbols, Alphabet) else Alphabet(range(_count(symbols)))
     n_symbols = len(alphabet)
     q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
-    points = CellPoints.parse(test_points)
+    points, lattice = check_size(domain, n_symbols, q, r, max_level, test_points, max_solves)
     one_of("returns", returns, ["symbols", "masks"])
     seed = whole_number("seed", seed, least=0)
     threads = whole_number("threads", threads, least=1)
-    if max_solves is not None:
-        max_solves = whole_number("max_solves", max_solves, least=1)
-    order = list(range(n_symbols + 1)) if preference is None else [int(s) for s in preference]
-    if sorted(order) != list(range(n_symbols + 1)):
-        raise ProblemError(
-            f"`preference` must name each of 0..{n_symbols} once; got {describe(preference)}"
-        )
+    order = list(range(n_symbols + 1)) if preference is None else _order(preference, n_symbols)
     outside = check_outside(outside, alphabet)
-    lattice = tuple(FINE * count for count in lattice_counts(q, r, max_level))
-    domain.check_resolution(lattice)
-    check_memory(q, r, max_level, points.interior(domain.n), max_solves)
-    masks = label if returns == "masks" else _masks_of_symbols(label, n_symbols)
+    masks = (checked_masks if returns == "masks" else masks_of_symbols)(label, n_symbols)
     started = time.perf_counter()
     with ThreadPoolExecutor(threads) as pool:
         store = LatticePoints(
             masks, domain, lattice, n_symbols, pool if threads > 1 else None, progress
         )
-        work = _Subdivision(q, r, max_level, points, seed, order, store)
-        cells = work.run(max_solves)
+        work = _Subdivision(q, r, max_level, points, seed, order, store, max_solves)
+        cells = work.run()
     return Policy(
         name=name,
         domain=domain,
@@ -138,31 +140,36 @@ def subdivide(
     )
 
 
+def check_size(
+    domain: Box,
+    n_symbols: int,
+    partitions: tuple[int, ...],
+    refinement: tuple[int, ...],
+    max_level: int,
+    test_points: str,
+    max_solves: int | None,
+) -> tuple[CellPoints, tuple[int, ...]]:
+    """Return the test points, and the lattice (n,), that floating point and memory can hold."""
+    points = CellPoints.parse(test_points)
+    if max_solves is not None:
+        max_solves = whole_number("max_solves", max_solves, least=1)
+    lattice = tuple(FINE * k for k in lattice_counts(partitions, refinement, max_level))
+    domain.check_resolution(lattice)
+    check_memory(partitions, refinement, max_level, points, n_symbols, max_solves)
+    return points, lattice
+
+
 def _count(symbols: Any) -> int:
     return whole_number("symbols", symbols, least=1)
 
 
-def _masks_of_symbols(label: Label, n_symbols: int) -> Label:
-    """Return a labelling function that gives masks from one that gives symbols."""
-
-    def masks(states: np.ndarray) -> np.ndarray:
-        symbols = np.asarray(label(states))
-        if symbols.shape != (len(states),) or not np.issubdtype(symbols.dtype, np.integer):
-            raise ProblemError(
-                f"`label` must return ({len(states)},) integers; got "
-                f"{symbols.dtype} of shape {symbols.shape}"
-            )
-        wrong = (symbols < -1) | (symbols >= n_symbols)
-        if wrong.any():
-            i = int(np.flatnonzero(wrong)[0])
-            raise ProblemError(
-                f"`label` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
-                f"at state {states[i].tolist()}"
-            )
-        bits = np.where(symbols < 0, n_symbols, symbols).astype(np.uint64)
-        return np.uint64(1) << bits
-
-    return masks
+def _order(preference: Sequence[int], n_symbols: int) -> list[int]:
+    wanted = range(n_symbols + 1)
+    if not is_list(preference, len(wanted)) or any(s not in list(preference) for s in wanted):
+        raise ProblemError(
+            f"`preference` must name each of 0..{n_symbols} once; got {describe(preference)}"
+        )
+    return [int(s) for s in preference]
 
 
 class _Subdivision:
@@ -181,6 +188,7 @@ class _Subdivision:
         seed: int,
         order: list[int],
         points: LatticePoints,
+        max_solves: int | None,
     ) -> None:
         self._n, self._q, self._r = len(partitions), partitions, refinement
         self._max_level, self._test_points, self._seed = max_level, test_points, seed
@@ -188,9 +196,10 @@ class _Subdivision:
         self._offsets = test_points.offsets(self._n)
         self._roles = np.zeros(len(ROLES), dtype=np.int64)
         self._levels: list[dict[str, int]] = []
+        self._max_solves = max_solves
         self._stopped = False
 
-    def run(self, max_solves: int | None) -> CellTree:
+    def run(self) -> CellTree:
         """Return the cells."""
         blocks: list[np.ndarray] = []  # entries, level by level
         parents = np.zeros((1, self._n), dtype=np.int64)  # lower corners in lattice units
@@ -207,13 +216,12 @@ class _Subdivision:
             keys, table, roles = self._test_keys(parents, split, size, level)
             question = self._points.ask(keys.ravel())
             new = int(question.new.sum())
-            if max_solves is not None and self._points.count + new > max_solves:
+            if self._exceeds(question):
                 if level == 0:
                     raise ProblemError(
                         f"`max_solves` must be at least the {new} solves of level 0; "
-                        f"got {max_solves}"
+                        f"got {self._max_solves}"
                     )
-                self._stopped = True
                 break
             self._count_roles(question, np.repeat(roles, len(parents)))
             masks = self._points.answer(question, level, self._max_level, cells)
@@ -309,6 +317,13 @@ class _Subdivision:
             roles = np.append(roles, np.full(len(grid) * count, 2))
         return keys, table, roles
 
+    def _exceeds(self, question: Question) -> bool:
+        """Return whether a question, or one before, would take more solves than are allowed."""
+        allowed = self._max_solves
+        if allowed is not None and self._points.count + int(question.new.sum()) > allowed:
+            self._stopped = True
+        return self._stopped
+
     def _count_roles(self, question: Question, roles: np.ndarray) -> None:
         new = roles[question.samples[question.new]]
         self._roles += np.bincount(new, minlength=len(ROLES))
@@ -323,7 +338,8 @@ class _Subdivision:
     ) -> np.ndarray:
         """Return `common` (children, parents) after a second look at tied points.
 
-        Only fixed points are looked at again; the centre stays where it is.
+        Only fixed points are looked at again; the centre stays where it is. Where that would
+        exceed the solves that are allowed, this level is the last and goes without.
         """
         movable = np.flatnonzero((self._offsets != 1).any(axis=1))
         fixed = masks[:, movable]
@@ -338,6 +354,8 @@ class _Subdivision:
         question = self._points.ask(
             self._points.encode(np.zeros((1, self._n), dtype=np.int64), places)[0]
         )
+        if self._exceeds(question):
+            return common
         self._count_roles(question, np.full(len(places), ROLES.index("quarter")))
         moved = self._points.answer(question, level, self._max_level, len(lower))
         common = common.copy()

@@ -18,9 +18,9 @@ from capsyn.policy import Outside, Policy
 from capsyn.problem import Problem
 from capsyn.settings import SsacSettings
 from capsyn.ssac import TIE, BatchController, batch_controller
-from capsyn.subdivision import subdivide
+from capsyn.subdivision import check_size, subdivide
 from capsyn.transcription import transcribe
-from capsyn.validation import describe, whole_number
+from capsyn.validation import describe, one_of, whole_number
 
 SAMPLES = 2048
 """Random states by which the controller is judged, see ``Policy.statistics['sample']``."""
@@ -92,9 +92,19 @@ def synthesize(
     problem = problem.replace(**{k: v for k, v in overrides.items() if v is not None})
     threads = _processors() if threads is None else whole_number("threads", threads, least=1)
     seed = whole_number("seed", seed, least=0)
+    one_of("backend", backend, ["auto", "c", "numpy"])
+    values, domain = problem.alphabet.values, problem.domain
+    check_size(
+        domain,
+        len(values),
+        problem.partitions,
+        problem.refinement,
+        problem.max_level,
+        test_points,
+        max_solves,
+    )
     started = time.perf_counter()
     model = transcribe(problem)
-    values, domain = problem.alphabet.values, problem.domain
     controller = batch_controller(
         model, domain, values, problem.default, problem.horizon, problem.settings, backend, seed
     )

@@ -10,7 +10,8 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.model import Model, model_ports
 from capsyn.problem import Problem
-from capsyn.program import Ports, Program, ProgramBuilder
+from capsyn.program import Ports, Program
+from capsyn.program_builder import ProgramBuilder
 
 _SAME_NAME = (
     "add sub mul div neg sqrt fabs floor ceil copysign sign fmin fmax lt le eq ne not and or exp "

@@ -30,6 +30,9 @@ FLAGS = (
     "-fno-trapping-math",
     "-fopenmp-simd",
 )
+GCC_FLAGS = ("-fno-tree-sink", "-fno-thread-jumps")
+"""Else GCC moves the calls that one branch of a selection needs into that branch, and the loop
+over lanes is scalar: 6 times slower for ``if_else(x > 0, sin(x), exp(x))``."""
 PLAIN_FLAGS = ("-O2",)
 COMMON_FLAGS = ("-std=gnu11", "-fPIC", "-shared")
 BUILD_TIMEOUT = 600
@@ -58,31 +61,36 @@ def find_compiler() -> Compiler:
     Raises
     ------
     KernelBuildError
-        None is found, or it does not run.
+        None is found that runs.
     """
     return _find_compiler(os.environ.get("CC", ""), os.environ.get("PATH", ""))
 
 
 @functools.lru_cache(maxsize=8)
 def _find_compiler(cc: str, path: str) -> Compiler:
-    candidates = [shlex.split(cc)] if cc.strip() else [["cc"], ["gcc"], ["clang"]]
+    try:
+        candidates = [shlex.split(cc)] if cc.strip() else [["cc"], ["gcc"], ["clang"]]
+    except ValueError as error:
+        raise KernelBuildError(f"CC={cc} is not a command: {error}") from None
+    broken: KernelBuildError | None = None
     for command in candidates:
         found = shutil.which(command[0], path=path)
-        if found:
-            arguments = [found, *command[1:]]
-            try:
-                run = subprocess.run(
-                    [*arguments, "--version"], capture_output=True, text=True, timeout=30
-                )
-            except (OSError, subprocess.TimeoutExpired) as error:
-                raise KernelBuildError(
-                    f"the C compiler {found} does not run: {error}", arguments
-                ) from None
-            if run.returncode:
-                raise KernelBuildError(
-                    f"the C compiler {found} does not run", arguments, run.stdout + run.stderr
-                )
+        if not found:
+            continue
+        arguments = [found, *command[1:]]
+        try:
+            run = subprocess.run(
+                [*arguments, "--version"], capture_output=True, text=True, timeout=30
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            broken = KernelBuildError(f"the C compiler {found} does not run: {error}", arguments)
+            continue
+        if run.returncode == 0:
             return Compiler(tuple(arguments), (run.stdout.splitlines() or [""])[0])
+        output = run.stdout + run.stderr
+        broken = KernelBuildError(f"the C compiler {found} does not run", arguments, output)
+    if broken:
+        raise broken
     wanted = f"CC={cc}" if cc.strip() else "cc, gcc or clang"
     raise KernelBuildError(f"no C compiler found: {wanted} is not on the PATH")
 
@@ -141,16 +149,22 @@ def load(source: str, flags: tuple[str, ...] = ()) -> ctypes.CDLL:
     """
     compiler = find_compiler()
     first_error: KernelBuildError | None = None
-    usual: tuple[str, ...] = FLAGS
-    if compiler.is_clang and sys.platform == "linux" and platform.machine() == "x86_64":
-        usual = (*FLAGS, "-fveclib=libmvec")
-    for chosen in (usual, PLAIN_FLAGS):
+    for chosen in (usual_flags(compiler), PLAIN_FLAGS):
         try:
             return _load(compiler, source, (*chosen, *COMMON_FLAGS, *flags))
         except KernelBuildError as error:
             first_error = first_error or error
     assert first_error is not None
     raise first_error
+
+
+def usual_flags(compiler: Compiler) -> tuple[str, ...]:
+    """Return the flags that make loops over lanes vectorised."""
+    if not compiler.is_clang:
+        return (*FLAGS, *GCC_FLAGS)
+    if sys.platform == "linux" and platform.machine() == "x86_64":
+        return (*FLAGS, "-fveclib=libmvec")
+    return FLAGS
 
 
 def _load(compiler: Compiler, source: str, flags: tuple[str, ...]) -> ctypes.CDLL:

@@ -74,6 +74,8 @@ class SsacKernel:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (cost, gradients, scales) of the states (B, n)."""
         states = np.ascontiguousarray(states, dtype=np.float64)
+        if states.ndim != 2 or states.shape[1] != self.n:
+            raise ValueError(f"`states` must have shape (B, {self.n}); got {states.shape}")
         count = len(states)
         cost = np.empty(count)
         gradients, scales = np.empty((2, self.symbols, count))

@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from importlib import resources
 
 from capsyn.native.build import find_compiler
-from capsyn.program import OPERATIONS, Program
+from capsyn.operations import OPERATIONS
+from capsyn.program import Program
 
 INLINE = {"sqrt": 1, "fabs": 1, "floor": 1, "ceil": 1, "rint": 1, "copysign": 2}
 """Functions that compilers turn into instructions by themselves, with their arity."""

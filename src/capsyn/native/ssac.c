@@ -10,7 +10,8 @@ int capsyn_ssac(const int64_t count, const double *restrict states, const double
 {
     typedef real lanes_of_states[STATES][LANES];
     const real dt[1] = {(real)(horizon / steps)}, noise[1] = {(real)rounding};
-    lanes_of_states *path = aligned_alloc(64, sizeof(lanes_of_states) * ((size_t)steps + 3));
+    const size_t size = sizeof(lanes_of_states) * ((size_t)steps + 3);
+    lanes_of_states *path = aligned_alloc(64, (size + 63) / 64 * 64);
     if (path == NULL)
         return -1;
     lanes_of_states *rho = path + steps + 1; /* two of them, used in turn */

@@ -1,0 +1,81 @@
+import itertools
+
+import numpy as np
+import pytest
+
+from capsyn.cell_points import CellPoints
+from capsyn.errors import ProblemError
+
+CHOICES = [
+    CellPoints(center, edges, random)
+    for center, edges, random in itertools.product((False, True), (False, True), (0, 1, 12))
+]
+
+
+@pytest.mark.parametrize("points", CHOICES, ids=str)
+def test_text_and_parse_are_inverse(points):
+    assert CellPoints.parse(str(points)) == points
+
+
+def test_parse_takes_any_order_and_spaces():
+    assert CellPoints.parse(" random:3 +center+ vertices") == CellPoints(True, False, 3)
+    assert CellPoints.parse("vertices") == CellPoints(False, False, 0)
+    assert str(CellPoints()) == "vertices+center"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "center",
+        "center+random:2",
+        "vertices+middle",
+        "vertices+center+center",
+        "vertices++center",
+        "vertices,center",
+        "Vertices",
+        "vertices:2",
+        "vertices+center:1",
+        "vertices+random",
+        "vertices+random:",
+        "vertices+random:0",
+        "vertices+random:-1",
+        "vertices+random:+1",
+        "vertices+random:1.5",
+        "vertices+random: 2",
+        "vertices+random:²",
+        "vertices+random:1+random:2",
+        "vertices+center:\n2",
+        None,
+        3,
+        ["vertices"],
+    ],
+)
+def test_bad_text_is_one_line_that_names_the_argument(text):
+    with pytest.raises(ProblemError, match="^`test_points` ") as caught:
+        CellPoints.parse(text)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize("points", CHOICES, ids=str)
+def test_offsets_are_vertices_center_and_edge_midpoints(points, n):
+    offsets = points.offsets(n)
+    assert len(np.unique(offsets, axis=0)) == len(offsets)
+    assert offsets.min() == 0 and offsets.max() == 2
+    halves = (offsets == 1).sum(axis=1)
+    edges = n * 2 ** (n - 1)
+    expected = {0: 2**n}
+    if points.edge_midpoints:
+        expected[1] = edges
+    if points.center:
+        expected[n] = 1  # for n = 1 this is the midpoint of the one edge
+    assert dict(zip(*np.unique(halves, return_counts=True))) == expected
+    interior = points.center + edges * points.edge_midpoints + points.random
+    assert points.interior(n) == interior
+    assert interior >= len(offsets) - 2**n + points.random
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_full_choice_has_as_many_points_as_the_formula_says(n):
+    assert len(CellPoints(True, True).offsets(n)) == 2**n + 1 + n * 2 ** (n - 1)

@@ -1,0 +1,182 @@
+import itertools
+import math
+import re
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from capsyn import Box, subdivide
+from capsyn import propositions as props
+from capsyn.cell_points import CellPoints
+from capsyn.errors import ProblemError
+from reference_subdivision import noise
+
+PAPER = ((9, 9), (2, 2))
+CENTER = CellPoints.parse("vertices+center")
+
+
+def unit_box(n, periodic=None):
+    return Box([0.0] * n, [1.0] * n, periodic=periodic)
+
+
+def always_mixed(level, partitions=9):
+    """Label the unit square so that every cell up to `level` has a vertex unlike its centre."""
+
+    def label(states):
+        k = np.rint(states[:, 0] * partitions * 2 ** (level + 1)).astype(int)
+        return np.where(k == 0, 0, np.log2(np.maximum(k & -k, 1)).astype(int) % 2)
+
+    return label
+
+
+@pytest.mark.parametrize(
+    ("level", "paper", "distinct", "one_axis_periodic"),
+    [(4, 41_842, 41_761, 41_616), (5, 166_546, 166_465, 166_176)],
+)
+def test_worst_case_solves_is_the_papers_and_bounds_the_true_worst_case(
+    level, paper, distinct, one_axis_periodic
+):
+    assert props.worst_case_solves((9, 9), (2, 2), level, 1) == paper
+    for periodic, count in [((False, False), distinct), ((False, True), one_axis_periodic)]:
+        box = unit_box(2, periodic)
+        policy = subdivide(always_mixed(level), box, 2, partitions=9, max_level=level)
+        assert policy.statistics["solves"] == count
+        assert policy.statistics["worst_case_solves"] == paper
+        assert policy.statistics["leaves_by_level"] == [0] * level + [81 * 4**level]
+
+
+@given(
+    q=st.lists(st.integers(1, 6), min_size=1, max_size=4),
+    r=st.integers(2, 4),
+    level=st.integers(0, 5),
+    interior=st.integers(0, 9),
+)
+def test_worst_case_solves_is_eq_10(q, r, level, interior):
+    refinement = [r] * len(q)
+    vertices = math.prod(count * r**level + 1 for count in q)
+    expected = vertices + (1 + (r ** len(q)) ** level) * math.prod(q) * interior
+    assert props.worst_case_solves(q, refinement, level, interior) == expected
+
+
+axes = st.lists(
+    st.tuples(st.integers(1, 10**6), st.integers(1, 10**4), st.integers(1, 12), st.integers(2, 5)),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(axes)
+def test_level_for_precision_is_the_least_that_suffices(axes):
+    widths, wanted, q, r = zip(*axes)
+    box = Box([0.0] * len(axes), [float(w) for w in widths])
+    level = props.level_for_precision(box, wanted, q, r)
+
+    def suffices(level):  # in whole numbers
+        return all(w <= d * c * f**level for w, d, c, f in zip(widths, wanted, q, r))
+
+    assert level == next(k for k in itertools.count() if suffices(k))
+
+
+@settings(max_examples=300)
+@given(q=st.integers(1, 200), r=st.integers(2, 7), level=st.integers(0, 8))
+def test_level_for_precision_is_exact_at_powers(q, r, level):
+    edge = 1.0 / (q * r**level)
+    assert props.level_for_precision(unit_box(1), [edge], q, r) == level
+    assert props.level_for_precision(unit_box(1), [edge * (1 - 1e-12)], q, r) == level + 1
+
+
+def test_level_for_precision_of_one_number_per_axis():
+    box = Box([0.0, -5.0], [6.0, 5.0])
+    assert props.level_for_precision(box, [2.0, 10.0], [3, 1]) == 0
+    assert props.level_for_precision(box, [2.0, 0.5], [3, 1]) == 5
+    assert props.level_for_precision(box, [2.0, 0.5], [3, 1], [2, 5]) == 2
+
+
+@pytest.mark.parametrize("precision", [[1.0], [1, 0], [1, -1], [1, np.nan], [1, np.inf], 1.0])
+def test_level_for_precision_refuses_what_is_no_precision(precision):
+    with pytest.raises(ProblemError, match=r"^`precision` must be 2 positive number\(s\); got "):
+        props.level_for_precision(unit_box(2), precision, 9)
+
+
+@pytest.mark.parametrize("max_solves", [None, 10**6])
+def test_too_large_max_level_says_how_much_and_what_would_fit(monkeypatch, max_solves):
+    free = props.worst_case_memory(*PAPER, 5, CENTER, 1, max_solves) + 10
+    monkeypatch.setattr(props, "available_memory", lambda: free)
+    need = props.worst_case_memory(*PAPER, 6, CENTER, 1, max_solves)
+    with pytest.raises(ProblemError) as caught:
+        props.check_memory(*PAPER, 6, CENTER, 1, max_solves)
+    message = str(caught.value)
+    assert "\n" not in message and message.startswith("`max_level` 6 ")
+    assert f"{need / 1e9:.3g} GB" in message and f"{free / 1e9:.3g} GB" in message
+    assert re.search(r"max_level <= 5 fits", message) and "`max_solves`" in message
+    props.check_memory(*PAPER, 5, CENTER, 1, max_solves)
+
+
+def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
+    calls = []
+
+    def label(states):
+        calls.append(len(states))
+        return np.zeros(len(states), dtype=int)
+
+    monkeypatch.setattr(props, "available_memory", lambda: 10**6)
+    with pytest.raises(ProblemError, match=r"`max_level` 9 .* max_level <= 2 fits"):
+        subdivide(label, unit_box(2), 2, max_level=9)
+    assert not calls
+    policy = subdivide(label, unit_box(2), 2, max_level=9, max_solves=900)
+    assert policy.statistics["solves"] == sum(calls) == 181
+
+
+def test_root_grid_that_does_not_fit_asks_for_fewer_partitions(monkeypatch):
+    monkeypatch.setattr(props, "available_memory", lambda: 10_000)
+    with pytest.raises(ProblemError, match="use fewer partitions"):
+        props.check_memory(*PAPER, 3, CENTER, 1, None)
+
+
+def test_unknown_memory_refuses_nothing(monkeypatch):
+    monkeypatch.setattr(props, "available_memory", lambda: None)
+    props.check_memory((9,) * 6, (2,) * 6, 20, CENTER, 8, None)
+
+
+def test_available_memory_is_read_or_unknown(monkeypatch, tmp_path):
+    free = props.available_memory()
+    assert free is None or free > 2**20
+
+    def missing(path):
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(props, "open", missing, raising=False)
+    assert props.available_memory() is None
+
+
+@pytest.mark.parametrize(
+    ("n", "partitions", "level", "n_symbols", "points"),
+    [
+        (1, 1000, 5, 40, "vertices"),
+        (2, 9, 4, 2, "vertices+center"),
+        (2, 9, 4, 40, "vertices+center+random:5"),
+        (4, 3, 2, 12, "vertices+center+edge_midpoints"),
+        (6, 2, 1, 2, "vertices+center"),
+        (6, 2, 1, 40, "vertices+center"),
+        (6, 4, 0, 2, "vertices"),
+    ],
+)
+def test_worst_case_memory_bounds_what_is_taken(n, partitions, level, n_symbols, points):
+    def label(states):
+        return (noise(states, 1) >> np.uint64(40)).astype(int) % n_symbols
+
+    grid = {"partitions": partitions, "max_level": level, "test_points": points}
+    tracemalloc.start()
+    try:
+        policy = subdivide(label, unit_box(n), n_symbols, **grid)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    bound = props.worst_case_memory(
+        (partitions,) * n, (2,) * n, level, CellPoints.parse(points), n_symbols
+    )
+    assert policy.statistics["cells"] > 0.75 * (partitions * 2**level) ** n  # a bad case indeed
+    assert 0.3 * bound < peak < bound
