@@ -534,7 +534,7 @@ TAMPERED = {
     "alphabet doubled": (at("alphabet", "values")([[1, 2], [1, 2]]), "distinct symbols"),
     "alphabet infinite": (at("alphabet", "values", 0, 0)(10**400), "`alphabet` must be numbers"),
     "default of 3 inputs": (at("default")([0, 0, 0]), "`default` must have shape"),
-    "default of nothing": (at("default")(None), "`default` must have 1 dimension"),
+    "default of nothing": (at("default")(None), "`default` must be finite"),
     "outside unknown": (at("outside")("else"), "`outside` must be"),
     "outside no symbol": (at("outside")(2), "`outside` must be"),
     "min_dwell negative": (at("min_dwell")(-1), "`min_dwell` must be"),

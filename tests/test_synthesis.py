@@ -1,7 +1,9 @@
 """From a problem to a policy: the two-symbol law, counts, determinism, systems of one's own."""
 
 import itertools
+import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
 import numpy as np
@@ -142,6 +144,14 @@ def test_sample_is_sane(name):
     assert sample["effort_over_choice"] == 0.0 or name == "double-tank-a"
 
 
+@pytest.mark.parametrize("horizon", [0.25, 0.5])
+def test_sample_ratios_have_their_exact_values(horizon):
+    # J0 = T x^2 and dJ_dlam = 2 T x u with |x| uniform on [0, 1]
+    sample = synthesize(own(horizon=horizon, max_level=0)).statistics["sample"]
+    assert np.isclose(sample["wanted_over_reachable"], 5 * 0.5 / 2, rtol=0.05)
+    assert np.isclose(sample["reach"], 4 * horizon, rtol=0.05)
+
+
 def test_sample_finds_states_without_descent_and_ties():
     one_way = own(alphabet=[1], horizon=0.1)
     assert abs(synthesize(one_way).statistics["sample"]["no_descent"] - 0.5) < 0.05
@@ -182,6 +192,21 @@ def test_cart_pole_file_is_the_same_for_threads(tmp_path):
     assert files[0] == files[1] == files[2]
     other = file_of(tmp_path / "other.cap", problems.get("cart-pole"), seed=1, **options)
     assert other != files[0]
+
+
+def test_threads_are_those_asked_for(monkeypatch):
+    pools = []
+
+    class Pool(ThreadPoolExecutor):
+        def __init__(self, threads):
+            pools.append(threads)
+            super().__init__(threads)
+
+    monkeypatch.setattr("capsyn.subdivision.ThreadPoolExecutor", Pool)
+    synthesize(own(), threads=3)
+    synthesize(own())
+    assert pools == [3, module._processors()]
+    assert 1 <= pools[1] <= os.cpu_count()
 
 
 # What the policy carries
@@ -344,12 +369,14 @@ def test_no_descent_may_give_the_default(tmp_path):
 
 
 def test_ties_go_to_the_least_effort():
-    frozen = own(
-        dynamics=lambda x, u: [0 * u[0]],
+    same = own(
+        dynamics=lambda x, u: [ca.sign(u[0]) ** 2],
         alphabet=[3, -1, 2],
         settings=SsacSettings(control_weight=1e-9),
     )
-    assert (synthesize(frozen)(frozen.domain.sample(100)) == 1).all()
+    assert (synthesize(same)(same.domain.sample(100)) == 1).all()
+    no_weight = synthesize(same, settings=SsacSettings())
+    assert (no_weight(same.domain.sample(100)) == 0).all()  # then the lowest index
 
 
 # States without a finite result
