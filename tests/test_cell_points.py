@@ -1,3 +1,5 @@
+"""Test points of a cell: their text, and their places."""
+
 import itertools
 
 import numpy as np

@@ -1,3 +1,5 @@
+"""Propositions 1 and 2, and what a subdivision may take of the memory."""
+
 import itertools
 import math
 import re

@@ -1,3 +1,5 @@
+"""Algorithm 1 against a reference of plain recursion; what is solved; what comes out."""
+
 import itertools
 import math
 import threading

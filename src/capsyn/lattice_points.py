@@ -17,6 +17,8 @@ CHUNK = 4096
 """Most states that are labelled in one call."""
 NOT_FINITE_LIMIT = 0.01
 """Share of solves without a finite result that stops a synthesis."""
+MANY = 1000
+"""Solves that are waited for before their share is judged."""
 
 Label = Callable[[np.ndarray], np.ndarray]
 
@@ -123,8 +125,8 @@ class LatticePoints:
                 "more than 64-bit keys can tell apart"
             )
         self._strides = [math.prod(extents[i + 1 :]) for i in range(domain.n)]
-        self._keys = np.empty(0, dtype=np.int64)
-        self._masks = np.empty(0, dtype=self.dtype)
+        self._keys = np.array([2**63 - 1])  # larger than any key, so that a search ends within
+        self._masks = np.zeros(1, dtype=self.dtype)
         self._pending: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.count = 0
         self.indifferent = 0
@@ -150,14 +152,10 @@ class LatticePoints:
         ordered, order = self._sort(keys)
         first = np.ones(len(keys), dtype=bool)
         np.not_equal(ordered[1:], ordered[:-1], out=first[1:])
-        inverse = np.empty(len(keys), dtype=np.int64)
-        inverse[order] = np.cumsum(first) - 1
-        distinct, samples = ordered[first], order[first]
+        distinct = ordered[first]
         places = np.searchsorted(self._keys, distinct)
-        new = np.ones(len(distinct), dtype=bool)
-        within = places < len(self._keys)
-        new[within] = self._keys[places[within]] != distinct[within]
-        return Question(distinct, inverse, places, new, samples)
+        new = self._keys[places] != distinct
+        return Question(distinct, places, new, order, first)
 
     def _sort(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the keys in ascending order, and the places that they came from."""
@@ -172,12 +170,13 @@ class LatticePoints:
         """Return the masks (K,) of a question's keys, solving those that are new."""
         keys = question.distinct[question.new]
         masks = self._solve(keys, level, max_level, cells)
-        known = np.empty(len(question.distinct), dtype=self.dtype)
-        known[~question.new] = self._masks[question.places[~question.new]]
+        known = self._masks[question.places]
         known[question.new] = masks
         self._pending = (question.places[question.new], keys, masks)
         self.count += len(keys)
-        return known[question.inverse]
+        answers = np.empty(len(question.order), dtype=self.dtype)
+        answers[question.order] = known[np.cumsum(question.first) - 1]
+        return answers
 
     def _merge(self) -> None:
         """Put the points of the last answer among the sorted ones."""
@@ -222,8 +221,11 @@ class LatticePoints:
         self.not_finite += int(missing.sum())
         if self.example is None:
             self.example = self._states(keys[missing][:1])[0].tolist()
-        solves = self.count + len(keys)
-        if self.not_finite > NOT_FINITE_LIMIT * solves:
+        self.check_finite(self.count + len(keys), MANY)
+
+    def check_finite(self, solves: int, least: int = 0) -> None:
+        """Raise `SynthesisError` where too many of `solves`, or of `least`, were not finite."""
+        if self.not_finite > NOT_FINITE_LIMIT * max(solves, least):
             raise SynthesisError(
                 f"{self.not_finite} of {solves} solves gave no finite result, for instance at "
                 f"state {self.example}: check the model there"
@@ -248,18 +250,23 @@ class Question:
     ----------
     distinct : (D,)
         The distinct keys, ascending.
-    inverse : (K,)
-        Place of every key that was asked for in `distinct`.
     places : (D,)
         Where they stand, or would stand, among the points solved before.
     new : (D,)
         Whether they are yet to be solved.
-    samples : (D,)
-        For each distinct key the place of one of its copies among the keys that were asked for.
+    order : (K,)
+        Places, among the keys that were asked for, in ascending order of the keys.
+    first : (K,)
+        Whether the key at a place of `order` differs from the one before it.
     """
 
     distinct: np.ndarray
-    inverse: np.ndarray
     places: np.ndarray
     new: np.ndarray
-    samples: np.ndarray
+    order: np.ndarray
+    first: np.ndarray
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Places (M,), among the keys that were asked for, of the first copy of each new key."""
+        return self.order[self.first][self.new]

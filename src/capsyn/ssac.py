@@ -95,9 +95,8 @@ class BatchController:
         result get the default.
         """
         solution = self.solve(states)
-        scores = self.scores(solution)
-        finite = _finite(solution, scores)
-        best = np.where(finite, np.argmin(scores, axis=1), -1)
+        finite = np.isfinite(self._bounds(solution)[1]).all(axis=1)
+        best = np.where(finite, np.argmin(self.scores(solution), axis=1), -1)
         if self.settings.on_no_descent == "default":
             best = np.where(_take(solution.gradients, best) >= 0, -1, best)
         return best
@@ -125,7 +124,7 @@ class BatchController:
                 could &= solution.gradients - margin < 0
         masks = np.where(could, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
         masks |= default.astype(np.uint64) << np.uint64(n)
-        masks[~_finite(solution, high)] = 0
+        masks[~np.isfinite(high).all(axis=1)] = 0
         return masks
 
     def _wanted(self, solution: Solution) -> np.ndarray:
@@ -135,7 +134,10 @@ class BatchController:
         return self.settings.gamma * solution.cost[:, None]
 
     def _bounds(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least and greatest scores (B, N) under the perturbations of a tie."""
+        """Return the least and greatest scores (B, N) under the perturbations of a tie.
+
+        The greatest is finite only where cost, gradient and scale are: the scale holds the cost.
+        """
         margin = TIE * solution.scales
         with np.errstate(invalid="ignore", over="ignore"):
             if self.settings.rule == "steepest":
@@ -303,14 +305,6 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
         stacklevel=4,
     )
     return best
-
-
-def _finite(solution: Solution, scores: np.ndarray) -> np.ndarray:
-    """Return (B,) booleans: whether everything about a state, its scores too, is finite."""
-    finite = np.isfinite(solution.cost)
-    for values in (solution.gradients, solution.scales, scores):
-        finite &= np.isfinite(values).all(axis=1)
-    return finite
 
 
 def _take(values: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -100,9 +100,9 @@ def subdivide(
     -----
     A cell is uniform when one symbol could be best at all its test points, and it takes the most
     preferred of those. A tie must not hide a switching surface: above the finest level, a test
-    point of a uniform cell where several symbols tie is moved a quarter of the way to the cell's
-    centre and must agree there too. A mixed cell of the finest level takes the symbol that most
-    of its points could have, among those that some point determines alone.
+    point (not a random one) of a uniform cell where several symbols tie is moved a quarter of the
+    way to the cell's centre and must agree there too. A mixed cell of the finest level takes the
+    symbol that most of its points could have, among those that some point determines alone.
     """
     if not callable(label):
         raise ProblemError(f"`label` must be a function; got {describe(label)}")
@@ -223,13 +223,12 @@ class _Subdivision:
                         f"got {self._max_solves}"
                     )
                 break
-            self._count_roles(question, np.repeat(roles, len(parents)))
+            self._count_roles(roles[question.samples // len(parents)])
             masks = self._points.answer(question, level, self._max_level, cells)
             masks = masks.reshape(keys.shape)[table]  # (children, points, parents)
-            lower = self._children(parents, split, size)
             common = np.bitwise_and.reduce(masks, axis=1)
             if level < self._max_level:
-                common = self._quarter_rule(common, masks, lower, size, level)
+                common = self._quarter_rule(common, masks, parents, size, level)
             entries = np.ascontiguousarray(-1 - self._preferred(common).T).ravel()
             if level:  # the mixed cells of the level above are split after all
                 blocks[-1][mixed] = start + children * np.arange(len(parents))
@@ -242,7 +241,8 @@ class _Subdivision:
             if not mixed.size:
                 break
             last, start = start, start + cells
-            parents = lower[mixed]
+            parents = parents[parent] + _grid(split)[child] * size
+        self._points.check_finite(self._points.count)
         return CellTree(
             self._q,
             self._r,
@@ -274,10 +274,6 @@ class _Subdivision:
                 self._q, self._r, self._max_level, self._test_points.interior(self._n)
             ),
         }
-
-    def _children(self, parents: np.ndarray, split: np.ndarray, size: np.ndarray) -> np.ndarray:
-        """Return the lower corners (M, n) of all children, block by block in C order."""
-        return (parents[:, None, :] + _grid(split) * size).reshape(-1, self._n)
 
     def _test_keys(
         self, parents: np.ndarray, split: np.ndarray, size: np.ndarray, level: int
@@ -324,15 +320,14 @@ class _Subdivision:
             self._stopped = True
         return self._stopped
 
-    def _count_roles(self, question: Question, roles: np.ndarray) -> None:
-        new = roles[question.samples[question.new]]
-        self._roles += np.bincount(new, minlength=len(ROLES))
+    def _count_roles(self, roles: np.ndarray) -> None:
+        self._roles += np.bincount(roles, minlength=len(ROLES))
 
     def _quarter_rule(
         self,
         common: np.ndarray,
         masks: np.ndarray,
-        lower: np.ndarray,
+        parents: np.ndarray,
         size: np.ndarray,
         level: int,
     ) -> np.ndarray:
@@ -349,15 +344,16 @@ class _Subdivision:
             return common
         # offset / 2 + (1 / 2 - offset / 2) / 4 = (3 offset + 1) / 8 of the cell, offset in halves
         eighths = 3 * self._offsets[movable[point]] + 1
-        corners = lower[parent * len(common) + child]
+        split = np.array(self._q if level == 0 else self._r)
+        corners = parents[parent] + _grid(split)[child] * size
         places = corners + eighths * (size // FINE)
         question = self._points.ask(
             self._points.encode(np.zeros((1, self._n), dtype=np.int64), places)[0]
         )
         if self._exceeds(question):
             return common
-        self._count_roles(question, np.full(len(places), ROLES.index("quarter")))
-        moved = self._points.answer(question, level, self._max_level, len(lower))
+        self._count_roles(np.full(question.new.sum(), ROLES.index("quarter")))
+        moved = self._points.answer(question, level, self._max_level, common.size)
         common = common.copy()
         np.bitwise_and.at(common, (child, parent), moved)
         return common

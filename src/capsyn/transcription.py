@@ -61,7 +61,10 @@ def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs
         elif code == ca.OP_CONST:
             number = function.instruction_constant(k)
             if np.isnan(number):
-                raise ProblemError(f"`{name}` contains the constant NaN")
+                raise ProblemError(
+                    f"`{name}` contains the constant NaN; math.sin and float do not work on "
+                    "symbols, CasADi's and NumPy's functions do"
+                )
             work[into[0]] = builder.constant(number)
         elif code in _REWRITES:
             work[into[0]] = _REWRITES[code](builder, work[operands[0]])
