@@ -29,6 +29,7 @@ ORDER = [
     "native.kernels",
     "cells",
     "policy",
+    "files",
     "policy_file",
     "cell_points",
     "propositions",
@@ -42,6 +43,7 @@ ORDER = [
     "problems.cart_pole",
     "problems.double_tank",
     "problems",
+    "problem_finder",
     "report",
     "plots",
     "paper",
@@ -61,7 +63,8 @@ FACADES = {"__init__"}
 
 IMPORT_BY_NAME = {
     "__init__",  # the public names
-    "problems",  # the built-in problems, and the user's own
+    "problems",  # the built-in problems
+    "problem_finder",  # the user's own
 }
 
 CASADI = {"problem", "transcription"}

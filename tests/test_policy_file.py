@@ -20,8 +20,9 @@ from safetensors.numpy import save_file
 import capsyn
 from capsyn import Alphabet, Ball, Box, Policy, SsacSettings, problems
 from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.files import atomic_write, check_writable
 from capsyn.model import Model, model_ports
-from capsyn.policy_file import VERSION, atomic_write, check_writable, content_hash
+from capsyn.policy_file import VERSION, content_hash
 from capsyn.program import Program
 from trees import GRIDS, random_policy, random_tree
 

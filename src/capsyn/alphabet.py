@@ -60,6 +60,11 @@ class Alphabet:
         m = values.shape[1]
         names = texts("alphabet names", self.names, len(values), [_text(v) for v in values])
         distinct("alphabet names", names)
+        reserved = {"error", "nearest", "default"}.intersection(names)
+        if reserved:
+            raise ProblemError(
+                f"`alphabet names` must not be 'error', 'nearest' or 'default'; got {names!r}"
+            )
         inputs = texts("alphabet inputs", self.inputs, m, [f"u{i + 1}" for i in range(m)])
         distinct("alphabet inputs", inputs)
         object.__setattr__(self, "values", values)

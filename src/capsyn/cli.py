@@ -21,6 +21,7 @@ app = typer.Typer(
     "controller small enough for any machine.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -112,14 +113,16 @@ def synth(
     as_json: Json = False,
 ) -> None:
     """Make the control alphabet policy of a problem."""
-    from capsyn import problems
-    from capsyn.policy_file import check_writable
+    from capsyn.files import check_writable
+    from capsyn.problem_finder import find_problem
     from capsyn.report import report
     from capsyn.synthesis import synthesize
 
     if output is not None:
         check_writable(output)
-    chosen = problems.find(problem)
+    chosen = find_problem(problem)
+    if output is None and "/" in chosen.name:
+        raise ProblemError(f"the name '{chosen.name}' makes no file name; give one with -o")
     path = output or f"{chosen.name}.cap"
     check_writable(path)
     changes = {
@@ -200,7 +203,7 @@ def query(
         f"{name} = {value:g} {unit}".rstrip()
         for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)
     ]
-    show(as_json, data, lambda: typer.echo(f"{data['name']} ({symbol}): {', '.join(pairs)}"))
+    show(as_json, data, lambda: typer.echo(f"symbol {symbol} '{data['name']}': {', '.join(pairs)}"))
 
 
 @app.command()
@@ -217,19 +220,20 @@ def plot(
     outlines: Annotated[bool, typer.Option(help="Outline the cells.")] = True,
 ) -> None:
     """Draw the cells of a policy in the plane of two states."""
+    from capsyn.files import check_writable
     from capsyn.plots import check_format, save_policy_plot
     from capsyn.policy import Policy
-    from capsyn.policy_file import check_writable
 
     check_format(output)
     check_writable(output)
     policy = Policy.load(file)
-    axes: tuple[str, ...] = tuple(plane.split(",")) if plane else policy.domain.names[:2]
+    names = policy.domain.names
+    axes = tuple(name.strip() for name in plane.split(",")) if plane else names[:2]
     values = {}
     for item in at or []:
         name, equals, value = item.partition("=")
-        if not equals:
-            raise ProblemError(f"--at must be NAME=VALUE; got '{item}'")
+        if not equals or name in values:
+            raise ProblemError(f"--at must be NAME=VALUE, once for a state; got '{item}'")
         values[name] = _number(name, value)
     save_policy_plot(policy, output, axes, values, outlines)
     typer.echo(f"wrote {output}")
@@ -260,7 +264,10 @@ def main() -> None:
     except typer.Abort:
         status = INTERRUPTED  # what other versions of Typer return
     except click_error as error:
-        _fail(error.format_message())
+        text = error.format_message()
+        if text:
+            _fail(text)
+        status = 2  # the help has been printed
     except (OSError, MemoryError) as error:
         _fail(f"{type(error).__name__}: {error}")
     if status == INTERRUPTED:

@@ -97,19 +97,25 @@ def print_report(data: dict[str, Any]) -> None:
             "state", f"{state['name']} in [{state['lower']:g}, {state['upper']:g}]{unit}{periodic}"
         )
     for symbol in data["symbols"]:
-        line("symbol", f"{symbol['name']}: {symbol['volume_share']:.2%} of the volume")
-    if data["default"]["volume_share"]:
-        line("default", f"{data['default']['volume_share']:.2%} of the volume")
+        value = ", ".join(f"{v:g}" for v in symbol["value"])
+        line("symbol", f"{symbol['name']} ({value}): {symbol['volume_share']:.2%} of the volume")
+    value = ", ".join(f"{v:g}" for v in data["default"]["value"])
+    line("default", f"({value}): {data['default']['volume_share']:.2%} of the volume")
     grid = " x ".join(str(state["partitions"]) for state in data["states"])
-    mixed = f"{data['mixed_cells']:,} mixed ones, {data['mixed_share']:.2%} of the volume"
+    mixed = f"{data['mixed_cells']:,} with mixed labels, {data['mixed_share']:.2%} of the volume"
     line(
         "cells",
         f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
     )
     line("table", f"{data['table_bytes']:,} bytes")
     if "solves" in statistics:
-        roles = ", ".join(f"{v:,} {k}" for k, v in sorted(statistics["solves_by_role"].items()))
-        line("solves", f"{statistics['solves']:,} ({roles})")
+        roles = statistics["solves_by_role"]
+        line(
+            "solves",
+            f"{statistics['solves']:,}: {roles['vertices']:,} vertices, "
+            f"{roles['centers']:,} centres, {roles['others']:,} other test points, "
+            f"{roles['quarter']:,} second looks at ties",
+        )
         line("worst case", f"{statistics['worst_case_solves']:,} solves")
         line("ties", f"{statistics['indifferent_points']:,} test points where several symbols tie")
         line("not finite", f"{statistics['not_finite_points']:,} test points")
@@ -131,6 +137,8 @@ def print_report(data: dict[str, Any]) -> None:
             f"horizon {data['horizon']:g} s in {settings['steps']} steps, rule {rule}{goal}, "
             f"control weight {settings['control_weight']}, {settings['precision']} precision",
         )
+    if data["target"]:
+        line("target", ", ".join(f"{k} {v}" for k, v in data["target"].items() if v))
     line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
     for hint in data["hints"]:
         line("hint", hint)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.files import atomic_write
 from capsyn.policy import Policy
-from capsyn.policy_file import atomic_write
 from capsyn.validation import describe, finite_number
 
 if TYPE_CHECKING:
@@ -63,16 +63,22 @@ def plot_policy(
         raise ProblemError("`policy` must have two states or more to be drawn; got one")
     horizontal, vertical = _plane(policy, plane)
     point = domain.lower + domain.widths / 2
-    for name, value in (at or {}).items():
-        if name not in domain.names:
-            raise ProblemError(
-                f"`at` must name states ({', '.join(domain.names)}); got {describe(name)}"
-            )
-        point[domain.names.index(name)] = finite_number(f"at {name}", value)
-    if not domain.contains(point[None, :])[0]:
-        raise ProblemError(f"`at` must lie in the domain; got {point.tolist()}")
-    steps = domain.locate(point[None, :], tree.counts)[0]
     others = [i for i in range(domain.n) if i not in (horizontal, vertical)]
+    free = [domain.names[i] for i in others]
+    for name, value in (at or {}).items():
+        if name not in free:
+            raise ProblemError(
+                f"`at` must name states outside the plane ({', '.join(free) or 'there is none'}); "
+                f"got {describe(name)}"
+            )
+        i = domain.names.index(name)
+        point[i] = finite_number(f"at {name}", value)
+        if not domain.periodic[i] and not domain.lower[i] <= point[i] <= domain.upper[i]:
+            raise ProblemError(
+                f"`at {name}` must lie in [{domain.lower[i]:g}, {domain.upper[i]:g}]; "
+                f"got {point[i]:g}"
+            )
+    steps = domain.locate(point[None, :], tree.counts)[0]
     corners: list[np.ndarray] = []
     labels: list[np.ndarray] = []
     for leaves in tree.leaves():
@@ -133,6 +139,8 @@ def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
     for axis in plane:
         if isinstance(axis, str) and axis in names:
             axes.append(names.index(axis))
+        elif isinstance(axis, str) and axis.isdecimal() and int(axis) < len(names):
+            axes.append(int(axis))
         elif isinstance(axis, (int, np.integer)) and 0 <= axis < len(names):
             axes.append(int(axis))
         else:

@@ -132,7 +132,7 @@ class Policy:
         if lost.any():
             if isinstance(rule, str):
                 first = int(np.flatnonzero(lost)[0])
-                self._raise_outside(flat[first], first)
+                self._raise_outside(flat[first], None if states.ndim == 1 else first)
             labels[lost] = rule
         labels[labels == len(self.alphabet)] = -1
         return labels.reshape(states.shape[:-1])[()]
@@ -146,15 +146,16 @@ class Policy:
         labels[found] = self.cells.labels(steps)
         return labels
 
-    def _raise_outside(self, state: np.ndarray, index: int) -> None:
+    def _raise_outside(self, state: np.ndarray, index: int | None) -> None:
         text = "(" + ", ".join(f"{v:g}" for v in state) + ")"
+        which = f"state {index}" if index is not None else "the state"
         if not np.isfinite(state).all():
-            raise OutsideDomainError(f"state {index} must be finite; got {text}")
+            raise OutsideDomainError(f"{which} must be finite; got {text}")
         bounds = " x ".join(
             f"[{low:g}, {high:g}]" for low, high in zip(self.domain.lower, self.domain.upper)
         )
         raise OutsideDomainError(
-            f"state {index} must lie in the domain {bounds}; got {text} "
+            f"{which} must lie in the domain {bounds}; got {text} "
             '(outside="nearest" or a safe symbol would answer)'
         )
 

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import json
 import os
-import secrets
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +15,7 @@ from capsyn.alphabet import Alphabet
 from capsyn.cells import CellTree, grid_settings
 from capsyn.domain import Ball, Box
 from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.files import atomic_write
 from capsyn.model import Model
 from capsyn.policy import Policy, check_outside
 from capsyn.settings import SsacSettings
@@ -27,40 +24,6 @@ from capsyn.validation import finite_number
 FORMAT = "capsyn-policy"
 VERSION = 1
 ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
-
-
-def atomic_write(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
-    """Call `write` with a temporary name beside `path`, then rename it to `path`.
-
-    A failure at any moment leaves what was at `path`, and no temporary file.
-    """
-    path = Path(path)
-    temporary = path.parent / f".capsyn-{secrets.token_hex(8)}{path.suffix}"
-    old = path.exists()
-    # a new file gets what the umask leaves of 0o666; asking for the umask is not safe in threads
-    start = 0o600 if old else 0o666
-    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, start))
-    try:
-        mode = (path if old else temporary).stat().st_mode & 0o777
-        write(temporary)
-        temporary.chmod(mode)  # writers may put another file in its place
-        os.replace(temporary, path)
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            temporary.unlink()
-
-
-def check_writable(path: str | os.PathLike[str]) -> None:
-    """Raise `ProblemError` unless a file can be written at `path`; nothing there is touched."""
-    path = Path(path)
-    try:
-        if path.is_dir():
-            raise IsADirectoryError(f"'{path}' is a directory")
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        reason = error.strerror or error
-        raise ProblemError(f"cannot write the output '{path}': {reason}") from None
 
 
 def save(policy: Policy, path: str | os.PathLike[str]) -> None:
@@ -74,7 +37,6 @@ def save(policy: Policy, path: str | os.PathLike[str]) -> None:
         "sha256": _digest(content, arrays),
     }
     metadata = {FORMAT: _canonical(document)}
-    check_writable(path)
     atomic_write(path, lambda temporary: _write(arrays, temporary, metadata))
 
 
@@ -139,11 +101,14 @@ def load(path: str | os.PathLike[str]) -> Policy:
             arrays = {name: file.get_tensor(name) for name in ARRAYS}
     except FileNotFoundError:
         raise PolicyFormatError(f"there is no file '{path}'") from None
+    except PermissionError:
+        raise PolicyFormatError(f"'{path}' cannot be read: permission denied") from None
     except PolicyFormatError:
         raise
     except (SafetensorError, OSError, ValueError, TypeError, AttributeError, KeyError) as error:
         # the last two: types of array that NumPy does not have
-        raise PolicyFormatError(f"'{path}' is no policy file: {error}") from None
+        kind = "a directory" if Path(path).is_dir() else "no policy file, or a truncated one"
+        raise PolicyFormatError(f"'{path}' is {kind}") from error
     try:
         return _policy(document, arrays)
     except (PolicyFormatError, ProblemError) as error:

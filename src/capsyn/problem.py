@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -174,6 +175,9 @@ def _expression(
             value = function(*arguments)
     except Exception as error:  # whatever a user's function raises becomes one line
         reason = " ".join(str(error).split()) or type(error).__name__
+        reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
+        if "truth value" in reason:
+            reason = "a symbol is neither true nor false: use casadi.if_else, fmin and fmax"
         shapes = ", ".join(
             f"{symbol}: {argument.numel()}" for symbol, argument in zip("xu", arguments)
         )

@@ -32,6 +32,7 @@ def report(policy: Policy) -> dict[str, Any]:
             for k in range(len(alphabet))
         ],
         "inputs": list(alphabet.inputs),
+        "target": None if policy.target is None else policy.target.to_json(),
         "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
         "unused_symbols": [names[k] for k in range(len(alphabet)) if not shares[k]],
         "max_level": tree.max_level,

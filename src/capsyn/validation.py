@@ -31,7 +31,8 @@ def finite_array(name: str, value: Any, ndim: int) -> np.ndarray:
     """Return `value` as a read-only float array of `ndim` dimensions without NaN or infinity."""
     array = np.array(numbers(name, value) + 0.0)  # + 0.0: a copy, and -0.0 becomes 0.0
     if array.ndim != ndim:
-        raise ProblemError(f"`{name}` must have {ndim} dimension(s); got shape {array.shape}")
+        wanted = ("a number", "a list of numbers", "a matrix of numbers")[ndim]
+        raise ProblemError(f"`{name}` must be {wanted}; got {describe(value)}")
     if not np.isfinite(array).all():
         raise ProblemError(f"`{name}` must be finite; got {describe(value)}")
     array.flags.writeable = False

@@ -7,6 +7,7 @@ in a temporary directory if need be.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import hashlib
@@ -18,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -205,6 +207,10 @@ def _cached(path: Path) -> ctypes.CDLL | None:
 def _build_in_cache(
     compiler: Compiler, source: str, flags: tuple[str, ...], cache: Path, key: str
 ) -> ctypes.CDLL:
+    for left in cache.glob(".build-*"):  # of processes that were killed
+        with contextlib.suppress(OSError):
+            if time.time() - left.stat().st_mtime > 2 * BUILD_TIMEOUT:
+                shutil.rmtree(left, ignore_errors=True)
     with tempfile.TemporaryDirectory(prefix=".build-", dir=cache) as directory:
         target = Path(directory) / "kernel.so"
         _compile(compiler, source, flags, target)

@@ -1,0 +1,55 @@
+"""Writing files whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from capsyn.errors import ProblemError
+
+
+def atomic_write(path: str | os.PathLike[str], write: Callable[[Path], None]) -> None:
+    """Call `write` with a temporary name beside `path`, then rename it to `path`.
+
+    A failure at any moment leaves what was at `path`, and no temporary file. A symbolic link is
+    followed.
+
+    Raises
+    ------
+    ProblemError
+        There cannot be a file at `path`, or there is something else: a directory, a device.
+    """
+    check_writable(path)
+    path = Path(os.path.realpath(path))
+    temporary = path.parent / f".capsyn-{secrets.token_hex(8)}{path.suffix}"
+    old = path.exists()
+    # a new file gets what the umask leaves of 0o666; asking for the umask is not safe in threads
+    start = 0o600 if old else 0o666
+    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, start))
+    try:
+        mode = (path if old else temporary).stat().st_mode & 0o777
+        write(temporary)
+        temporary.chmod(mode)  # writers may put another file in its place
+        os.replace(temporary, path)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise `ProblemError` unless a file can be written at `path`; nothing there is touched."""
+    target = Path(os.path.realpath(path))
+    try:
+        if target.is_dir():
+            raise IsADirectoryError(f"'{path}' is a directory")
+        if target.exists() and not target.is_file():
+            raise OSError("it is a device or a pipe, not a file")
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        reason = error.strerror or error
+        raise ProblemError(f"cannot write the output '{path}': {reason}") from None
