@@ -1,9 +1,10 @@
-# Every target makes the virtual environment that it needs; nothing outside this folder is touched,
-# but for Debian packages that the tests need, which are installed where apt-get and root allow it.
+# Every target makes the virtual environment that it needs. Outside this folder there are only the
+# cache of compiled kernels, in the user's cache directory, and Debian packages that the tests need,
+# which `make test` installs where it runs as root.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-DEBIAN_PACKAGES := gcc libc6-dev clang
+DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv
 
 .PHONY: help demo test check bench figures debian clean
 
@@ -16,11 +17,13 @@ help:
 	@echo "make clean    remove what the other targets made"
 
 $(VENV)/installed: pyproject.toml
+	@echo "installing capsyn into $(VENV) ..."
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
 $(VENV)/developed: pyproject.toml
+	@echo "installing capsyn and its tools into $(VENV) ..."
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ $(VENV)/installed
@@ -30,7 +33,8 @@ demo: $(VENV)/installed
 	$(BIN)/capsyn synth cart-pendulum -o build/demo/cart-pendulum.cap
 	$(BIN)/capsyn plot build/demo/cart-pendulum.cap -o build/demo/cart-pendulum.png
 
-test: $(VENV)/developed debian
+test: debian
+	@$(MAKE) --no-print-directory $(VENV)/developed
 	$(BIN)/python -m pytest
 
 check: $(VENV)/developed

@@ -27,19 +27,23 @@ REFUSED = [
         "`alphabet` must have distinct symbols; got [1.0, 2.0] twice",
     ),
     ((range(64),), {}, "`alphabet` must have at most 63 symbols; got 64"),
-    (([1, 2],), {"names": ["a"]}, "`alphabet names` must be 2 string(s); got ['a']"),
+    (([1, 2],), {"names": ["a"]}, "`alphabet names` must be 2 printable string(s); got ['a']"),
     (
         ([1, 2],),
         {"names": ["a", "a"]},
         "`alphabet names` must be non-empty and distinct; got ('a', 'a')",
     ),
-    (([1, 2],), {"inputs": ["u", "v"]}, "`alphabet inputs` must be 1 string(s); got ['u', 'v']"),
+    (
+        ([1, 2],),
+        {"inputs": ["u", "v"]},
+        "`alphabet inputs` must be 1 printable string(s); got ['u', 'v']",
+    ),
     (
         ([[1, 2]],),
         {"inputs": ["u", ""]},
         "`alphabet inputs` must be non-empty and distinct; got ('u', '')",
     ),
-    (([1, 2],), {"units": "V"}, "`alphabet units` must be 1 string(s); got 'V'"),
+    (([1, 2],), {"units": "V"}, "`alphabet units` must be 1 printable string(s); got 'V'"),
 ]
 
 

@@ -33,6 +33,7 @@ ORDER = [
     "policy_file",
     "cell_points",
     "propositions",
+    "masks",
     "lattice_points",
     "subdivision",
     "problem",

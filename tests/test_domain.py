@@ -16,7 +16,7 @@ from capsyn.errors import ProblemError
 NAN, INF = float("nan"), float("inf")
 
 REFUSED = [
-    ((0, 1), {}, "`lower` must have 1 dimension(s); got shape ()"),
+    ((0, 1), {}, "`lower` must be a list of numbers; got 0"),
     (([0], ["one"]), {}, "`upper` must be numbers; got ['one']"),
     (([0], [NAN]), {}, "`upper` must be finite; got [nan]"),
     (([-INF], [0]), {}, "`lower` must be finite; got [-inf]"),
@@ -39,13 +39,13 @@ REFUSED = [
         {"names": ["v"], "periodic": [True]},
         "`lower` and `upper` must be within +-1e+290 on axis 'v'; got [-2e+290, 0.0]",
     ),
-    (([0], [1]), {"names": "a"}, "`names` must be 1 string(s); got 'a'"),
+    (([0], [1]), {"names": "a"}, "`names` must be 1 printable string(s); got 'a'"),
     (
         ([0, 0], [1, 1]),
         {"names": ["a", "a"]},
         "`names` must be non-empty and distinct; got ('a', 'a')",
     ),
-    (([0], [1]), {"units": [1]}, "`units` must be 1 string(s); got [1]"),
+    (([0], [1]), {"units": [1]}, "`units` must be 1 printable string(s); got [1]"),
     (([0], [1]), {"periodic": True}, "`periodic` must be 1 boolean(s); got True"),
     (([0], [1]), {"periodic": [1]}, "`periodic` must be 1 boolean(s); got [1]"),
     (([0], [1]), {"periodic": [True, False]}, "`periodic` must be 1 boolean(s); got [True, False]"),
@@ -64,7 +64,7 @@ def test_box_refusals(arguments, options, message):
 @pytest.mark.parametrize(
     ("center", "radius", "message"),
     [
-        (0.0, 1.0, "`center` must have 1 dimension(s); got shape ()"),
+        (0.0, 1.0, "`center` must be a list of numbers; got 0.0"),
         ([NAN], 1.0, "`center` must be finite; got [nan]"),
         ([0.0], 0.0, "`radius` must be a finite number > 0; got 0.0"),
         ([0.0], INF, "`radius` must be a finite number > 0; got inf"),

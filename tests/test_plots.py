@@ -34,12 +34,12 @@ def area(path):
 @pytest.mark.parametrize(("n", "plane"), [(2, (0, 1)), (3, (2, 0)), (4, ("d", "b"))])
 def test_the_cells_in_a_plane_tile_it_and_have_the_lookups_colours(n, plane):
     policy = policy_of(n)
-    at = {name: 0.3 for name in policy.domain.names}
+    indices = [policy.domain.names.index(p) if isinstance(p, str) else p for p in plane]
+    at = {name: 0.3 for i, name in enumerate(policy.domain.names) if i not in indices}
     ax = plot_policy(policy, plane, at, Figure().add_subplot())
     (cells,) = ax.collections
     paths = cells.get_paths()
     assert sum(map(area, paths)) == pytest.approx(4.0)
-    indices = [policy.domain.names.index(p) if isinstance(p, str) else p for p in plane]
     states = np.full((len(paths), n), 0.3)
     states[:, indices] = [path.vertices[:4].mean(axis=0) for path in paths]
     wanted = [PALETTE[k] for k in policy(states)]
@@ -66,8 +66,9 @@ def test_many_symbols_get_different_colours():
         ({"plane": ("a", "z")}, "`plane`"),
         ({"plane": ("a",)}, "`plane`"),
         ({"at": {"z": 0.0}}, "`at`"),
-        ({"at": {"a": np.nan}}, "`at a`"),
-        ({"at": {"b": 7.0}}, "`at`"),
+        ({"at": {"a": 0.0}}, "`at` must name states outside the plane"),
+        ({"at": {"c": np.nan}}, "`at c`"),
+        ({"at": {"c": 7.0}}, r"`at c` must lie in \[-1, 1\]; got 7"),
     ],
 )
 def test_bad_arguments(options, words):

@@ -283,7 +283,9 @@ def test_other_files_are_no_policies(tmp_path, content, message):
 
 
 def test_random_bytes_and_directories_are_no_policies(tmp_path):
-    refuse(tmp_path, "is no policy file")
+    refuse(tmp_path, "is no file")
+    os.mkfifo(tmp_path / "pipe")
+    refuse(tmp_path / "pipe", "is no file")
     rng = np.random.default_rng(0)
     for size in (1, 8, 9, 64, 1000, 100_000):
         for small in (False, True):  # a small header length goes further
@@ -521,7 +523,7 @@ TAMPERED = {
     "negative max_level": (at("max_level")(-1), "`max_level` must be"),
     "shallow max_level": (at("max_level")(1), DEEPER),
     # the rest of the content
-    "no domain": (delete("domain"), "KeyError 'domain'"),
+    "no domain": (delete("domain"), "keys are not those"),
     "domain upside down": (at("domain", "upper")([-1, 5]), "must be greater than `lower`"),
     "domain of text": (at("domain", "upper")(["7", "5"]), "`upper` must be numbers"),
     "domain of 3 axes": (at("domain", "lower")([0, 0, 0]), "one entry per state"),
@@ -549,15 +551,24 @@ TAMPERED = {
         "ValueError",
     ),
     "target a list": (at("target")([1]), "AttributeError"),
-    "settings with less": (delete("settings", "gamma"), "settings are not those"),
+    "settings with more": (
+        lambda d, a: d["policy"]["settings"].update(speed=1),
+        "settings are not those",
+    ),
     "settings wrong": (at("settings", "rule")("any"), "`rule` must be"),
     "settings of 3 inputs": (
         at("settings", "control_weight")([[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
         "`control_weight` must be a number or have shape",
     ),
-    "name a number": (at("name")(5), "name or statistics"),
-    "statistics a list": (at("statistics")([]), "name or statistics"),
-    "content a list": (lambda d, a: d.update(policy=[1]), "TypeError"),
+    "name a number": (at("name")(5), "`name` must be a printable string"),
+    "name with an escape": (at("name")("\x1b[31m"), "`name` must be a printable string"),
+    "symbol with an escape": (at("alphabet", "names", 0)("\x1b[31m"), "printable"),
+    "more content": (lambda d, a: d["policy"].update(extra=1), "keys are not those"),
+    "statistics a list": (at("statistics")([]), "statistics are no object"),
+    "solves of text": (at("statistics")({"solves": "1"}), "'solves' is of another kind"),
+    "roles of text": (at("statistics")({"solves_by_role": {"vertices": "1"}}), "another kind"),
+    "a sample of something": (at("statistics")({"sample": {"x": 1}}), "another kind"),
+    "content a list": (lambda d, a: d.update(policy=[1]), "keys are not those"),
     "model a list": (at("model")([1]), "the model in the file must hold"),
     "model with less": (delete("model", "step"), "the model in the file must hold"),
     "model of other sizes": (at("model", "step", "inputs", 0, 1)(3), "."),

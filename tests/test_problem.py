@@ -31,7 +31,7 @@ def raises_two_lines(x, u):
 
 
 BAD = [
-    ("name", {"name": ""}, "non-empty string"),
+    ("name", {"name": ""}, "printable string"),
     ("name", {"name": 3}, "got 3"),
     ("domain", {"domain": [[-1, 1], [-1, 1]]}, "must be a capsyn.Box"),
     ("alphabet", {"alphabet": []}, "at least one symbol"),
@@ -45,7 +45,7 @@ BAD = [
     ("alphabet", {"alphabet": range(64)}, "at most 63 symbols; got 64"),
     ("default", {"default": [0, 0]}, r"shape \(1,\), one entry per input; got \(2,\)"),
     ("default", {"default": []}, r"got \(0,\)"),
-    ("default", {"default": [[0]]}, r"got shape \(1, 1\)"),
+    ("default", {"default": [[0]]}, r"must be a list of numbers"),
     ("default", {"default": np.nan}, "finite"),
     ("default", {"default": None}, "got"),
     ("default", {"default": "off"}, "must be numbers"),
@@ -92,7 +92,7 @@ BAD = [
     ("dynamics", {"dynamics": None}, "must be a function; got None"),
     ("dynamics", {"dynamics": lambda x, u: None}, r"2 component\(s\), one per state; got None"),
     ("dynamics", {"dynamics": lambda x, u: "x[1]"}, r"2 component\(s\).*; got 'x\[1\]'"),
-    ("dynamics", {"dynamics": lambda x, u: x[1]}, r"2 component\(s\).*; got shape \(1, 1\)"),
+    ("dynamics", {"dynamics": lambda x, u: x[1]}, r"2 component\(s\).*; must be a list of numbers"),
     ("dynamics", {"dynamics": lambda x, u: [x, u]}, r"2 component\(s\).*; got shape \(3, 1\)"),
     ("dynamics", {"dynamics": lambda x, u: []}, r"2 component\(s\).*; got shape \("),
     ("dynamics", {"dynamics": lambda x, u: ca.SX.eye(2)}, r"got shape \(2, 2\)"),
@@ -105,7 +105,11 @@ BAD = [
     ("dynamics", {"dynamics": lambda x, u: [LOOKALIKE[1], u[0]]}, "undeclared symbol 'x_1'"),
     ("dynamics", {"dynamics": lambda x, u: [x[1], 1 / 0]}, "failed .*division by zero"),
     ("dynamics", {"dynamics": raises_two_lines}, "failed .*first line second line"),
-    ("dynamics", {"dynamics": lambda x, u: [x[1] if x[0] > 0 else 0, u[0]]}, "failed .*truth"),
+    (
+        "dynamics",
+        {"dynamics": lambda x, u: [x[1] if x[0] > 0 else 0, u[0]]},
+        "failed .*neither true nor false",
+    ),
 ]
 
 

@@ -1,13 +1,12 @@
 """The built-in problems, against the tables of the paper and of problems.md."""
 
 import itertools
-import sys
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from capsyn import Ball, Problem, SsacSettings, problems
+from capsyn import Ball, SsacSettings, problems
 from capsyn.errors import ProblemError
 from capsyn.problems import cart_pendulum, double_tank
 
@@ -175,60 +174,3 @@ def test_unknown_name_suggests_the_nearest(name, hint):
 
 
 # Problems of the user's own, by file or module
-
-OWN = """
-import capsyn
-from beside import HORIZON
-def make(name):
-    return capsyn.Problem(name, lambda x, u: u, capsyn.Box([-1], [1]), [-1, 1], 0, HORIZON,
-                          running_cost=lambda x: x[0]**2)
-problem = make("first")
-other = make("second")
-number = 3
-"""
-
-
-@pytest.fixture
-def own(tmp_path, monkeypatch):
-    (tmp_path / "own.py").write_text(OWN)
-    (tmp_path / "beside.py").write_text("HORIZON = 0.25\n")
-    (tmp_path / "broken.py").write_text("raise KeyError('oh\\nno')\n")
-    (tmp_path / "wrong.py").write_text(OWN.replace("HORIZON,", "-HORIZON,"))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    yield tmp_path
-    for module in ("own", "beside"):
-        sys.modules.pop(module, None)
-
-
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("cart-pole", "cart-pole"),
-        ("own.py", "first"),
-        ("{}/own.py:other", "second"),
-        ("own:other", "second"),
-        ("own:", "first"),
-    ],
-)
-def test_find_takes_names_files_and_modules(own, text, name):
-    problem = problems.find(text.format(own))
-    assert isinstance(problem, Problem) and problem.name == name
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("cart-pol", "did you mean 'cart-pole'?"),
-        ("missing.py", "there is no file 'missing.py'"),
-        ("own.py:third", "must hold a capsyn.Problem named 'third'"),
-        ("own.py:number", "must hold a capsyn.Problem named 'number'"),
-        ("no_such_module:problem", "No module named 'no_such_module'"),
-        ("broken.py", "'broken.py' failed: KeyError"),
-        ("wrong.py", "`horizon` must be a finite number > 0; got -0.25"),
-    ],
-)
-def test_find_says_in_one_line_what_is_wrong(own, text, reason):
-    with pytest.raises(ProblemError) as caught:
-        problems.find(text)
-    assert reason in str(caught.value) and "\n" not in str(caught.value)

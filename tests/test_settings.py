@@ -28,7 +28,10 @@ REFUSED = [
     ),
     ({"control_weight": -1.0}, "`control_weight` must be a finite number >= 0; got -1.0"),
     ({"control_weight": None}, "`control_weight` must be a number >= 0; got None"),
-    ({"control_weight": [1.0, 2.0]}, "`control_weight` must have 2 dimension(s); got shape (2,)"),
+    (
+        {"control_weight": [1.0, 2.0]},
+        "`control_weight` must be a matrix of numbers; got [1.0, 2.0]",
+    ),
     ({"control_weight": [[1, 2], [3]]}, "`control_weight` must be numbers; got [[1, 2], [3]]"),
     (
         {"control_weight": [[1, 2], [3, 4]]},

@@ -235,6 +235,7 @@ def fixed(solution: Solution, **options) -> BatchController:
         1.0,
         chosen.efforts(np.array([[0.0], [1.0], [2.0]])),
         chosen,
+        (0, 1, 2, 3),
     )
 
 
@@ -477,7 +478,7 @@ def test_steps_that_are_too_long_to_be_stable_are_never_chosen(rate):
     with pytest.warns(CapsynWarning, match=f"reached .* with {STEP_LADDER[-1]} steps"):
         batch = controller(problem)
     states = problem.domain.sample(500, seed=14)
-    exact = BatchController(batch.solver, "c", 1.0, batch.efforts, SsacSettings(steps=20_000))
+    exact = dataclasses.replace(batch, settings=SsacSettings(steps=20_000))
     true, found = exact.solve(states), batch.solve(states)
     assert np.isfinite(true.gradients).all()
     error = np.abs(found.gradients - true.gradients) / true.scales

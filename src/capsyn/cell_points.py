@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +63,12 @@ class CellPoints:
         """Return how many points a cell of `n` axes has beside its vertices, at most."""
         edges = n * 2 ** (n - 1) if self.edge_midpoints else 0
         return int(self.center) + edges + self.random
+
+    def in_block(self, split: Sequence[int]) -> int:
+        """Return how many different points a block of `split` cells per axis has."""
+        vertices, cells = math.prod(k + 1 for k in split), math.prod(split)
+        edges = sum(vertices // (k + 1) * k for k in split) if self.edge_midpoints else 0
+        return vertices + (int(self.center) + self.random) * cells + edges
 
     def offsets(self, n: int) -> np.ndarray:
         """Return the fixed points (P, n) in halves of the cell: vertices, the centre, the rest."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import warnings
 from typing import TYPE_CHECKING, Annotated, Any
@@ -142,7 +141,7 @@ def synth(
             refinement=_whole_numbers("--refinement", refinement),
             max_level=max_level,
             settings=_settings(chosen.settings, changes),
-            outside=_outside(outside),
+            outside=outside,
             min_dwell=min_dwell,
             test_points=test_points,
             seed=seed,
@@ -190,9 +189,8 @@ def query(
             f"the state must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
         )
     values = [_number(name, text) for name, text in zip(names, state)]
-    rule = _outside(outside)
-    symbol = int(policy(values, rule))
-    control = policy.control(values, rule).tolist()
+    symbol = int(policy(values, outside))
+    control = policy.control(values, outside).tolist()
     data = {
         "state": values,
         "symbol": symbol,
@@ -256,7 +254,7 @@ def main() -> None:
     """Run the command line; an error is one line on stderr and exit status 2."""
     warnings.showwarning = _show_warning
     # ClickException, wherever this Typer keeps its click
-    click_error: Any = typer.BadParameter.__mro__[2]
+    click_error: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
     try:
         status = typer.main.get_command(app).main(standalone_mode=False)
     except CapsynError as error:
@@ -302,12 +300,6 @@ def _whole_numbers(name: str, text: str | None) -> list[int] | int | None:
     except ValueError:
         raise ProblemError(f"{name} must be whole numbers such as 9 or 9,5; got '{text}'") from None
     return values[0] if len(values) == 1 else values
-
-
-def _outside(text: str | None) -> str | int | None:
-    with contextlib.suppress(TypeError, ValueError):
-        return int(text)  # type: ignore[arg-type]
-    return text
 
 
 def _settings(settings: SsacSettings, changes: dict[str, Any]) -> SsacSettings | None:

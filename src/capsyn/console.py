@@ -109,16 +109,22 @@ def print_report(data: dict[str, Any]) -> None:
     )
     line("table", f"{data['table_bytes']:,} bytes")
     if "solves" in statistics:
-        roles = statistics["solves_by_role"]
-        line(
-            "solves",
-            f"{statistics['solves']:,}: {roles['vertices']:,} vertices, "
-            f"{roles['centers']:,} centres, {roles['others']:,} other test points, "
-            f"{roles['quarter']:,} second looks at ties",
-        )
-        line("worst case", f"{statistics['worst_case_solves']:,} solves")
-        line("ties", f"{statistics['indifferent_points']:,} test points where several symbols tie")
-        line("not finite", f"{statistics['not_finite_points']:,} test points")
+        named = {
+            "vertices": "vertices",
+            "centers": "centres",
+            "others": "other test points",
+            "quarter": "second looks at ties",
+        }
+        roles = statistics.get("solves_by_role", {})
+        parts = ", ".join(f"{roles[k]:,} {name}" for k, name in named.items() if k in roles)
+        line("solves", f"{statistics['solves']:,}: {parts}")
+        for key, name, unit in (
+            ("worst_case_solves", "Prop. 2", "solves at worst"),
+            ("indifferent_points", "ties", "test points where several symbols tie"),
+            ("not_finite_points", "not finite", "test points"),
+        ):
+            if key in statistics:
+                line(name, f"{statistics[key]:,} {unit}")
     sample = statistics.get("sample")
     if sample:
         line(
@@ -134,7 +140,7 @@ def print_report(data: dict[str, Any]) -> None:
         goal = f", {wanted} {settings[wanted]:g}" if rule == "schedule" else ""
         line(
             "settings",
-            f"horizon {data['horizon']:g} s in {settings['steps']} steps, rule {rule}{goal}, "
+            f"horizon {data['horizon']} s in {settings['steps']} steps, rule {rule}{goal}, "
             f"control weight {settings['control_weight']}, {settings['precision']} precision",
         )
     if data["target"]:

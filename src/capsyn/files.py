@@ -34,6 +34,8 @@ def atomic_write(path: str | os.PathLike[str], write: Callable[[Path], None]) ->
         mode = (path if old else temporary).stat().st_mode & 0o777
         write(temporary)
         temporary.chmod(mode)  # writers may put another file in its place
+        with open(temporary, "rb") as written:
+            os.fsync(written.fileno())  # on the disk before it takes the name
         os.replace(temporary, path)
     finally:
         with contextlib.suppress(FileNotFoundError):

@@ -12,6 +12,7 @@ import numpy as np
 
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
+from capsyn.masks import Label
 
 CHUNK = 4096
 """Most states that are labelled in one call."""
@@ -19,8 +20,6 @@ NOT_FINITE_LIMIT = 0.01
 """Share of solves without a finite result that stops a synthesis."""
 MANY = 1000
 """Solves that are waited for before their share is judged."""
-
-Label = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -46,52 +45,6 @@ class Progress:
     solved: int
     solves: int
     total: int
-
-
-def checked_masks(label: Label, n_symbols: int) -> Label:
-    """Return the labelling function with its masks checked."""
-    known = np.uint64(2 ** (n_symbols + 1) - 1)
-
-    def masks(states: np.ndarray) -> np.ndarray:
-        found = np.asarray(label(states))
-        if found.shape != (len(states),) or found.dtype.kind != "u":
-            raise ProblemError(
-                f"`label` must return ({len(states)},) unsigned integers; got "
-                f"{found.dtype} of shape {found.shape}"
-            )
-        wrong = found > known
-        if wrong.any():
-            i = int(np.flatnonzero(wrong)[0])
-            raise ProblemError(
-                f"`label` must return masks of bits 0 to {n_symbols}; got {int(found[i]):#b} "
-                f"at state {states[i].tolist()}"
-            )
-        return found
-
-    return masks
-
-
-def masks_of_symbols(label: Label, n_symbols: int) -> Label:
-    """Return a labelling function that gives masks from one that gives symbols."""
-
-    def masks(states: np.ndarray) -> np.ndarray:
-        symbols = np.asarray(label(states))
-        if symbols.shape != (len(states),) or not np.issubdtype(symbols.dtype, np.integer):
-            raise ProblemError(
-                f"`label` must return ({len(states)},) integers; got "
-                f"{symbols.dtype} of shape {symbols.shape}"
-            )
-        wrong = (symbols < -1) | (symbols >= n_symbols)
-        if wrong.any():
-            i = int(np.flatnonzero(wrong)[0])
-            raise ProblemError(
-                f"`label` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
-                f"at state {states[i].tolist()}"
-            )
-        bits = np.where(symbols < 0, n_symbols, symbols).astype(np.uint64)
-        return np.uint64(1) << bits
-
-    return masks
 
 
 class LatticePoints:

@@ -17,7 +17,7 @@ from capsyn.domain import Ball, Box
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from capsyn.model import Model
 from capsyn.settings import SsacSettings
-from capsyn.validation import describe, numbers
+from capsyn.validation import describe, finite_number, numbers
 
 if TYPE_CHECKING:
     from capsyn.native.kernels import LookupKernel
@@ -81,7 +81,19 @@ class Policy:
     timings: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "default", self.alphabet.control("default", self.default))
+        def keep(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        if not isinstance(self.name, str) or not self.name.isprintable():
+            raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
+        keep("default", self.alphabet.control("default", self.default))
+        keep("outside", check_outside(self.outside, self.alphabet))
+        keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
+        check_target(self.target, self.domain.n)
+        if self.horizon is not None:
+            keep("horizon", finite_number("horizon", self.horizon, above=0.0))
+        if self.settings is not None:
+            self.settings.efforts(self.alphabet.values)
         if self.cells.n != self.domain.n:
             raise ProblemError(
                 f"`cells` must have {self.domain.n} axes like the domain; got {self.cells.n}"
@@ -214,13 +226,27 @@ class Policy:
         )
 
 
+def check_target(target: Any, n: int) -> None:
+    """Raise `ProblemError` unless a target is None, or a Ball or Box of `n` states."""
+    if target is not None and not isinstance(target, (Ball, Box)):
+        raise ProblemError(f"`target` must be a Ball or a Box; got {describe(target)}")
+    size = n if target is None else len(target.center) if isinstance(target, Ball) else target.n
+    if size != n:
+        raise ProblemError(f"`target` must have {n} dimension(s); got {size}")
+
+
 def check_outside(rule: Any, alphabet: Alphabet) -> Outside:
-    """Return an out-of-domain rule, validated; a symbol may be given by index or name."""
+    """Return an out-of-domain rule, validated.
+
+    A symbol may be given by its index, or as text by its name, else by its index.
+    """
     if isinstance(rule, str):
         if rule in ("error", "nearest"):
             return rule
         if rule in alphabet.names:
             return alphabet.names.index(rule)
+        if rule.removeprefix("-").isdecimal() and -1 <= int(rule) < len(alphabet):
+            return int(rule)
     elif isinstance(rule, (int, np.integer)) and not isinstance(rule, bool):
         if -1 <= rule < len(alphabet):
             return int(rule)

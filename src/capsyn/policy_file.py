@@ -17,13 +17,32 @@ from capsyn.domain import Ball, Box
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.files import atomic_write
 from capsyn.model import Model
-from capsyn.policy import Policy, check_outside
+from capsyn.policy import Policy
 from capsyn.settings import SsacSettings
-from capsyn.validation import finite_number
 
 FORMAT = "capsyn-policy"
 VERSION = 1
 ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
+KEYS = set(
+    "name domain alphabet default partitions refinement max_level outside min_dwell target "
+    "horizon settings model statistics".split()
+)
+STATISTICS: dict[str, tuple[type, ...]] = {
+    "solves": (int,),
+    "solves_by_role": (dict,),
+    "cells": (int,),
+    "worst_case_solves": (int,),
+    "indifferent_points": (int,),
+    "not_finite_points": (int,),
+    "not_finite_example": (list, type(None)),
+    "stopped_by_max_solves": (bool,),
+    "sample": (dict,),
+}
+"""What statistics hold, if they hold it; there may be more."""
+ROLES = ("vertices", "centers", "others", "quarter")
+"""What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
+RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
+SAMPLE = ("states", "no_descent", "indifferent", "not_finite", "negative_cost", *RATIOS)
 
 
 def save(policy: Policy, path: str | os.PathLike[str]) -> None:
@@ -90,6 +109,8 @@ def load(path: str | os.PathLike[str]) -> Policy:
     """Return the policy in a file, every size and value of it checked."""
     from safetensors import SafetensorError, safe_open
 
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise PolicyFormatError(f"'{path}' is no file")
     try:
         with safe_open(path, framework="np") as file:
             metadata = file.metadata() or {}
@@ -107,8 +128,7 @@ def load(path: str | os.PathLike[str]) -> Policy:
         raise
     except (SafetensorError, OSError, ValueError, TypeError, AttributeError, KeyError) as error:
         # the last two: types of array that NumPy does not have
-        kind = "a directory" if Path(path).is_dir() else "no policy file, or a truncated one"
-        raise PolicyFormatError(f"'{path}' is {kind}") from error
+        raise PolicyFormatError(f"'{path}' is no policy file, or a truncated one") from error
     try:
         return _policy(document, arrays)
     except (PolicyFormatError, ProblemError) as error:
@@ -148,49 +168,56 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
             raise PolicyFormatError(f"array '{name}' must be one-dimensional {np.dtype(dtype)}")
     if document["sha256"] != _digest(content, arrays):
         raise PolicyFormatError("its content does not match its checksum")
+    if set(content) != KEYS:
+        raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
     partitions, refinement, max_level = grid_settings(
         content["partitions"], content["refinement"], content["max_level"], domain.n
     )
     tree = CellTree(partitions, refinement, max_level, **arrays)
     domain.check_resolution(tree.counts)
-    if not isinstance(content["name"], str) or not isinstance(content["statistics"], dict):
-        raise PolicyFormatError("name or statistics")
-    settings, model, horizon = (content[key] for key in ("settings", "model", "horizon"))
-    if settings is not None:
-        settings = _settings(settings)
-        settings.efforts(alphabet.values)
+    settings, model = content["settings"], content["model"]
+    if model is not None:
+        model = Model.from_json(model, domain.n, alphabet.m, len(alphabet))
     return Policy(
-        name=content["name"],
         domain=domain,
         alphabet=alphabet,
-        default=content["default"],
         cells=tree,
-        outside=check_outside(content["outside"], alphabet),
-        min_dwell=finite_number("min_dwell", content["min_dwell"], least=0.0),
-        target=_target(content["target"], domain.n),
-        horizon=None if horizon is None else finite_number("horizon", horizon, above=0.0),
-        settings=settings,
-        model=None
-        if model is None
-        else Model.from_json(model, domain.n, alphabet.m, len(alphabet)),
-        statistics=content["statistics"],
+        target=_target(content["target"]),
+        settings=None if settings is None else _settings(settings),
+        model=model,
+        statistics=_statistics(content["statistics"]),
+        **{key: content[key] for key in ("name", "default", "outside", "min_dwell", "horizon")},
     )
 
 
 def _settings(data: dict[str, Any]) -> SsacSettings:
     known = {f.name for f in dataclasses.fields(SsacSettings)}
-    if set(data) != known:
+    if set(data) - known:
         raise PolicyFormatError("its settings are not those of this format version")
-    return SsacSettings(**data)
+    return SsacSettings(**data)  # settings that came later have their defaults
 
 
-def _target(data: Any, n: int) -> Ball | Box | None:
+def _statistics(data: Any) -> dict[str, Any]:
+    """Return statistics if what is in them is of the kinds that this version writes."""
+    if not isinstance(data, dict):
+        raise PolicyFormatError("its statistics are no object")
+    for key, kinds in STATISTICS.items():
+        if key in data and not isinstance(data[key], kinds):
+            raise PolicyFormatError(f"its statistic '{key}' is of another kind")
+    roles, sample = data.get("solves_by_role", {}), data.get("sample", {})
+    if not all(isinstance(count, int) for count in roles.values()):
+        raise PolicyFormatError("its statistic 'solves_by_role' is of another kind")
+    numbers = all(
+        isinstance(v, (int, float)) or (v is None and k in RATIOS) for k, v in sample.items()
+    )
+    if sample and (not set(sample) >= set(SAMPLE) or not numbers):
+        raise PolicyFormatError("its statistic 'sample' is of another kind")
+    return data
+
+
+def _target(data: Any) -> Ball | Box | None:
     if data is None:
         return None
     ((kind, value),) = data.items()
-    target = {"ball": Ball, "box": Box}[kind](**value)
-    size = len(target.center) if isinstance(target, Ball) else target.n
-    if size != n:
-        raise PolicyFormatError("its target has another dimension")
-    return target
+    return {"ball": Ball, "box": Box}[kind](**value)

@@ -16,9 +16,9 @@ from capsyn.alphabet import Alphabet
 from capsyn.cells import grid_settings
 from capsyn.domain import Ball, Box
 from capsyn.errors import ProblemError
-from capsyn.policy import Outside, check_outside
+from capsyn.policy import Outside, check_outside, check_target
 from capsyn.settings import SsacSettings
-from capsyn.validation import describe, finite_number
+from capsyn.validation import describe, finite_number, one_line
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +84,8 @@ class Problem:
         def keep(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
 
-        if not isinstance(self.name, str) or not self.name.strip():
-            raise ProblemError(f"`name` must be a non-empty string; got {describe(self.name)}")
+        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
+            raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
         if not isinstance(self.domain, Box):
             raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
         if not isinstance(self.alphabet, Alphabet):
@@ -99,7 +99,7 @@ class Problem:
                 f"`settings` must be a capsyn.SsacSettings; got {describe(self.settings)}"
             )
         self.settings.efforts(self.alphabet.values)
-        self._check_target()
+        check_target(self.target, self.domain.n)
         q, r, level = grid_settings(self.partitions, self.refinement, self.max_level, self.domain.n)
         keep("partitions", q)
         keep("refinement", r)
@@ -115,16 +115,6 @@ class Problem:
             if not callable(value):
                 raise ProblemError(f"`{name}` must be a function; got {describe(value)}")
         self.functions()
-
-    def _check_target(self) -> None:
-        target, n = self.target, self.domain.n
-        if target is None:
-            return
-        if not isinstance(target, (Ball, Box)):
-            raise ProblemError(f"`target` must be a Ball or a Box; got {describe(target)}")
-        size = len(target.center) if isinstance(target, Ball) else target.n
-        if size != n:
-            raise ProblemError(f"`target` must have {n} dimension(s); got {size}")
 
     def functions(self) -> dict[str, ca.Function]:
         """Return CasADi functions: ``dynamics(x, u)``, ``running_cost(x)``, ``terminal_cost(x)``.
@@ -155,9 +145,6 @@ class Problem:
 def _numpy_functions() -> Iterator[None]:
     """Let NumPy ufuncs on CasADi values give CasADi values, without a warning, for a while."""
     options = ca.GlobalOptions
-    if not hasattr(options, "setNumpyMode"):  # CasADi before 3.8 has only this behaviour
-        yield
-        return
     before = options.getNumpyMode()
     options.setNumpyMode(-1)
     try:
@@ -174,15 +161,17 @@ def _expression(
         with _numpy_functions():
             value = function(*arguments)
     except Exception as error:  # whatever a user's function raises becomes one line
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = one_line(str(error)) or type(error).__name__
         reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
         if "truth value" in reason:
             reason = "a symbol is neither true nor false: use casadi.if_else, fmin and fmax"
+        if "not iterable" in reason:
+            reason = "CasADi vectors cannot be unpacked: use x[0], x[1]"
         shapes = ", ".join(
             f"{symbol}: {argument.numel()}" for symbol, argument in zip("xu", arguments)
         )
         raise ProblemError(
-            f"`{name}` failed on symbols with sizes ({shapes}): {describe_text(reason)}"
+            f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
         ) from error
     wanted = f"{size} component(s), one per state" if name == "dynamics" else "a scalar"
     try:
@@ -198,11 +187,6 @@ def _expression(
     if column.shape != (size, 1):
         raise ProblemError(f"`{name}` must return {wanted}; got shape {column.shape}")
     return ca.densify(column)
-
-
-def describe_text(text: str, limit: int = 200) -> str:
-    """Return a text cut to a length that fits a one-line message."""
-    return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
 def _function(name: str, arguments: Sequence[ca.SX], expression: ca.SX) -> ca.Function:

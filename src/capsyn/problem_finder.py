@@ -35,7 +35,8 @@ def find_problem(text: str) -> Problem:
     """
     place, colon, name = text.rpartition(":")
     if not colon or name.endswith(".py"):
-        place, name = text, "problem"
+        place, name = text, ""
+    name = name or "problem"
     if not place.endswith(".py") and not colon:
         return problems.get(text)
     module = _load(place)
@@ -53,27 +54,30 @@ def _load(place: str) -> ModuleType:
     is_file = place.endswith(".py")
     if is_file and not path.is_file():
         raise ProblemError(f"there is no file '{place}'")
-    sys.path.insert(0, str(path.parent.resolve()) if is_file else os.getcwd())
+    entry = str(path.parent.resolve()) if is_file else os.getcwd()
+    sys.path.insert(0, entry)
     try:
         with contextlib.redirect_stdout(sys.stderr):
             return _run_file(path) if is_file else importlib.import_module(place)
-    except Exception as error:  # the user's own code may raise anything
+    except (Exception, SystemExit) as error:  # the user's own code may raise anything
         lines = [
             frame.lineno
             for frame in traceback.extract_tb(error.__traceback__)
-            if is_file and frame.filename == str(path)
+            if is_file and Path(frame.filename).resolve() == path.resolve()
         ]
         where = f"'{place}'" + (f", line {lines[-1]}" if lines else "")
         reason = " ".join(str(error).split())
         kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
         raise ProblemError(f"{where}: {kind}{reason}") from error
     finally:
-        sys.path.pop(0)
+        if entry in sys.path:
+            sys.path.remove(entry)
 
 
 def _run_file(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up there
     spec.loader.exec_module(module)
     return module

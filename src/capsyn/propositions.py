@@ -14,10 +14,11 @@ from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.validation import describe
 
-BYTES_PER_SOLVE = 70
-BYTES_PER_CELL = 100
-BYTES_PER_MASK = 5
-"""Peak memory of a subdivision, measured and rounded up; the last per byte of a cell's masks."""
+BYTES_PER_SOLVE = 30
+BYTES_PER_KEY = 70
+BYTES_PER_MASK = 4
+"""Peak memory of a subdivision: per solved point, per test point of a block of cells, and per
+byte of the masks of a cell's test points; measured and rounded up."""
 
 
 def level_for_precision(
@@ -52,10 +53,10 @@ def level_for_precision(
 def worst_case_solves(
     partitions: Sequence[int], refinement: Sequence[int], max_level: int, interior_points: int = 1
 ) -> int:
-    """Return the largest number of solves by eq. (10), counted as the paper does.
+    """Return the number of solves of Proposition 2, eq. (10), counted as the paper does.
 
-    Points of the quarter rule, random points of the levels between, and parents' centres where
-    axes are refined by even and odd numbers come on top.
+    It bounds the test points; those of the quarter rule, random ones of the levels between, and
+    parents' centres where axes are refined by even and odd numbers come on top.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ def worst_case_memory(
     n_symbols: int,
     max_solves: int | None = None,
 ) -> int:
-    """Return the bytes that the worst case of a subdivision may take.
+    """Return a bound of the bytes that a subdivision takes, from measurements.
 
     Parameters
     ----------
@@ -96,17 +97,17 @@ def worst_case_memory(
         Bound of the solves.
     """
     n, root = len(partitions), math.prod(partitions)
-    interior = test_points.interior(n)
-    points = 2**n + interior
+    split = tuple(refinement) if max_level else (1,) * n
+    children = math.prod(split)
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
-    solves = worst_case_solves(partitions, refinement, max_level, interior)
+    solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
     if max_solves is not None:  # every block of cells has at least one point of its own
         solves = min(solves, max_solves)
-        cells = min(cells, max(root, max_solves * math.prod(refinement)))
+        cells = min(cells, max(root, max_solves * children))
+    keys = -(-cells // children) * test_points.in_block(split)
     mask_bytes = 2 ** (n_symbols // 8).bit_length()  # of N + 1 bits
-    per_cell = BYTES_PER_CELL + BYTES_PER_MASK * (mask_bytes + 1) * points
-    coordinates = 16 * n * points * root  # of all points of the root grid at once
-    return BYTES_PER_SOLVE * solves + per_cell * cells + coordinates
+    masks = cells * (2**n + test_points.interior(n)) * mask_bytes
+    return BYTES_PER_SOLVE * solves + BYTES_PER_KEY * keys + BYTES_PER_MASK * masks
 
 
 def available_memory() -> int | None:

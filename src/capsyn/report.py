@@ -70,13 +70,20 @@ def hints(policy: Policy) -> list[str]:
     if count:
         found.append(
             f"{count} of {solves} solves gave no finite result and take the default control, for "
-            f"instance at {policy.statistics['not_finite_example']}: check the model there"
+            f"instance at {policy.statistics.get('not_finite_example')}: check the model there"
         )
     if policy.statistics.get("stopped_by_max_solves"):
         found.append("max_solves stopped the subdivision before max_level")
     sample = policy.statistics.get("sample")
     if not sample:
         return found
+    settings = policy.settings
+    by_gamma = settings and settings.rule == "schedule" and settings.alpha_d is None
+    if by_gamma and sample["negative_cost"] > 0:
+        found.append(
+            f"the cost is negative in {sample['negative_cost']:.0%} of the volume, where gamma "
+            "asks to raise it: add a constant to the cost, or use rule steepest"
+        )
     if sample["no_descent"] > 0.05:
         found.append(
             f"in {sample['no_descent']:.0%} of the volume the chosen symbol does not lower the "

@@ -11,6 +11,7 @@ import numpy as np
 
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
+from capsyn.masks import preferred
 from capsyn.model import Model
 from capsyn.program_builder import bind
 from capsyn.settings import SsacSettings
@@ -67,6 +68,8 @@ class BatchController:
         Control efforts ``u^T R u`` of the symbols.
     settings : SsacSettings
         Options, with `steps` given.
+    preference : N + 1 ints
+        Symbols (N for the default) by least control effort, then by lowest index.
     """
 
     solver: Solver
@@ -74,6 +77,7 @@ class BatchController:
     horizon: float
     efforts: np.ndarray
     settings: SsacSettings
+    preference: tuple[int, ...]
 
     def solve(self, states: np.ndarray) -> Solution:
         """Return costs and mode insertion gradients of states (B, n)."""
@@ -91,14 +95,12 @@ class BatchController:
     def symbols(self, states: np.ndarray) -> np.ndarray:
         """Return the symbols (B,) that sSAC applies at t0; -1 is the default control.
 
-        Exact ties of the scores go to the symbol of lowest index. States without a finite
-        result get the default.
+        Ties (see `masks`) go as in a policy, by `preference`. States without a finite result get
+        the default.
         """
-        solution = self.solve(states)
-        finite = np.isfinite(self._bounds(solution)[1]).all(axis=1)
-        best = np.where(finite, np.argmin(self.scores(solution), axis=1), -1)
-        if self.settings.on_no_descent == "default":
-            best = np.where(_take(solution.gradients, best) >= 0, -1, best)
+        masks = self.masks(states)
+        best = preferred(masks, self.preference)
+        best[(masks == 0) | (best == len(self.efforts))] = -1
         return best
 
     def masks(self, states: np.ndarray) -> np.ndarray:
@@ -190,7 +192,9 @@ def batch_controller(
     if settings.steps is None:
         steps = choose_steps(solver, domain.sample(STEP_SAMPLES, seed), horizon, settings)
         settings = dataclasses.replace(settings, steps=steps)
-    return BatchController(solver, used, horizon, settings.efforts(values), settings)
+    efforts = settings.efforts(np.vstack([values, default]))
+    preference = tuple(int(k) for k in np.argsort(efforts, kind="stable"))
+    return BatchController(solver, used, horizon, efforts[:-1], settings, preference)
 
 
 def bind_default(model: Model, default: np.ndarray) -> Model:
@@ -294,7 +298,7 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
         if error <= settings.tolerance:
             return steps
         stalled = 0 if error < 0.7 * least or error > UNRESOLVED else stalled + 1
-        if error <= least:
+        if error <= least or least > UNRESOLVED:  # unstable steps may agree on garbage
             best, least = steps, error
         if stalled == 3:
             break
@@ -305,7 +309,3 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
         stacklevel=4,
     )
     return best
-
-
-def _take(values: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    return np.take_along_axis(values, columns[:, None], axis=1)[:, 0]

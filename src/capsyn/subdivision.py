@@ -20,22 +20,15 @@ from capsyn.cell_points import CellPoints
 from capsyn.cells import CellTree, grid_settings, lattice_counts
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
-from capsyn.lattice_points import (
-    Label,
-    LatticePoints,
-    Progress,
-    Question,
-    checked_masks,
-    masks_of_symbols,
-)
+from capsyn.lattice_points import LatticePoints, Progress, Question
+from capsyn.masks import Label, checked_masks, masks_of_symbols, preferred
 from capsyn.policy import Outside, Policy, check_outside
+from capsyn.policy_file import ROLES
 from capsyn.propositions import check_memory, worst_case_solves
 from capsyn.validation import describe, is_list, one_of, whole_number
 
 FINE = 8
 """Lattice units along the edge of a finest cell."""
-ROLES = ("vertices", "centers", "others", "quarter")
-"""What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
 
 
 def subdivide(
@@ -202,12 +195,13 @@ class _Subdivision:
     def run(self) -> CellTree:
         """Return the cells."""
         blocks: list[np.ndarray] = []  # entries, level by level
-        parents = np.zeros((1, self._n), dtype=np.int64)  # lower corners in lattice units
+        size = FINE * np.array([r**self._max_level for r in self._r])
+        parents = _grid(np.array(self._q)) * size  # lower corners in lattice units
         start = 0
         mixed = np.empty(0, dtype=np.int64)  # within the last level
         seen = np.empty(0, dtype=np.uint64)
         for level in range(self._max_level + 1):
-            split = np.array(self._q if level == 0 else self._r)
+            split = self._split(level)
             size = FINE * np.array([r ** (self._max_level - level) for r in self._r])
             children = int(np.prod(split))
             cells = children * len(parents)
@@ -229,7 +223,7 @@ class _Subdivision:
             common = np.bitwise_and.reduce(masks, axis=1)
             if level < self._max_level:
                 common = self._quarter_rule(common, masks, parents, size, level)
-            entries = np.ascontiguousarray(-1 - self._preferred(common).T).ravel()
+            entries = np.ascontiguousarray(-1 - preferred(common, self._order).T).ravel()
             if level:  # the mixed cells of the level above are split after all
                 blocks[-1][mixed] = start + children * np.arange(len(parents))
             parent, child = np.nonzero(common.T == 0)
@@ -274,6 +268,13 @@ class _Subdivision:
                 self._q, self._r, self._max_level, self._test_points.interior(self._n)
             ),
         }
+
+    def _split(self, level: int) -> np.ndarray:
+        """Return into how many children, per axis, the parents of a level's cells are split.
+
+        The cells of the root grid are their own parents.
+        """
+        return np.array(self._r if level else (1,) * self._n)
 
     def _test_keys(
         self, parents: np.ndarray, split: np.ndarray, size: np.ndarray, level: int
@@ -344,8 +345,7 @@ class _Subdivision:
             return common
         # offset / 2 + (1 / 2 - offset / 2) / 4 = (3 offset + 1) / 8 of the cell, offset in halves
         eighths = 3 * self._offsets[movable[point]] + 1
-        split = np.array(self._q if level == 0 else self._r)
-        corners = parents[parent] + _grid(split)[child] * size
+        corners = parents[parent] + _grid(self._split(level))[child] * size
         places = corners + eighths * (size // FINE)
         question = self._points.ask(
             self._points.encode(np.zeros((1, self._n), dtype=np.int64), places)[0]
@@ -357,13 +357,6 @@ class _Subdivision:
         common = common.copy()
         np.bitwise_and.at(common, (child, parent), moved)
         return common
-
-    def _preferred(self, masks: np.ndarray) -> np.ndarray:
-        """Return the most preferred symbol of each mask; anything where it is 0."""
-        labels = np.full(masks.shape, self._order[-1], dtype=np.int32)
-        for symbol in reversed(self._order[:-1]):
-            labels[(masks & masks.dtype.type(1 << symbol)) != 0] = symbol
-        return labels
 
     def _mode(self, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the labels (K,) of mixed cells and the sets of labels seen in them (K,).

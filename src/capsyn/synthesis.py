@@ -119,7 +119,7 @@ def synthesize(
         test_points=test_points,
         seed=seed,
         returns="masks",
-        preference=preference(controller, problem.default),
+        preference=controller.preference,
         outside=problem.outside,
         name=problem.name,
         max_solves=max_solves,
@@ -140,22 +140,15 @@ def synthesize(
     )
 
 
-def preference(controller: BatchController, default: np.ndarray) -> list[int]:
-    """Return the symbols (N for the default) by least control effort, then by lowest index."""
-    settings = controller.settings
-    efforts = np.append(controller.efforts, settings.efforts(default[None, :]))
-    return [int(k) for k in np.argsort(efforts, kind="stable")]
-
-
 def sample_statistics(controller: BatchController, domain: Box, seed: int) -> dict[str, Any]:
     """Return what sSAC does at random states, as estimates of shares of the volume.
 
     ``no_descent``: the chosen symbol does not lower the cost to first order; ``indifferent``:
-    several symbols tie; ``not_finite``: no result. ``wanted_over_reachable``: median of
-    ``|alpha_d|`` over the steepest descent on offer; ``effort_over_choice``: median of the
-    spread of the efforts over the spread of the rest of the score; ``reach``: median share of
-    the cost that the best symbol would take off if it acted over the whole horizon, to first
-    order.
+    several symbols tie; ``not_finite``: no result; ``negative_cost``: the cost is negative.
+    ``wanted_over_reachable``: median of ``|alpha_d|`` over the steepest descent on offer;
+    ``effort_over_choice``: median of the spread of the efforts over the spread of the rest of the
+    score; ``reach``: median share of the cost that the best symbol would take off if it acted
+    over the whole horizon, to first order.
     """
     states = domain.sample(SAMPLES, seed + 1)
     solution = controller.solve(states)
@@ -190,6 +183,7 @@ def sample_statistics(controller: BatchController, domain: Box, seed: int) -> di
         "no_descent": float((slope > margin).sum() / SAMPLES),
         "indifferent": float(indifferent.sum() / SAMPLES),
         "not_finite": float((~finite).sum() / SAMPLES),
+        "negative_cost": float((cost < 0).sum() / SAMPLES),
         **ratios,
     }
 

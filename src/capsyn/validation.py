@@ -12,7 +12,12 @@ from capsyn.errors import ProblemError
 
 def describe(value: Any, limit: int = 60) -> str:
     """Return a short one-line text of a value, for messages."""
-    text = " ".join(repr(value).split())
+    return one_line(repr(value), limit)
+
+
+def one_line(text: str, limit: int = 200) -> str:
+    """Return a text as one line, cut to a length that fits a message."""
+    text = " ".join(text.split())
     return text if len(text) <= limit else text[: limit - 3] + "..."
 
 
@@ -45,7 +50,7 @@ def finite_number(
     """Return `value` as a finite float that is greater than `above` and at least `least`."""
     bound = f" > {above:g}" if above is not None else f" >= {least:g}" if least is not None else ""
     try:
-        if isinstance(value, (str, bytes)) or np.iscomplexobj(value):
+        if isinstance(value, (str, bytes, bool, np.bool_)) or np.iscomplexobj(value):
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -96,9 +101,9 @@ def texts(name: str, value: Any, count: int, default: Sequence[str]) -> tuple[st
         isinstance(value, str)
         or not isinstance(value, Sequence)
         or len(value) != count
-        or not all(isinstance(v, str) for v in value)
+        or not all(isinstance(v, str) and v.isprintable() for v in value)
     ):
-        raise ProblemError(f"`{name}` must be {count} string(s); got {describe(value)}")
+        raise ProblemError(f"`{name}` must be {count} printable string(s); got {describe(value)}")
     return tuple(value)
 
 

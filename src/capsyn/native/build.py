@@ -20,10 +20,11 @@ import sys
 import tempfile
 import threading
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from capsyn.errors import KernelBuildError
+from capsyn.errors import CapsynWarning, KernelBuildError
 
 FLAGS = (
     "-O2",
@@ -125,13 +126,24 @@ def _trusted_cache() -> Path | None:
         directory = cache_directory()
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = directory.lstat()
-        if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o077):
-            return None
         if directory.is_symlink() or not os.access(directory, os.W_OK):
+            return None
+        if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o077):
+            _warn_open_cache(directory)
             return None
         return directory
     except (OSError, RuntimeError):
         return None
+
+
+@functools.lru_cache(maxsize=8)
+def _warn_open_cache(directory: Path) -> None:
+    warnings.warn(
+        f"the kernel cache '{directory}' is not used, since others may write there: it must be "
+        "yours with mode 0700",
+        CapsynWarning,
+        stacklevel=2,
+    )
 
 
 def load(source: str, flags: tuple[str, ...] = ()) -> ctypes.CDLL:
@@ -186,10 +198,16 @@ def _load(compiler: Compiler, source: str, flags: tuple[str, ...]) -> ctypes.CDL
             if library is not None:
                 _loaded[key] = library
                 return library
-        with tempfile.TemporaryDirectory(prefix="capsyn-") as directory:
-            target = Path(directory) / "kernel.so"
-            _compile(compiler, source, flags, target)
-            _loaded[key] = ctypes.CDLL(str(target))
+        try:
+            with tempfile.TemporaryDirectory(prefix="capsyn-") as directory:
+                target = Path(directory) / "kernel.so"
+                _compile(compiler, source, flags, target)
+                _loaded[key] = ctypes.CDLL(str(target))
+        except OSError as error:
+            command = [*compiler.command, *flags]
+            raise KernelBuildError(
+                f"what {compiler.command[0]} built cannot be loaded: {error}", command
+            ) from None
         return _loaded[key]
 
 
@@ -214,11 +232,12 @@ def _build_in_cache(
     with tempfile.TemporaryDirectory(prefix=".build-", dir=cache) as directory:
         target = Path(directory) / "kernel.so"
         _compile(compiler, source, flags, target)
+        library = ctypes.CDLL(str(target))  # what cannot be loaded is not kept
         checksum = Path(directory) / "kernel.sha256"
         checksum.write_text(hashlib.sha256(target.read_bytes()).hexdigest() + "\n")
         os.replace(target, cache / f"{key}.so")
         os.replace(checksum, cache / f"{key}.sha256")
-    return ctypes.CDLL(str(cache / f"{key}.so"))
+    return library
 
 
 def _compile(compiler: Compiler, source: str, flags: tuple[str, ...], target: Path) -> None:
