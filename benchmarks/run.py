@@ -37,6 +37,14 @@ def machine():
     }
 
 
+def met(value, wanted):
+    """Return whether a figure meets a bound such as "<= 0.65"; nothing where there is none."""
+    sign, _, bound = wanted.partition(" ")
+    if sign not in ("<=", ">="):
+        return ""
+    return "yes" if (value <= float(bound) if sign == "<=" else value >= float(bound)) else "**no**"
+
+
 def main():
     """Measure and write."""
     setting, rows = machine(), []
@@ -50,11 +58,14 @@ def main():
         rows += json.loads(run.stdout.splitlines()[-1])
     lines = [INTRODUCTION]
     lines += [f"- {key}: {value}" for key, value in setting.items()]
-    lines += ["", "| what | figure | wanted |", "|---|---|---|"]
+    lines += ["", "| what | figure | wanted | met |", "|---|---|---|---|"]
     for row in rows:
         value = row["value"]
         figure = f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
-        lines.append(f"| {row['what']} | {figure} {row['unit']} | {row.get('wanted', '')} |")
+        wanted = row.get("wanted", "")
+        lines.append(
+            f"| {row['what']} | {figure} {row['unit']} | {wanted} | {met(value, wanted)} |"
+        )
         print(lines[-1])
     (HERE / "README.md").write_text("\n".join(lines) + "\n")
     (HERE / "results.json").write_text(json.dumps({**setting, "rows": rows}, indent=2) + "\n")

@@ -189,6 +189,37 @@ def test_version():
     assert capsyn("--version")[0] == f"capsyn {__version__}\n"
 
 
+def test_a_compiler_that_builds_nothing_is_no_compiler(tmp_path):
+    environment = {"CC": "true", "CAPSYN_CACHE_DIR": str(tmp_path / "cache")}
+    _, err = capsyn("synth", "cart-pendulum", "-o", "p.cap", cwd=tmp_path, **environment)
+    assert err.startswith("warning: solving with NumPy") and err.count("\n") == 1
+    assert Policy.load(tmp_path / "p.cap").cells.leaf_count == 1710
+
+
+def test_a_safe_symbol_is_taken_by_name_before_index(tmp_path, pendulum):
+    for outside, index in (("5", 0), ("-5", 1), ("0", 0), ("1", 1)):
+        data = json.loads(capsyn("query", pendulum, 1, 9, f"--outside={outside}", "--json")[0])
+        assert data["symbol"] == index
+
+
+def test_links_are_followed_and_pipes_refused(tmp_path):
+    (tmp_path / "real.cap").write_text("old")
+    (tmp_path / "link.cap").symlink_to("real.cap")
+    capsyn("synth", "cart-pendulum", "-o", "link.cap", cwd=tmp_path)
+    assert (tmp_path / "link.cap").is_symlink()
+    assert Policy.load(tmp_path / "real.cap").cells.leaf_count == 1710
+    os.mkfifo(tmp_path / "pipe.png")
+    for arguments in (["synth", "cart-pendulum"], ["plot", "link.cap"]):
+        assert "a device or a pipe" in error_of(*arguments, "-o", "pipe.png", cwd=tmp_path)
+    assert "is no file" in error_of("info", "pipe.png", cwd=tmp_path)
+
+
+def test_json_is_json_though_the_problem_file_prints(tmp_path):
+    (tmp_path / "boat.py").write_text(BOAT + "print('hello')\n")
+    out, err = capsyn("synth", "boat.py", "-o", "p.cap", "--json", "--max-level", 1, cwd=tmp_path)
+    assert json.loads(out)["name"] == "boat" and err == "hello\n"
+
+
 def test_without_a_compiler_there_is_one_warning(tmp_path):
     out, err = capsyn("synth", "cart-pendulum", "-o", "p.cap", cwd=tmp_path, CC="no-such-compiler")
     assert err.startswith("warning: ") and err.count("\n") == 1 and "no-such-compiler" in err

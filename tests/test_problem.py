@@ -92,7 +92,7 @@ BAD = [
     ("dynamics", {"dynamics": None}, "must be a function; got None"),
     ("dynamics", {"dynamics": lambda x, u: None}, r"2 component\(s\), one per state; got None"),
     ("dynamics", {"dynamics": lambda x, u: "x[1]"}, r"2 component\(s\).*; got 'x\[1\]'"),
-    ("dynamics", {"dynamics": lambda x, u: x[1]}, r"2 component\(s\).*; must be a list of numbers"),
+    ("dynamics", {"dynamics": lambda x, u: x[1]}, r"2 component\(s\).*; got shape \(1, 1\)"),
     ("dynamics", {"dynamics": lambda x, u: [x, u]}, r"2 component\(s\).*; got shape \(3, 1\)"),
     ("dynamics", {"dynamics": lambda x, u: []}, r"2 component\(s\).*; got shape \("),
     ("dynamics", {"dynamics": lambda x, u: ca.SX.eye(2)}, r"got shape \(2, 2\)"),

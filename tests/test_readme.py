@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 def test_the_example_runs_and_prints_what_it_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    exec(compile(code, "README.md", "exec"), {})
+    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
     said = re.search(r"print\(.*#\s*(.*):", code).group(1)
     assert capsys.readouterr().out.strip() == said
     assert capsyn.Policy.load(tmp_path / "boat.cap").name == "boat"

@@ -59,3 +59,17 @@ def test_hints_see_a_weak_alphabet_and_a_blind_cost():
     assert hinted(blind, "several symbols tie")
     short = dataclasses.replace(one_way, horizon=1e-5)
     assert hinted(short, "horizon may be too short")
+
+
+def test_a_negative_cost_turns_gamma_around():
+    problem = capsyn.Problem(
+        name="sunk",
+        dynamics=lambda x, u: [x[1], u[0]],
+        domain=capsyn.Box([-1.0, -1.0], [1.0, 1.0]),
+        alphabet=[-1.0, 1.0],
+        default=0.0,
+        horizon=1.0,
+        terminal_cost=lambda x: x[1] - 10,
+    )
+    assert hinted(problem, "cost is negative in 100%")
+    assert not hinted(problem, "cost is negative", settings=SsacSettings(rule="steepest"))

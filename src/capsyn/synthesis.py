@@ -66,9 +66,9 @@ def synthesize(
     Returns
     -------
     Policy
-        With its model, so that it can be simulated and checked without the problem. The same
-        problem and settings give the same policy, whatever the threads and the backend (as long
-        as their last bits of rounding do not decide a tie).
+        Its file carries the model, too. The same problem and settings give the same policy,
+        whatever the threads; backends round differently in the last bits, far below the width
+        of a tie.
 
     Raises
     ------

@@ -1,0 +1,37 @@
+"""A boat that drifts in one dimension, with two on/off thrusters and water that brakes it."""
+
+import casadi as ca
+import numpy as np
+
+import capsyn
+
+problem = capsyn.Problem(
+    name="boat",
+    dynamics=lambda x, u: [x[1], u[0] - u[1] - 0.5 * x[1] * ca.fabs(x[1])],
+    domain=capsyn.Box([-10, -3], [10, 3], names=["position", "speed"], units=["m", "m/s"]),
+    alphabet=capsyn.Alphabet(
+        [[0, 0], [1, 0], [0, 1]], names=["coast", "ahead", "astern"], inputs=["stern", "bow"]
+    ),
+    default=[0, 0],
+    horizon=4.0,
+    running_cost=lambda x: x[0] ** 2 + 4 * x[1] ** 2,
+    settings=capsyn.SsacSettings(rule="steepest", control_weight=5.0),
+    outside="nearest",
+)
+
+
+def drive(policy, state, seconds=40.0, period=0.01):
+    """Return where the boat is after some time under the policy (explicit Euler)."""
+    state = np.array(state, dtype=float)
+    for _ in range(round(seconds / period)):
+        stern, bow = policy.control(state)
+        speed = state[1]
+        state += period * np.array([speed, stern - bow - 0.5 * speed * abs(speed)])
+    return state
+
+
+if __name__ == "__main__":
+    policy = capsyn.synthesize(problem)
+    for start in ([8.0, 0.0], [-5.0, 2.0], [9.0, -3.0]):
+        position, speed = drive(policy, start)
+        print(f"from {start}: {position:+.2f} m, {speed:+.2f} m/s after 40 s")

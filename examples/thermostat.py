@@ -1,0 +1,40 @@
+"""A heater that is on or off: how horizon and default decide where the temperature settles.
+
+sSAC predicts with the default control alone, and adds one symbol for a moment. A long prediction
+without heat looks cold even above the goal, so the policy heats too long; a default that holds the
+goal, or a short horizon, removes the bias.
+"""
+
+import numpy as np
+
+import capsyn
+
+
+def thermostat(default, horizon):
+    """Return the problem of holding 21 degrees where it is 15 outside."""
+    return capsyn.Problem(
+        name="thermostat",
+        dynamics=lambda x, u: [-0.1 * (x[0] - 15) + u[0]],
+        domain=capsyn.Box([10.0], [30.0], names=["temperature"], units=["degC"]),
+        alphabet=capsyn.Alphabet([0.0, 1.0], names=["off", "on"], inputs=["heat"]),
+        default=default,
+        horizon=horizon,
+        running_cost=lambda x: (x[0] - 21) ** 2,
+        max_level=8,
+    )
+
+
+def settled(policy, temperature=18.0, period=0.01):
+    """Return the mean temperature over the last of 200 s."""
+    seen = []
+    for _ in range(20_000):
+        (heat,) = policy.control([temperature])
+        temperature += period * (-0.1 * (temperature - 15) + heat)
+        seen.append(temperature)
+    return np.mean(seen[-1000:])
+
+
+if __name__ == "__main__":
+    for default, horizon in ((0.0, 5.0), (0.0, 0.5), (0.6, 5.0)):
+        policy = capsyn.synthesize(thermostat(default, horizon))
+        print(f"default {default}, horizon {horizon} s: {settled(policy):.2f} degC")
