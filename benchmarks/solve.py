@@ -155,7 +155,7 @@ def thread_ratio(model, problem):
         settings,
         "c",
     )
-    parts = np.split(problem.domain.sample(2**18, 1), 64)
+    parts = np.split(problem.domain.sample(2**20, 1), 64)
     times = {1: [], 2: []}
     for _ in range(7):
         for threads in times:

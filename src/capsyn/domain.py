@@ -110,7 +110,11 @@ class Box:
     def faces(self, axis: int, k: np.ndarray, count: int) -> np.ndarray:
         """Return the positions of the faces with integer coordinates `k` on one axis."""
         low, high = self.lower[axis], self.upper[axis]
-        return np.where(k >= count, high, low + (high - low) * (k / count))
+        positions = np.divide(k, count)
+        positions *= high - low
+        positions += low
+        np.copyto(positions, high, where=k >= count)
+        return positions
 
     def check_resolution(self, counts: Sequence[int]) -> None:
         """Raise where neighbouring faces of a lattice would fall together in floating point."""

@@ -14,7 +14,7 @@ from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
 from capsyn.masks import Label
 
-CHUNK = 4096
+CHUNK = 8192
 """Most states that are labelled in one call."""
 NOT_FINITE_LIMIT = 0.01
 """Share of solves without a finite result that stops a synthesis."""
@@ -116,8 +116,12 @@ class LatticePoints:
         if self._size >> (63 - bits):  # key and place do not fit one word
             order = np.argsort(keys, kind="stable")
             return keys[order], order
-        packed = np.sort((keys << bits) | np.arange(len(keys)))
-        return packed >> bits, packed & ((1 << bits) - 1)
+        packed = keys << bits
+        packed |= np.arange(len(keys))
+        packed.sort()
+        ordered = packed >> bits
+        packed &= (1 << bits) - 1
+        return ordered, packed
 
     def answer(self, question: Question, level: int, max_level: int, cells: int) -> np.ndarray:
         """Return the masks (K,) of a question's keys, solving those that are new."""
@@ -128,7 +132,7 @@ class LatticePoints:
         self._pending = (question.places[question.new], keys, masks)
         self.count += len(keys)
         answers = np.empty(len(question.order), dtype=self.dtype)
-        answers[question.order] = known[np.cumsum(question.first) - 1]
+        answers[question.order] = known[np.cumsum(question.first, dtype=np.int32) - 1]
         return answers
 
     def _merge(self) -> None:

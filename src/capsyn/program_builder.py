@@ -25,6 +25,7 @@ class ProgramBuilder:
         self._inputs = 0
         self._instructions: list[Instruction] = []
         self._known: dict[Instruction, int] = {}
+        self._constants: dict[int, float] = {}
 
     def input(self) -> int:
         """Return the value of the next input component; all inputs come before any operation."""
@@ -38,12 +39,14 @@ class ProgramBuilder:
         number = float(number)
         if math.isnan(number):
             raise ValueError("a constant of the model is NaN")
-        return self._emit(("const", number + 0.0))
+        value = self._emit(("const", number + 0.0))
+        self._constants[value] = number + 0.0
+        return value
 
     def apply(self, name: str, *operands: int) -> int:
         """Return the value of an operation on earlier values, simplified."""
-        numbers = [self._number(k) for k in operands]
-        if all(number is not None for number in numbers):
+        if all(k in self._constants for k in operands):
+            numbers = [self._constants[k] for k in operands]
             with np.errstate(all="ignore"):
                 folded = float(OPERATIONS[name].numpy(*map(np.float64, numbers)))
             if not math.isnan(folded):
@@ -81,8 +84,7 @@ class ProgramBuilder:
         return self._instructions[value - self._inputs] if value >= self._inputs else ("input",)
 
     def _number(self, value: int) -> float | None:
-        name, *operands = self._definition(value)
-        return operands[0] if name == "const" else None
+        return self._constants.get(value)
 
     def _selection(self, value: int) -> tuple[int, int | None] | None:
         """Return (condition, selected) of a selection; selected is None for a 0/1 value."""

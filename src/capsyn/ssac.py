@@ -117,15 +117,15 @@ class BatchController:
         least = high.min(axis=1)
         could = low <= least[:, None]
         n = could.shape[1]
-        bits = np.uint64(1) << np.arange(n, dtype=np.uint64)
         margin = TIE * solution.scales
         default = np.zeros(len(could), dtype=bool)
         if self.settings.on_no_descent == "default":
             with np.errstate(invalid="ignore"):
                 default = (could & (solution.gradients + margin >= 0)).any(axis=1)
                 could &= solution.gradients - margin < 0
-        masks = np.where(could, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
-        masks |= default.astype(np.uint64) << np.uint64(n)
+        masks = default.astype(np.uint64) << np.uint64(n)
+        for i in range(n):
+            masks |= could[:, i].astype(np.uint64) << np.uint64(i)
         masks[~np.isfinite(high).all(axis=1)] = 0
         return masks
 

@@ -197,7 +197,7 @@ class _Subdivision:
         blocks: list[np.ndarray] = []  # entries, level by level
         size = FINE * np.array([r**self._max_level for r in self._r])
         parents = _grid(np.array(self._q)) * size  # lower corners in lattice units
-        start = 0
+        start = last = 0
         mixed = np.empty(0, dtype=np.int64)  # within the last level
         seen = np.empty(0, dtype=np.uint64)
         for level in range(self._max_level + 1):
@@ -219,22 +219,23 @@ class _Subdivision:
                 break
             self._count_roles(roles[question.samples // len(parents)])
             masks = self._points.answer(question, level, self._max_level, cells)
-            masks = masks.reshape(keys.shape)[table]  # (children, points, parents)
-            common = np.bitwise_and.reduce(masks, axis=1)
+            masks = masks.reshape(keys.shape)[table.T]  # (points, children, parents)
+            common = np.bitwise_and.reduce(masks, axis=0)
             if level < self._max_level:
                 common = self._quarter_rule(common, masks, parents, size, level)
-            entries = np.ascontiguousarray(-1 - preferred(common, self._order).T).ravel()
+            entries = -1 - preferred(common, self._order).T.ravel()  # in the order of the blocks
             if level:  # the mixed cells of the level above are split after all
                 blocks[-1][mixed] = start + children * np.arange(len(parents))
-            parent, child = np.nonzero(common.T == 0)
-            mixed = parent * children + child
-            labels, seen = self._mode(masks[child, :, parent])
+            mixed = np.flatnonzero(common.T == 0)
+            parent, child = np.divmod(mixed, children)
+            points = masks.reshape(len(masks), cells).take(child * len(parents) + parent, axis=1)
+            labels, seen = self._mode(points)
             entries[mixed] = -1 - labels
             self._levels.append({"cells": cells, "mixed": len(mixed), "solves": new})
             blocks.append(entries)
-            if not mixed.size:
-                break
             last, start = start, start + cells
+            if level == self._max_level or not mixed.size:
+                break
             parents = parents[parent] + _grid(split)[child] * size
         self._points.check_finite(self._points.count)
         return CellTree(
@@ -242,7 +243,7 @@ class _Subdivision:
             self._r,
             self._max_level,
             np.concatenate(blocks),
-            (mixed + last if mixed.size else mixed).astype(np.int32),
+            (mixed + last).astype(np.int32),
             seen.astype(np.uint64),
         )
 
@@ -338,9 +339,9 @@ class _Subdivision:
         exceed the solves that are allowed, this level is the last and goes without.
         """
         movable = np.flatnonzero((self._offsets != 1).any(axis=1))
-        fixed = masks[:, movable]
-        tied = ((fixed & (fixed - masks.dtype.type(1))) != 0) & (common != 0)[:, None, :]
-        child, point, parent = np.nonzero(tied)
+        fixed = masks[movable]
+        tied = ((fixed & (fixed - masks.dtype.type(1))) != 0) & (common != 0)
+        point, child, parent = np.nonzero(tied)
         if not child.size:
             return common
         # offset / 2 + (1 / 2 - offset / 2) / 4 = (3 offset + 1) / 8 of the cell, offset in halves
@@ -359,12 +360,13 @@ class _Subdivision:
         return common
 
     def _mode(self, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the labels (K,) of mixed cells and the sets of labels seen in them (K,).
+        """Return the labels (K,) and the sets of labels seen (K,) of mixed cells.
+
+        `masks` (P, K) are those of their test points.
 
         The labels seen are those of determined points, or of all points where none is determined.
         Every point votes for each label it could have; ties go by preference.
         """
-        masks = np.ascontiguousarray(masks.T)
         zero, one = masks.dtype.type(0), masks.dtype.type(1)
         single = np.where((masks & (masks - one)) == 0, masks, zero)
         seen = np.bitwise_or.reduce(single, axis=0)
