@@ -57,6 +57,10 @@ def test_hints_see_a_weak_alphabet_and_a_blind_cost():
     assert hinted(one_way, "alphabet may be too weak")
     blind = dataclasses.replace(one_way, running_cost=lambda x: x[1] ** 2)
     assert hinted(blind, "several symbols tie")
+    held = dataclasses.replace(one_way, alphabet=capsyn.Alphabet([0.0, 2.0]), default=0.5)
+    weights = SsacSettings(rule="steepest", control_weight=100.0)
+    assert hinted(held, "hold it back", settings=weights)
+    assert not hinted(held, "alphabet may be too weak", settings=weights)
     short = dataclasses.replace(one_way, horizon=1e-5)
     assert hinted(short, "horizon may be too short")
 

@@ -81,6 +81,10 @@ def synth(
     output: Annotated[
         str | None, typer.Option("--output", "-o", metavar="FILE", help="Default: NAME.cap")
     ] = None,
+    horizon: Annotated[float | None, typer.Option(help="Prediction horizon in seconds.")] = None,
+    default: Annotated[
+        str | None, typer.Option(metavar="U[,U..]", help="Control of the prediction.")
+    ] = None,
     max_level: Annotated[int | None, typer.Option(help="Most times that a cell is split.")] = None,
     partitions: Annotated[
         str | None, typer.Option(metavar="Q[,Q..]", help="Cells of the root grid per axis.")
@@ -120,6 +124,10 @@ def synth(
     if output is not None:
         check_writable(output)
     chosen = find_problem(problem)
+    if horizon is not None:
+        chosen = chosen.replace(horizon=horizon)
+    if default is not None:
+        chosen = chosen.replace(default=[_number("--default", u) for u in default.split(",")])
     if output is None and "/" in chosen.name:
         raise ProblemError(f"the name '{chosen.name}' makes no file name; give one with -o")
     path = output or f"{chosen.name}.cap"

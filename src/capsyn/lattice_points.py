@@ -185,7 +185,8 @@ class LatticePoints:
         if self.not_finite > NOT_FINITE_LIMIT * max(solves, least):
             raise SynthesisError(
                 f"{self.not_finite} of {solves} solves gave no finite result, for instance at "
-                f"state {self.example}: check the model there"
+                f"state {self.example}: check the model there, and whether `steps` and the horizon "
+                "fit it"
             )
 
     def _states(self, keys: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ STATISTICS: dict[str, tuple[type, ...]] = {
 ROLES = ("vertices", "centers", "others", "quarter")
 """What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
-SAMPLE = ("states", "no_descent", "indifferent", "not_finite", "negative_cost", *RATIOS)
+SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
 
 
 def save(policy: Policy, path: str | os.PathLike[str]) -> None:

@@ -133,17 +133,19 @@ def check_memory(
     """Raise `ProblemError` where the worst case exceeds the memory that is available."""
     available = available_memory()
 
-    def need(level: int) -> int:
-        return worst_case_memory(partitions, refinement, level, test_points, n_symbols, max_solves)
+    def need(level: int, solves: int | None = max_solves) -> int:
+        return worst_case_memory(partitions, refinement, level, test_points, n_symbols, solves)
 
     if available is None or need(max_level) <= available:
         return
     fits = max((k for k in range(max_level) if need(k) <= available), default=None)
     advice = "use fewer partitions" if fits is None else f"max_level <= {fits} fits"
+    most = available * 10**6 // need(max_level, 10**6)
+    most -= most % 10 ** (len(str(most)) - 1)  # its first digit
     interior = test_points.interior(len(partitions))
     solves = worst_case_solves(partitions, refinement, max_level, interior)
     raise ProblemError(
         f"`max_level` {max_level} may take {need(max_level) / 1e9:.3g} GB at worst "
-        f"({solves:.3g} solves); {available / 1e9:.3g} GB is available: {advice}, "
-        "or bound it with `max_solves`"
+        f"({solves:.3g} solves); {available / 1e9:.3g} GB is available: {advice}, or bound it "
+        f"with `max_solves` (at most {most:,})"
     )

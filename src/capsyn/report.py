@@ -84,10 +84,15 @@ def hints(policy: Policy) -> list[str]:
             f"the cost is negative in {sample['negative_cost']:.0%} of the volume, where gamma "
             "asks to raise it: add a constant to the cost, or use rule steepest"
         )
-    if sample["no_descent"] > 0.05:
+    if sample["held_back"] > 0.05:
         found.append(
-            f"in {sample['no_descent']:.0%} of the volume the chosen symbol does not lower the "
-            "cost to first order: the alphabet may be too weak there, or the horizon too short"
+            f"in {sample['held_back']:.0%} of the volume the chosen symbol does not lower the cost "
+            "to first order though another would: control_weight or gamma hold it back"
+        )
+    if sample["no_descent"] - sample["held_back"] > 0.05:
+        found.append(
+            f"in {sample['no_descent'] - sample['held_back']:.0%} of the volume no symbol lowers "
+            "the cost to first order: the alphabet may be too weak there, or the horizon too short"
         )
     if sample["indifferent"] > 0.05:
         found.append(
@@ -97,7 +102,8 @@ def hints(policy: Policy) -> list[str]:
     if sample["reach"] is not None and sample["reach"] < 0.01:
         found.append(
             f"the best symbol, acting all along the horizon, takes off {sample['reach']:.2%} of "
-            "the cost (median, first order): the horizon may be too short or the alphabet too weak"
+            "the cost (median, first order): the horizon may be too short, or far too long, or the "
+            "alphabet too weak"
         )
     wanted = sample["wanted_over_reachable"]
     if wanted is not None and wanted > 1000:

@@ -23,7 +23,7 @@ BLOCK = 2048
 """States that the NumPy backend handles at once, so that its buffers stay in the CPU's cache."""
 ROUNDING = 64
 """Units of the last place by which quantities that should vanish may differ from 0."""
-STEP_LADDER = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)
+STEP_LADDER = tuple(steps << k for k in range(10) for steps in (4, 6)) + (4096,)
 STEP_SAMPLES = 512
 UNRESOLVED = 0.1
 """Step-doubling errors above this come from steps too long to tell whether they will fall."""
@@ -270,29 +270,31 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
     """Return the fewest steps of `STEP_LADDER` whose error meets ``settings.tolerance``.
 
     The error is the 99th percentile, over the states (B, n), of the difference that twice the
-    steps make to the mode insertion gradients, relative to their scales; it is infinite for
-    states that only more steps make finite. Where it stops falling first (a switch in the
-    dynamics, single precision), the best steps so far are returned with a warning.
+    steps make to the mode insertion gradients, relative to their scales. It is infinite for states
+    that only more steps make finite, and for those whose cost changes by more than a tenth:
+    steps that are too long for a stiff model may agree on garbage. Where it stops falling first (a
+    switch in the dynamics, single precision), the best steps so far are returned with a warning.
     """
     best, least, stalled = STEP_LADDER[0], np.inf, 0
-    solved: dict[int, np.ndarray] = {}
+    solved: dict[int, tuple[np.ndarray, ...]] = {}
 
-    def solve(steps: int) -> np.ndarray:
+    def solve(steps: int) -> tuple[np.ndarray, ...]:
         if steps not in solved:
-            solved[steps] = np.stack(solver(states, horizon, steps)[1:])
+            solved[steps] = solver(states, horizon, steps)
         return solved[steps]
 
     for steps in STEP_LADDER:
-        coarse, (fine, scale) = solve(steps)[0], solve(2 * steps)
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        (coarse_cost, coarse, _), (cost, fine, scale) = solve(steps), solve(2 * steps)
+        with np.errstate(all="ignore"):
             errors = np.abs(coarse - fine) / scale
-        errors[~np.isfinite(errors)] = np.nan
-        failed = ~(np.isfinite(coarse) & np.isfinite(fine) & np.isfinite(scale))
-        if failed.any():
-            failed &= np.isfinite(solve(2 * STEP_LADDER[-1])[0])
-            errors[failed] = np.inf
-        errors = errors[~np.isnan(errors)]
-        with np.errstate(invalid="ignore"):
+            errors[~np.isfinite(errors)] = np.nan
+            usual = np.nanmedian(np.abs(cost[np.isfinite(cost)])) if np.isfinite(cost).any() else 0
+            errors[np.abs(coarse_cost - cost) > 0.1 * (np.abs(cost) + usual)] = np.inf
+            failed = ~(np.isfinite(coarse) & np.isfinite(fine) & np.isfinite(scale))
+            if failed.any():
+                failed &= np.isfinite(solve(2 * STEP_LADDER[-1])[1])
+                errors[failed] = np.inf
+            errors = errors[~np.isnan(errors)]
             error = float(np.percentile(errors, 99)) if errors.size else 0.0
         error = np.inf if np.isnan(error) else error
         if error <= settings.tolerance:
@@ -302,9 +304,11 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
             best, least = steps, error
         if stalled == 3:
             break
+    longest = best == STEP_LADDER[-1]
+    advice = "shorten the horizon" if longest else "give `steps` or a larger `tolerance`"
     warnings.warn(
         f"the step-doubling check reached {least:.2g} with {best} steps, not the tolerance "
-        f"{settings.tolerance:.2g}: give `steps` or a larger `tolerance`",
+        f"{settings.tolerance:.2g}: {advice}",
         CapsynWarning,
         stacklevel=4,
     )

@@ -144,7 +144,8 @@ def sample_statistics(controller: BatchController, domain: Box, seed: int) -> di
     """Return what sSAC does at random states, as estimates of shares of the volume.
 
     ``no_descent``: the chosen symbol does not lower the cost to first order; ``indifferent``:
-    several symbols tie; ``not_finite``: no result; ``negative_cost``: the cost is negative.
+    several symbols tie; ``held_back``: nor does it though another symbol would;
+    ``not_finite``: no result; ``negative_cost``: the cost is negative.
     ``wanted_over_reachable``: median of ``|alpha_d|`` over the steepest descent on offer;
     ``effort_over_choice``: median of the spread of the efforts over the spread of the rest of the
     score; ``reach``: median share of the cost that the best symbol would take off if it acted
@@ -182,6 +183,7 @@ def sample_statistics(controller: BatchController, domain: Box, seed: int) -> di
         "states": SAMPLES,
         "no_descent": float((slope > margin).sum() / SAMPLES),
         "indifferent": float(indifferent.sum() / SAMPLES),
+        "held_back": float(((slope > margin)[:, 0] & (best > margin[:, 0])).sum() / SAMPLES),
         "not_finite": float((~finite).sum() / SAMPLES),
         "negative_cost": float((cost < 0).sum() / SAMPLES),
         **ratios,
