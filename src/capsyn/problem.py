@@ -153,6 +153,17 @@ def _numpy_functions() -> Iterator[None]:
         options.setNumpyMode(before)
 
 
+_MEANINGS = (
+    ("truth value", "a symbol is neither true nor false: use casadi.if_else, fmin and fmax"),
+    ("not iterable", "CasADi vectors cannot be unpacked: use x[0], x[1]"),
+    ("Out of bounds", "an index is out of range"),
+    ("out of bounds", "an index is out of range"),
+    ("SX_get", "CasADi vectors are indexed by numbers: use x[0]"),
+    ("positional argument", "dynamics is a function of x and u, costs of x alone"),
+)
+"""What beginners' mistakes make CasADi and Python say, and what it means."""
+
+
 def _expression(
     name: str, function: Callable[..., Any], arguments: Sequence[ca.SX], size: int
 ) -> ca.SX:
@@ -163,10 +174,7 @@ def _expression(
     except Exception as error:  # whatever a user's function raises becomes one line
         reason = one_line(str(error)) or type(error).__name__
         reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
-        if "truth value" in reason:
-            reason = "a symbol is neither true nor false: use casadi.if_else, fmin and fmax"
-        if "not iterable" in reason:
-            reason = "CasADi vectors cannot be unpacked: use x[0], x[1]"
+        reason = next((text for words, text in _MEANINGS if words in reason), reason)
         shapes = ", ".join(
             f"{symbol}: {argument.numel()}" for symbol, argument in zip("xu", arguments)
         )
