@@ -76,6 +76,12 @@ def jax_solver(problem, states):
     return lambda: jax.block_until_ready(compiled(data))
 
 
+def controller_of(problem, model, settings, backend):
+    """Return the batch controller of a problem."""
+    values, default, horizon = problem.alphabet.values, problem.default, problem.horizon
+    return batch_controller(model, problem.domain, values, default, horizon, settings, backend)
+
+
 def measure():
     """Return rows of microseconds per solve, and the ratios."""
     problem = problems.get("cart-pendulum")
@@ -84,15 +90,7 @@ def measure():
     for precision in ("double", "single"):
         for backend in ("c", "numpy"):
             settings = dataclasses.replace(problem.settings, steps=STEPS, precision=precision)
-            controller = batch_controller(
-                model,
-                problem.domain,
-                problem.alphabet.values,
-                problem.default,
-                problem.horizon,
-                settings,
-                backend,
-            )
+            controller = controller_of(problem, model, settings, backend)
             engines[f"capsyn {backend}, {precision}, 1 thread"] = lambda c=controller: c.solve(
                 states
             )
@@ -146,15 +144,7 @@ def compare(engines):
 def thread_ratio(model, problem):
     """Return how many times faster two threads solve than one."""
     settings = dataclasses.replace(problem.settings, steps=STEPS)
-    controller = batch_controller(
-        model,
-        problem.domain,
-        problem.alphabet.values,
-        problem.default,
-        problem.horizon,
-        settings,
-        "c",
-    )
+    controller = controller_of(problem, model, settings, "c")
     parts = np.split(problem.domain.sample(2**20, 1), 64)
     times = {1: [], 2: []}
     for _ in range(7):

@@ -100,7 +100,6 @@ BAD = [
     ("dynamics", {"dynamics": lambda x, u: [x[1], ca.MX.sym("q")]}, r"2 component\(s\)"),
     ("dynamics", {"dynamics": lambda x, u: [x[1], u[1]]}, r"x: 2, u: 1\): an index is out"),
     ("dynamics", {"dynamics": lambda x, u: [x["a"], u[0]]}, "indexed by numbers"),
-    ("running_cost", {"running_cost": lambda x, u: x[0]}, "costs of x alone"),
     ("dynamics", {"dynamics": lambda x, u: [x[2], u[0]]}, "failed on symbols with .*x: 2, u: 1"),
     ("dynamics", {"dynamics": lambda x: [x[1], x[0]]}, "failed on symbols"),
     ("dynamics", {"dynamics": lambda x, u: [x[1], FREE]}, "undeclared symbol 'p'"),

@@ -97,9 +97,12 @@ class ProgramBuilder:
 
     def _sum(self, name: str, a: int, b: int) -> int | None:
         one, two = self._selection(a), self._selection(b)
-        if one and two and one[0] == two[0] and None not in (one[1], two[1]):
-            return self.apply("select", one[0], self.apply(name, one[1], two[1]))  # type: ignore[arg-type]
-        return None
+        if one is None or two is None or one[0] != two[0]:
+            return None
+        (condition, left), (_, right) = one, two
+        if left is None or right is None:
+            return None
+        return self.apply("select", condition, self.apply(name, left, right))
 
     def _add(self, a: int, b: int) -> int | None:
         if self._number(a) == 0:
