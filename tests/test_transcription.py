@@ -266,7 +266,7 @@ def test_single_precision_lanes_never_compute_in_double(tmp_path):
     (tmp_path / "run.c").write_text(source.replace("static void run", "void run"))
     command = [*find_compiler().command, "-std=gnu11", "-O1", "-fopenmp-simd", "-c", "run.c"]
     run = subprocess.run(
-        [*command, "-Wdouble-promotion", "-Wfloat-conversion", "-Werror"],
+        [*command, "-Wdouble-promotion", "-Wfloat-conversion", "-Werror", "-Wno-pass-failed"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
