@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from capsyn import problems
-from capsyn.ssac import batch_controller
+from capsyn.synthesis import problem_controller
 from capsyn.transcription import runge_kutta_step, transcribe
 
 STEPS, STATES, ROUNDS = 24, 4096, 15
@@ -78,8 +78,7 @@ def jax_solver(problem, states):
 
 def controller_of(problem, model, settings, backend):
     """Return the batch controller of a problem."""
-    values, default, horizon = problem.alphabet.values, problem.default, problem.horizon
-    return batch_controller(model, problem.domain, values, default, horizon, settings, backend)
+    return problem_controller(problem.replace(settings=settings), model, backend)
 
 
 def measure():

@@ -23,9 +23,9 @@ from capsyn.ssac import (
     TIE,
     BatchController,
     Solution,
-    batch_controller,
     choose_steps,
 )
+from capsyn.synthesis import problem_controller
 from capsyn.transcription import transcribe
 
 BACKENDS = ["c", "numpy"]
@@ -33,15 +33,8 @@ BACKENDS = ["c", "numpy"]
 
 def controller(problem: Problem, backend: str = "c", **changes) -> BatchController:
     """Return the controller of a problem, with some settings replaced."""
-    return batch_controller(
-        transcribe(problem),
-        problem.domain,
-        problem.alphabet.values,
-        problem.default,
-        problem.horizon,
-        dataclasses.replace(problem.settings, **changes),
-        backend,
-    )
+    problem = problem.replace(settings=dataclasses.replace(problem.settings, **changes))
+    return problem_controller(problem, transcribe(problem), backend)
 
 
 CASES = {

@@ -12,7 +12,6 @@ import pytest
 from capsyn import Alphabet, Ball, Box, Policy, Problem, SsacSettings, problems, synthesize
 from capsyn import synthesis as module
 from capsyn.errors import CapsynWarning, ProblemError, SynthesisError
-from capsyn.ssac import batch_controller
 from capsyn.transcription import transcribe
 
 MU_H, HEAVY = 1.0 * 2.0, 1.0 * 9.81 * 2.0
@@ -33,14 +32,7 @@ def law(states):
 
 def controller_of(problem):
     """Return sSAC as `synthesize` uses it."""
-    return batch_controller(
-        transcribe(problem),
-        problem.domain,
-        problem.alphabet.values,
-        problem.default,
-        problem.horizon,
-        problem.settings,
-    )
+    return module.problem_controller(problem, transcribe(problem))
 
 
 def states_of(policy, lower, size, offsets):

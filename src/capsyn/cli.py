@@ -128,10 +128,12 @@ def synth(
         chosen = chosen.replace(horizon=horizon)
     if default is not None:
         chosen = chosen.replace(default=[_number("--default", u) for u in default.split(",")])
-    if output is None and "/" in chosen.name:
-        raise ProblemError(f"the name '{chosen.name}' makes no file name; give one with -o")
-    path = output or f"{chosen.name}.cap"
-    check_writable(path)
+    path = output
+    if path is None:
+        path = f"{chosen.name}.cap"
+        if "/" in path:
+            raise ProblemError(f"the name '{chosen.name}' makes no file name; give one with -o")
+        check_writable(path)
     changes = {
         "rule": rule,
         "gamma": gamma,

@@ -12,7 +12,7 @@ import numpy as np
 
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
-from capsyn.masks import Label
+from capsyn.masks import Label, several
 
 CHUNK = 8192
 """Most states that are labelled in one call."""
@@ -164,7 +164,7 @@ class LatticePoints:
                 self._progress(Progress(level, max_level, cells, done, len(keys), total))
         self.seconds += time.perf_counter() - started
         self._count_missing(keys, masks, missing)
-        self.indifferent += int(np.count_nonzero(masks & (masks - self.dtype(1))))
+        self.indifferent += int(np.count_nonzero(several(masks)))
         return masks
 
     def _map(self, work: Callable[[slice], int], parts: Iterable[slice]) -> Iterator[int]:

@@ -12,6 +12,11 @@ Label = Callable[[np.ndarray], np.ndarray]
 """A labelling function: states (B, n) to masks (B,), 0 where there is no finite answer."""
 
 
+def several(masks: np.ndarray) -> np.ndarray:
+    """Return whether each mask holds more than one symbol."""
+    return (masks & (masks - masks.dtype.type(1))) != 0
+
+
 def preferred(masks: np.ndarray, order: Sequence[int]) -> np.ndarray:
     """Return the symbol of each mask that comes first in `order`; anything where it is 0."""
     labels = np.full(masks.shape, order[-1], dtype=np.int32)

@@ -26,7 +26,7 @@ ROUNDING = 64
 STEP_LADDER = tuple(steps << k for k in range(10) for steps in (4, 6)) + (4096,)
 STEP_SAMPLES = 512
 UNRESOLVED = 0.1
-"""Step-doubling errors above this come from steps too long to tell whether they will fall."""
+"""Errors of step doubling, in gradients or costs, that are too large to tell if they will fall."""
 
 Solver = Callable[[np.ndarray, float, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
@@ -221,7 +221,7 @@ def make_solver(model: Model, precision: str, backend: str) -> tuple[Solver, str
         except KernelBuildError as error:
             if backend == "c":
                 raise
-            warnings.warn(f"solving with NumPy: {error}", CapsynWarning, stacklevel=4)
+            warnings.warn(f"solving with NumPy: {error}", CapsynWarning, stacklevel=5)
     return NumpySolver(model, dtype, rounding), "numpy"
 
 
@@ -288,8 +288,8 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
         with np.errstate(all="ignore"):
             errors = np.abs(coarse - fine) / scale
             errors[~np.isfinite(errors)] = np.nan
-            usual = np.nanmedian(np.abs(cost[np.isfinite(cost)])) if np.isfinite(cost).any() else 0
-            errors[np.abs(coarse_cost - cost) > 0.1 * (np.abs(cost) + usual)] = np.inf
+            usual = np.median(np.abs(cost[np.isfinite(cost)])) if np.isfinite(cost).any() else 0
+            errors[np.abs(coarse_cost - cost) > UNRESOLVED * (np.abs(cost) + usual)] = np.inf
             failed = ~(np.isfinite(coarse) & np.isfinite(fine) & np.isfinite(scale))
             if failed.any():
                 failed &= np.isfinite(solve(2 * STEP_LADDER[-1])[1])
@@ -310,6 +310,6 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
         f"the step-doubling check reached {least:.2g} with {best} steps, not the tolerance "
         f"{settings.tolerance:.2g}: {advice}",
         CapsynWarning,
-        stacklevel=4,
+        stacklevel=5,
     )
     return best

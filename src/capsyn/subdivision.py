@@ -21,7 +21,7 @@ from capsyn.cells import CellTree, grid_settings, lattice_counts
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
 from capsyn.lattice_points import LatticePoints, Progress, Question
-from capsyn.masks import Label, checked_masks, masks_of_symbols, preferred
+from capsyn.masks import Label, checked_masks, masks_of_symbols, preferred, several
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.policy_file import ROLES
 from capsyn.propositions import check_memory, worst_case_solves
@@ -339,8 +339,7 @@ class _Subdivision:
         exceed the solves that are allowed, this level is the last and goes without.
         """
         movable = np.flatnonzero((self._offsets != 1).any(axis=1))
-        fixed = masks[movable]
-        tied = ((fixed & (fixed - masks.dtype.type(1))) != 0) & (common != 0)
+        tied = several(masks[movable]) & (common != 0)
         point, child, parent = np.nonzero(tied)
         if not child.size:
             return common
@@ -367,8 +366,7 @@ class _Subdivision:
         The labels seen are those of determined points, or of all points where none is determined.
         Every point votes for each label it could have; ties go by preference.
         """
-        zero, one = masks.dtype.type(0), masks.dtype.type(1)
-        single = np.where((masks & (masks - one)) == 0, masks, zero)
+        single = np.where(several(masks), masks.dtype.type(0), masks)
         seen = np.bitwise_or.reduce(single, axis=0)
         seen = np.where(seen == 0, np.bitwise_or.reduce(masks, axis=0), seen)
         labels = np.full(len(seen), self._order[0], dtype=np.int32)

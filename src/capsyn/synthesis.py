@@ -14,6 +14,8 @@ import numpy as np
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.lattice_points import Progress
+from capsyn.masks import several
+from capsyn.model import Model
 from capsyn.policy import Outside, Policy
 from capsyn.problem import Problem
 from capsyn.settings import SsacSettings
@@ -93,10 +95,10 @@ def synthesize(
     threads = _processors() if threads is None else whole_number("threads", threads, least=1)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, ["auto", "c", "numpy"])
-    values, domain = problem.alphabet.values, problem.domain
+    domain = problem.domain
     check_size(
         domain,
-        len(values),
+        len(problem.alphabet),
         problem.partitions,
         problem.refinement,
         problem.max_level,
@@ -105,9 +107,7 @@ def synthesize(
     )
     started = time.perf_counter()
     model = transcribe(problem)
-    controller = batch_controller(
-        model, domain, values, problem.default, problem.horizon, problem.settings, backend, seed
-    )
+    controller = problem_controller(problem, model, backend, seed)
     ready = time.perf_counter()
     policy = subdivide(
         controller.masks,
@@ -140,6 +140,22 @@ def synthesize(
     )
 
 
+def problem_controller(
+    problem: Problem, model: Model, backend: str = "auto", seed: int = 0
+) -> BatchController:
+    """Return sSAC for a problem and its transcribed model; see `batch_controller`."""
+    return batch_controller(
+        model,
+        problem.domain,
+        problem.alphabet.values,
+        problem.default,
+        problem.horizon,
+        problem.settings,
+        backend,
+        seed,
+    )
+
+
 def sample_statistics(controller: BatchController, domain: Box, seed: int) -> dict[str, Any]:
     """Return what sSAC does at random states, as estimates of shares of the volume.
 
@@ -161,7 +177,7 @@ def sample_statistics(controller: BatchController, domain: Box, seed: int) -> di
     slope = np.take_along_axis(gradients, chosen, axis=1)
     margin = TIE * np.take_along_axis(solution.scales[finite], chosen, axis=1)
     best = -gradients.min(axis=1)
-    indifferent = (masks & (masks - np.uint64(1))) != 0
+    indifferent = several(masks)
 
     def median(values: np.ndarray) -> float | None:
         values = values[np.isfinite(values)]
