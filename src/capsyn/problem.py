@@ -123,17 +123,17 @@ class Problem:
         """
         x, u = ca.SX.sym("x", self.domain.n), ca.SX.sym("u", self.alphabet.m)
         costs = {
-            name: _expression(name, getattr(self, name) or (lambda x: 0.0), [x], 1)
+            name: expression(name, getattr(self, name) or (lambda x: 0.0), [x], 1)
             for name in ("running_cost", "terminal_cost")
         }
         expressions = {
-            "dynamics": _expression("dynamics", self.dynamics, [x, u], self.domain.n),
+            "dynamics": expression("dynamics", self.dynamics, [x, u], self.domain.n),
             **costs,
         }
         arguments = {"dynamics": [x, u], "running_cost": [x], "terminal_cost": [x]}
         return {
-            name: _function(name, arguments[name], expression)
-            for name, expression in expressions.items()
+            name: casadi_function(name, arguments[name], value)
+            for name, value in expressions.items()
         }
 
     def replace(self, **changes: Any) -> Problem:
@@ -164,10 +164,16 @@ _MEANINGS = (
 """What beginners' mistakes make CasADi and Python say, and what it means."""
 
 
-def _expression(
+def expression(
     name: str, function: Callable[..., Any], arguments: Sequence[ca.SX], size: int
 ) -> ca.SX:
-    """Return what a user's function gives on symbols, as a dense column of `size` components."""
+    """Return what a user's function gives on symbols, as a dense column of `size` components.
+
+    Raises
+    ------
+    ProblemError
+        The function fails, or returns something else; one line that names it.
+    """
     try:
         with _numpy_functions():
             value = function(*arguments)
@@ -176,7 +182,7 @@ def _expression(
         reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
         reason = next((text for words, text in _MEANINGS if words in reason), reason)
         shapes = ", ".join(
-            f"{symbol}: {argument.numel()}" for symbol, argument in zip("xu", arguments)
+            f"{symbol}: {argument.numel()}" for symbol, argument in zip("xup", arguments)
         )
         raise ProblemError(
             f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
@@ -197,8 +203,9 @@ def _expression(
     return ca.densify(column)
 
 
-def _function(name: str, arguments: Sequence[ca.SX], expression: ca.SX) -> ca.Function:
-    function = ca.Function(name, list(arguments), [expression], {"allow_free": True})
+def casadi_function(name: str, arguments: Sequence[ca.SX], value: ca.SX) -> ca.Function:
+    """Return the function of an `expression`; `ProblemError` if it uses other symbols."""
+    function = ca.Function(name, list(arguments), [value], {"allow_free": True})
     foreign = function.get_free()
     if foreign:
         raise ProblemError(

@@ -59,6 +59,16 @@ class ProgramBuilder:
             operands = tuple(sorted(operands))
         return self._emit((name, *operands))
 
+    def call(self, program: Program, *inputs: Sequence[int]) -> list[int]:
+        """Return the results of another program on earlier values, one sequence per input."""
+        values = [value for port in inputs for value in port]
+        for name, *operands in program.instructions:
+            if name == "const":
+                values.append(self.constant(operands[0]))
+            else:
+                values.append(self.apply(name, *(values[k] for k in operands)))
+        return [values[k] for k in program.results]
+
     def build(self, name: str, inputs: Ports, outputs: Ports, results: Sequence[int]) -> Program:
         """Return the program of the operations that the `results` need."""
         first, needed = self._inputs, set(results)
@@ -186,18 +196,12 @@ def bind(program: Program, **constants: Any) -> Program:
     builder = ProgramBuilder()
     remaining = tuple(port for port in program.inputs if port[0] not in constants)
     free = {name: [builder.input() for _ in range(size)] for name, size in remaining}
-    values: list[int] = []
+    values: list[Sequence[int]] = []
     for name, size in program.inputs:
         if name in free:
-            values += free[name]
+            values.append(free[name])
         else:
             numbers = np.asarray(constants[name], dtype=float).reshape(size)
-            values += map(builder.constant, numbers)
-    for name, *operands in program.instructions:
-        if name == "const":
-            values.append(builder.constant(operands[0]))
-        else:
-            values.append(builder.apply(name, *(values[k] for k in operands)))
-    return builder.build(
-        program.name, remaining, program.outputs, [values[k] for k in program.results]
-    )
+            values.append([builder.constant(number) for number in numbers])
+    results = builder.call(program, *values)
+    return builder.build(program.name, remaining, program.outputs, results)

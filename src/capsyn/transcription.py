@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.model import Model, model_ports
-from capsyn.problem import Problem
+from capsyn.problem import Problem, casadi_function, expression
 from capsyn.program import Ports, Program
 from capsyn.program_builder import ProgramBuilder
 
@@ -74,6 +75,38 @@ def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs
             operation = _CASADI_NAMES.get(code, str(code))
             raise ProblemError(f"`{name}` uses the operation '{operation}', which has no C form")
     return builder.build(name, inputs, outputs, results)
+
+
+def user_program(
+    name: str,
+    function: Callable[..., Any],
+    inputs: Ports,
+    outputs: Ports,
+) -> Program:
+    """Return the program of a user's function, such as another plant's dynamics, or a set.
+
+    Parameters
+    ----------
+    name : str
+        What errors call the function.
+    function : callable
+        Takes one CasADi column per input; returns as many components as the first output has.
+    inputs : ports
+        Sizes of the columns.
+    outputs : ports
+        The value; a second output, if there is one, is the gradient of a scalar value with
+        respect to the first input.
+
+    Raises
+    ------
+    ProblemError
+        The function fails, returns another size, or uses an operation that programs do not have.
+    """
+    arguments = [ca.SX.sym(port, size) for port, size in inputs]
+    value = expression(name, function, arguments, outputs[0][1])
+    casadi_function(name, arguments, value)  # no foreign symbols
+    results = [value] + ([_gradient(value, arguments[0])] if len(outputs) > 1 else [])
+    return program_from_casadi(name, ca.Function(name, arguments, results), inputs, outputs)
 
 
 def transcribe(problem: Problem) -> Model:
