@@ -128,18 +128,7 @@ class Policy:
         if kernel is None:
             labels = self._labels(flat, rule == "nearest")
         else:
-            tree = self.cells
-            labels = kernel(
-                flat,
-                self.domain.lower,
-                self.domain.upper,
-                self.domain.periodic,
-                tree.counts,
-                tree.partitions,
-                tree.refinement,
-                tree.entries,
-                rule == "nearest",
-            )
+            labels = kernel(flat, self.domain, self.cells, rule == "nearest")
         lost = labels < 0
         if lost.any():
             if isinstance(rule, str):

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells import CellTree
+from capsyn.domain import Box
 from capsyn.model import Model
 from capsyn.native.build import load
 from capsyn.native.source import declarations, hand_written
@@ -85,9 +87,33 @@ class SsacKernel:
         return cost, gradients.T, scales.T
 
 
+class TreeArguments(ctypes.Structure):
+    """The ``tree`` of lookup.c: where the arrays of a domain and its cell tree lie."""
+
+    _fields_ = [
+        (name, ctypes.c_void_p)
+        for name in "lower upper periodic counts partitions refinement entries".split()
+    ]
+
+    @staticmethod
+    def of(domain: Box, cells: CellTree) -> TreeArguments:
+        """Return the arguments, which keep the arrays alive."""
+        arrays = [
+            np.ascontiguousarray(domain.lower),
+            np.ascontiguousarray(domain.upper),
+            np.array(domain.periodic, dtype=np.uint8),
+            *(np.array(a, dtype=np.int64) for a in (cells.counts, cells.partitions)),
+            np.array(cells.refinement, dtype=np.int64),
+            np.ascontiguousarray(cells.entries, dtype=np.int32),
+        ]
+        made = TreeArguments(*map(_pointer, arrays))
+        made.arrays = arrays
+        return made
+
+
 @dataclass(frozen=True)
 class LookupKernel:
-    """Labels of states from the arrays of a cell tree, compiled for `n` states."""
+    """Labels of states from a cell tree, compiled for `n` states."""
 
     function: Any
     n: int
@@ -99,36 +125,17 @@ class LookupKernel:
         function = load(source, ("-ffp-contract=off",)).capsyn_lookup
         function.restype = None
         p = ctypes.c_void_p
-        function.argtypes = [ctypes.c_int64, p, p, p, p, p, p, p, ctypes.c_int, p, p]
+        function.argtypes = [ctypes.c_int64, p, p, ctypes.c_int, p]
         return LookupKernel(function, n)
 
     def __call__(
-        self,
-        states: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        periodic: tuple[bool, ...],
-        counts: tuple[int, ...],
-        partitions: tuple[int, ...],
-        refinement: tuple[int, ...],
-        entries: np.ndarray,
-        nearest: bool,
+        self, states: np.ndarray, domain: Box, cells: CellTree, nearest: bool
     ) -> np.ndarray:
         """Return leaf numbers (B,) int32, `OUTSIDE` or `NOT_FINITE`, of states (B, n)."""
-        arrays = [
-            np.ascontiguousarray(states, dtype=np.float64),
-            np.ascontiguousarray(lower),
-            np.ascontiguousarray(upper),
-            np.array(periodic, dtype=np.uint8),
-            *(np.array(a, dtype=np.int64) for a in (counts, partitions, refinement)),
-        ]
-        entries = np.ascontiguousarray(entries, dtype=np.int32)
+        states = np.ascontiguousarray(states, dtype=np.float64)
         labels = np.empty(len(states), dtype=np.int32)
+        tree = TreeArguments.of(domain, cells)
         self.function(
-            len(states),
-            *map(_pointer, arrays),
-            nearest,
-            _pointer(entries),
-            _pointer(labels),
+            len(states), _pointer(states), ctypes.addressof(tree), nearest, _pointer(labels)
         )
         return labels

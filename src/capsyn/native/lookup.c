@@ -10,114 +10,129 @@
 #define OUTSIDE (-2)
 #define NOT_FINITE (-3)
 
+typedef struct {
+    const double *lower, *upper;
+    const uint8_t *periodic;
+    const int64_t *counts, *partitions, *refinement;
+    const int32_t *entries;
+} tree;
+
+/* What a lookup needs of a tree beside its arrays. */
+typedef struct {
+    double scale[STATES], doubt[STATES];
+    uint32_t root_size[STATES];
+    int binary, level;
+} measures;
+
+static measures measure(const tree *cells)
+{
+    measures m = {.binary = 1, .level = 0};
+    for (int i = 0; i < STATES; ++i) {
+        const double low = cells->lower[i], high = cells->upper[i];
+        const double count = (double)cells->counts[i];
+        m.scale[i] = count / (high - low);
+        /* Only this close to a face, in steps, can rounding put a state into the wrong step. */
+        m.doubt[i] = 16 * DBL_EPSILON * (count + fmax(fabs(low), fabs(high)) * m.scale[i]);
+        m.root_size[i] = (uint32_t)(cells->counts[i] / cells->partitions[i]);
+        m.binary &= cells->refinement[i] == 2;
+    }
+    while ((uint32_t)1 << m.level < m.root_size[0])
+        ++m.level;
+    return m;
+}
+
 static double face(double lower, double upper, int64_t count, int64_t k)
 {
     return k >= count ? upper : lower + (upper - lower) * ((double)k / (double)count);
 }
 
 /* The entry of the leaf that holds the finest cell k, with digits by division. */
-static int32_t leaf_of(const uint32_t *restrict k, const int64_t *restrict partitions,
-                       const int64_t *restrict refinement, const uint32_t *restrict root_size,
-                       const int32_t *restrict entries)
+static int32_t leaf_of(const uint32_t *restrict k, const tree *cells, const measures *m)
 {
     uint32_t rest[STATES], size[STATES];
     int64_t entry = 0;
     for (int i = 0; i < STATES; ++i) {
-        size[i] = root_size[i];
-        entry = entry * partitions[i] + k[i] / size[i];
+        size[i] = m->root_size[i];
+        entry = entry * cells->partitions[i] + k[i] / size[i];
         rest[i] = k[i] % size[i];
     }
-    while (entries[entry] >= 0) {
+    while (cells->entries[entry] >= 0) {
         int64_t child = 0;
         for (int i = 0; i < STATES; ++i) {
-            size[i] /= (uint32_t)refinement[i];
-            child = child * refinement[i] + rest[i] / size[i];
+            size[i] /= (uint32_t)cells->refinement[i];
+            child = child * cells->refinement[i] + rest[i] / size[i];
             rest[i] %= size[i];
         }
-        entry = entries[entry] + child;
+        entry = cells->entries[entry] + child;
     }
-    return entries[entry];
+    return cells->entries[entry];
 }
 
 /* The same where every axis is refined by 2: the digits are bits. */
-static int32_t leaf_of_bits(const uint32_t *restrict k, const int64_t *restrict partitions,
-                            int level, const int32_t *restrict entries)
+static int32_t leaf_of_bits(const uint32_t *restrict k, const tree *cells, int level)
 {
     int64_t entry = 0;
     for (int i = 0; i < STATES; ++i)
-        entry = entry * partitions[i] + (k[i] >> level);
-    while (entries[entry] >= 0) {
+        entry = entry * cells->partitions[i] + (k[i] >> level);
+    while (cells->entries[entry] >= 0) {
         uint32_t child = 0;
         --level;
         for (int i = 0; i < STATES; ++i)
             child = child * 2 + (k[i] >> level & 1);
-        entry = entries[entry] + (int64_t)child;
+        entry = cells->entries[entry] + (int64_t)child;
     }
-    return entries[entry];
+    return cells->entries[entry];
 }
 
-void capsyn_lookup(const int64_t states_count, const double *restrict states,
-                   const double *restrict lower, const double *restrict upper,
-                   const uint8_t *restrict periodic, const int64_t *restrict counts,
-                   const int64_t *restrict partitions, const int64_t *restrict refinement,
-                   const int nearest, const int32_t *restrict entries, int32_t *restrict labels)
+/* The label of the cell that holds a state or is nearest to it, or NOT_FINITE. */
+static inline int32_t nearest_label(const tree *cells, const measures *m,
+                                    const double *restrict state, int *restrict outside)
 {
-    double scale[STATES], doubt[STATES];
-    uint32_t root_size[STATES];
-    int binary = 1, level = 0;
+    uint32_t steps[STATES];
+    *outside = 0;
     for (int i = 0; i < STATES; ++i) {
-        const double width = upper[i] - lower[i], largest = fmax(fabs(lower[i]), fabs(upper[i]));
-        scale[i] = (double)counts[i] / width;
-        /* Only this close to a face, in steps, can rounding put a state into the wrong step. */
-        doubt[i] = 16 * DBL_EPSILON * ((double)counts[i] + largest * scale[i]);
-        root_size[i] = (uint32_t)(counts[i] / partitions[i]);
-        binary &= refinement[i] == 2;
-    }
-    while ((uint32_t)1 << level < root_size[0])
-        ++level;
-
-    for (int64_t b = 0; b < states_count; ++b) {
-        uint32_t steps[STATES];
-        int32_t label = 0;
-        for (int i = 0; i < STATES; ++i) {
-            double x = states[b * STATES + i];
-            const double low = lower[i], high = upper[i];
-            if (!isfinite(x)) {
-                label = NOT_FINITE;
-                break;
+        double x = state[i];
+        const double low = cells->lower[i], high = cells->upper[i];
+        const int64_t count = cells->counts[i];
+        if (!isfinite(x))
+            return NOT_FINITE;
+        if (!(x >= low && x < high)) {
+            if (cells->periodic[i]) {
+                double offset = fmod(x - low, high - low);
+                if (offset < 0)
+                    offset += high - low;
+                x = low + offset;
+                if (x >= high)
+                    x = low;
+            } else {
+                *outside |= x != high;
+                x = x < low ? low : high;
             }
-            if (!(x >= low && x < high)) {
-                if (periodic[i]) {
-                    double offset = fmod(x - low, high - low);
-                    if (offset < 0)
-                        offset += high - low;
-                    x = low + offset;
-                    if (x >= high)
-                        x = low;
-                } else {
-                    if (x != high)
-                        label = OUTSIDE;
-                    x = x < low ? low : high;
-                }
-            }
-            const double place = (x - low) * scale[i];
-            int64_t k = (int64_t)place;
-            const double part = place - (double)k;
-            if (k > counts[i] - 1)
-                k = counts[i] - 1;
-            if (part < doubt[i] || part > 1 - doubt[i]) {
-                if (x < face(low, high, counts[i], k))
-                    --k;
-                else if (k + 1 < counts[i] && x >= face(low, high, counts[i], k + 1))
-                    ++k;
-            }
-            steps[i] = (uint32_t)k;
         }
-        if (label == NOT_FINITE || (label == OUTSIDE && !nearest))
-            labels[b] = label;
-        else if (binary)
-            labels[b] = -1 - leaf_of_bits(steps, partitions, level, entries);
-        else
-            labels[b] = -1 - leaf_of(steps, partitions, refinement, root_size, entries);
+        const double place = (x - low) * m->scale[i];
+        int64_t k = (int64_t)place;
+        const double part = place - (double)k;
+        if (k > count - 1)
+            k = count - 1;
+        if (part < m->doubt[i] || part > 1 - m->doubt[i]) {
+            if (x < face(low, high, count, k))
+                --k;
+            else if (k + 1 < count && x >= face(low, high, count, k + 1))
+                ++k;
+        }
+        steps[i] = (uint32_t)k;
+    }
+    return -1 - (m->binary ? leaf_of_bits(steps, cells, m->level) : leaf_of(steps, cells, m));
+}
+
+void capsyn_lookup(const int64_t count, const double *restrict states, const tree *cells,
+                   const int nearest, int32_t *restrict labels)
+{
+    const tree local = *cells;
+    const measures m = measure(&local);
+    for (int64_t b = 0; b < count; ++b) {
+        int outside;
+        const int32_t label = nearest_label(&local, &m, states + b * STATES, &outside);
+        labels[b] = label != NOT_FINITE && outside && !nearest ? OUTSIDE : label;
     }
 }
