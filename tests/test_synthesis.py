@@ -197,7 +197,7 @@ def test_threads_are_those_asked_for(monkeypatch):
     monkeypatch.setattr("capsyn.subdivision.ThreadPoolExecutor", Pool)
     synthesize(own(), threads=3)
     synthesize(own())
-    assert pools == [3, module._processors()]
+    assert pools == [3, module.processors()]
     assert 1 <= pools[1] <= os.cpu_count()
 
 

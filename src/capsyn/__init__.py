@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from capsyn.policy import Policy as Policy
     from capsyn.problem import Problem as Problem
     from capsyn.settings import SsacSettings as SsacSettings
+    from capsyn.simulation import Trajectory as Trajectory
+    from capsyn.simulation import simulate as simulate
     from capsyn.subdivision import subdivide as subdivide
     from capsyn.synthesis import synthesize as synthesize
 
@@ -26,6 +28,8 @@ _PUBLIC = {
     "Policy": "policy",
     "Problem": "problem",
     "SsacSettings": "settings",
+    "Trajectory": "simulation",
+    "simulate": "simulation",
     "subdivide": "subdivision",
     "synthesize": "synthesis",
 }
@@ -37,6 +41,8 @@ __all__ = [
     "Policy",
     "Problem",
     "SsacSettings",
+    "Trajectory",
+    "simulate",
     "subdivide",
     "synthesize",
 ]

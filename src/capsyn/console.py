@@ -144,7 +144,7 @@ def print_report(data: dict[str, Any]) -> None:
             f"control weight {settings['control_weight']}, {settings['precision']} precision",
         )
     if data["target"]:
-        line("target", ", ".join(f"{k} {v}" for k, v in data["target"].items() if v))
+        line("target", data["target"])
     line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
     for hint in data["hints"]:
         line("hint", hint)

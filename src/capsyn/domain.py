@@ -190,10 +190,13 @@ class Ball:
         Centre [state units].
     radius : float
         Radius > 0 [state units].
+    names : n strings, optional
+        The states that it is about. Default: all, in order.
     """
 
     center: Any
     radius: float
+    names: Any = None
 
     def __post_init__(self) -> None:
         center = finite_array("center", self.center, 1)
@@ -201,6 +204,15 @@ class Ball:
             raise ProblemError("`center` must have one entry per state; got none")
         object.__setattr__(self, "center", center)
         object.__setattr__(self, "radius", finite_number("radius", self.radius, above=0.0))
+        if self.names is not None:
+            names = texts("names", self.names, len(center), ())
+            distinct("names", names)
+            object.__setattr__(self, "names", names)
+
+    @property
+    def n(self) -> int:
+        """Number of states that it is about."""
+        return len(self.center)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Ball) and self.to_json() == other.to_json()
@@ -210,4 +222,5 @@ class Ball:
 
     def to_json(self) -> dict[str, Any]:
         """Return the ball as plain data."""
-        return {"center": self.center.tolist(), "radius": self.radius}
+        named = {} if self.names is None else {"names": list(self.names)}
+        return {"center": self.center.tolist(), "radius": self.radius} | named

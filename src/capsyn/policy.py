@@ -13,10 +13,11 @@ import numpy as np
 
 from capsyn.alphabet import Alphabet
 from capsyn.cells import CellTree
-from capsyn.domain import Ball, Box
+from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from capsyn.model import Model
 from capsyn.settings import SsacSettings
+from capsyn.targets import Target, check_target
 from capsyn.validation import describe, finite_number, numbers
 
 if TYPE_CHECKING:
@@ -52,8 +53,8 @@ class Policy:
         symbol. A state that is not finite gets an error, or the safe symbol.
     min_dwell : float
         Least time between switches [s], for whoever runs the policy.
-    target : Ball or Box, optional
-        What "arrived" means.
+    target : Ball, Box or Program, optional
+        What "arrived" means; of a program, the states where it is not 0.
     horizon : float, optional
         Prediction horizon T [s] of the controller that the policy came from.
     settings : SsacSettings, optional
@@ -73,7 +74,7 @@ class Policy:
     cells: CellTree
     outside: Outside = "error"
     min_dwell: float = 0.0
-    target: Ball | Box | None = None
+    target: Target | None = None
     horizon: float | None = None
     settings: SsacSettings | None = None
     model: Model | None = None
@@ -89,7 +90,7 @@ class Policy:
         keep("default", self.alphabet.control("default", self.default))
         keep("outside", check_outside(self.outside, self.alphabet))
         keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
-        check_target(self.target, self.domain.n)
+        check_target(self.target, self.domain)
         if self.horizon is not None:
             keep("horizon", finite_number("horizon", self.horizon, above=0.0))
         if self.settings is not None:
@@ -213,15 +214,6 @@ class Policy:
             f"Policy('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
             f"{self.cells.leaf_count} cells)"
         )
-
-
-def check_target(target: Any, n: int) -> None:
-    """Raise `ProblemError` unless a target is None, or a Ball or Box of `n` states."""
-    if target is not None and not isinstance(target, (Ball, Box)):
-        raise ProblemError(f"`target` must be a Ball or a Box; got {describe(target)}")
-    size = n if target is None else len(target.center) if isinstance(target, Ball) else target.n
-    if size != n:
-        raise ProblemError(f"`target` must have {n} dimension(s); got {size}")
 
 
 def check_outside(rule: Any, alphabet: Alphabet) -> Outside:

@@ -18,7 +18,9 @@ from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.files import atomic_write
 from capsyn.model import Model
 from capsyn.policy import Policy
+from capsyn.program import Program
 from capsyn.settings import SsacSettings
+from capsyn.targets import Target
 
 FORMAT = "capsyn-policy"
 VERSION = 1
@@ -80,7 +82,7 @@ def _digest(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> str:
 
 def _content(policy: Policy) -> dict[str, Any]:
     target = policy.target
-    kind = "ball" if isinstance(target, Ball) else "box"
+    kind = {Ball: "ball", Box: "box", Program: "program", type(None): ""}[type(target)]
     tree = policy.cells
     return {
         "name": policy.name,
@@ -216,8 +218,10 @@ def _statistics(data: Any) -> dict[str, Any]:
     return data
 
 
-def _target(data: Any) -> Ball | Box | None:
+def _target(data: Any) -> Target | None:
     if data is None:
         return None
     ((kind, value),) = data.items()
+    if kind == "program":
+        return Program.from_json(value)
     return {"ball": Ball, "box": Box}[kind](**value)

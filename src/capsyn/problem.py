@@ -16,8 +16,9 @@ from capsyn.alphabet import Alphabet
 from capsyn.cells import grid_settings
 from capsyn.domain import Ball, Box
 from capsyn.errors import ProblemError
-from capsyn.policy import Outside, check_outside, check_target
+from capsyn.policy import Outside, check_outside
 from capsyn.settings import SsacSettings
+from capsyn.targets import check_target
 from capsyn.validation import describe, finite_number, one_line
 
 
@@ -42,7 +43,7 @@ class Problem:
         Prediction horizon T > 0 [s].
     running_cost, terminal_cost : callables ``x -> scalar``, optional
         Eq. (3) [cost / s] and [cost]; at least one. No factor 1/2 is implied.
-    target : Ball or Box, optional
+    target : Ball, Box or callable ``x -> true or false``, optional
         What "arrived" means; carried in the policy.
     outside : "error", "nearest" or symbol
         What a state outside the domain gets; carried in the policy.
@@ -71,7 +72,7 @@ class Problem:
     horizon: float
     running_cost: Callable[[Any], Any] | None = None
     terminal_cost: Callable[[Any], Any] | None = None
-    target: Ball | Box | None = None
+    target: Ball | Box | Callable[[Any], Any] | None = None
     outside: Outside = "error"
     min_dwell: float = 0.0
     settings: SsacSettings = field(default_factory=SsacSettings)
@@ -99,7 +100,8 @@ class Problem:
                 f"`settings` must be a capsyn.SsacSettings; got {describe(self.settings)}"
             )
         self.settings.efforts(self.alphabet.values)
-        check_target(self.target, self.domain.n)
+        if isinstance(self.target, (Ball, Box)) or not callable(self.target):
+            check_target(self.target, self.domain)
         q, r, level = grid_settings(self.partitions, self.refinement, self.max_level, self.domain.n)
         keep("partitions", q)
         keep("refinement", r)
@@ -115,6 +117,8 @@ class Problem:
             if not callable(value):
                 raise ProblemError(f"`{name}` must be a function; got {describe(value)}")
         self.functions()
+        if callable(self.target):
+            expression("target", self.target, [ca.SX.sym("x", self.domain.n)], 1)
 
     def functions(self) -> dict[str, ca.Function]:
         """Return CasADi functions: ``dynamics(x, u)``, ``running_cost(x)``, ``terminal_cost(x)``.

@@ -6,6 +6,7 @@ from typing import Any
 
 from capsyn.policy import Policy
 from capsyn.policy_file import content_hash
+from capsyn.targets import describe_target
 
 
 def report(policy: Policy) -> dict[str, Any]:
@@ -32,7 +33,7 @@ def report(policy: Policy) -> dict[str, Any]:
             for k in range(len(alphabet))
         ],
         "inputs": list(alphabet.inputs),
-        "target": None if policy.target is None else policy.target.to_json(),
+        "target": None if policy.target is None else describe_target(policy.target, domain),
         "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
         "unused_symbols": [names[k] for k in range(len(alphabet)) if not shares[k]],
         "max_level": tree.max_level,

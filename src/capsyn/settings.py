@@ -44,7 +44,15 @@ class SsacSettings:
     tolerance : float
         99th percentile of the error of ``dJ_dlam`` relative to its largest possible size.
     precision : "double" or "single"
-        Arithmetic of the solves.
+        Arithmetic of the solves that make policies.
+    application_time : "now" or "search"
+        When the online controller acts: at once, or when waiting and efficacy balance best. The
+        solves that make policies act at once.
+    initial_duration, shrink, max_backtracks, descent
+        Line search of the online controller: the first duration of an action [s], the factor
+        that shortens it, how often, and the share of the cost that it must take off.
+    sample_time : float
+        Sample time of closed loops for which none is given [s].
     """
 
     gamma: float = -5.0
@@ -55,6 +63,12 @@ class SsacSettings:
     steps: int | None = None
     tolerance: float = 1e-6
     precision: str = "double"
+    application_time: str = "now"
+    initial_duration: float = 0.1
+    shrink: float = 0.5
+    max_backtracks: int = 4
+    descent: float = 0.01
+    sample_time: float = 0.001
 
     def __post_init__(self) -> None:
         def keep(name: str, value: Any) -> None:
@@ -86,7 +100,17 @@ class SsacSettings:
         one_of("precision", self.precision, ["double", "single"])
         if self.steps is not None:
             keep("steps", whole_number("steps", self.steps, least=1, most=MAX_STEPS))
-        keep("tolerance", finite_number("tolerance", self.tolerance, above=0.0))
+        one_of("application_time", self.application_time, ["now", "search"])
+        keep(
+            "max_backtracks", whole_number("max_backtracks", self.max_backtracks, least=0, most=60)
+        )
+        for name in ("tolerance", "initial_duration", "sample_time"):
+            keep(name, finite_number(name, getattr(self, name), above=0.0))
+        for name in ("shrink", "descent"):
+            value = finite_number(name, getattr(self, name), least=0.0)
+            if not value < 1 or (name == "shrink" and value == 0):
+                raise ProblemError(f"`{name}` must be between 0 and 1; got {value:g}")
+            keep(name, value)
 
     def efforts(self, values: np.ndarray) -> np.ndarray:
         """Return the control efforts ``u^T R u`` (N,) of control vectors (N, m)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 import warnings
 from collections.abc import Callable
@@ -18,10 +17,11 @@ from capsyn.masks import several
 from capsyn.model import Model
 from capsyn.policy import Outside, Policy
 from capsyn.problem import Problem
+from capsyn.processors import processors
 from capsyn.settings import SsacSettings
 from capsyn.ssac import TIE, BatchController, batch_controller
 from capsyn.subdivision import check_size, subdivide
-from capsyn.transcription import transcribe
+from capsyn.transcription import transcribe, transcribe_target
 from capsyn.validation import describe, one_of, whole_number
 
 SAMPLES = 2048
@@ -92,7 +92,7 @@ def synthesize(
         "min_dwell": min_dwell,
     }
     problem = problem.replace(**{k: v for k, v in overrides.items() if v is not None})
-    threads = _processors() if threads is None else whole_number("threads", threads, least=1)
+    threads = processors(threads)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, ["auto", "c", "numpy"])
     domain = problem.domain
@@ -131,7 +131,7 @@ def synthesize(
         policy,
         default=problem.default,
         min_dwell=problem.min_dwell,
-        target=problem.target,
+        target=transcribe_target(problem),
         horizon=problem.horizon,
         settings=controller.settings,
         model=model,
@@ -215,9 +215,3 @@ def _warn_not_finite(policy: Policy) -> None:
             CapsynWarning,
             stacklevel=3,
         )
-
-
-def _processors() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

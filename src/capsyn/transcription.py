@@ -8,11 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from capsyn.domain import Ball, Box
 from capsyn.errors import ProblemError
 from capsyn.model import Model, model_ports
 from capsyn.problem import Problem, casadi_function, expression
 from capsyn.program import Ports, Program
 from capsyn.program_builder import ProgramBuilder
+from capsyn.targets import INSIDE, Target
 
 _SAME_NAME = (
     "add sub mul div neg sqrt fabs floor ceil copysign sign fmin fmax lt le eq ne not and or exp "
@@ -160,6 +162,14 @@ def transcribe(problem: Problem) -> Model:
         for name in ports
     }
     return Model(**programs)
+
+
+def transcribe_target(problem: Problem) -> Target | None:
+    """Return the target of a problem; a function of the state becomes a program."""
+    target = problem.target
+    if target is None or isinstance(target, (Ball, Box)):
+        return target
+    return user_program("target", target, (("x", problem.domain.n),), INSIDE)
 
 
 def runge_kutta_step(

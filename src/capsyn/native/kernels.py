@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +14,10 @@ from capsyn.domain import Box
 from capsyn.model import Model
 from capsyn.native.build import load
 from capsyn.native.source import declarations, hand_written
+from capsyn.program import Program
 
 LANES = 64
+SIMULATION_LANES = 32
 OUTSIDE, NOT_FINITE = -2, -3
 """What `LookupKernel` writes for states outside the domain, or not finite."""
 
@@ -139,3 +142,94 @@ class LookupKernel:
             len(states), _pointer(states), ctypes.addressof(tree), nearest, _pointer(labels)
         )
         return labels
+
+
+class LoopArguments(ctypes.Structure):
+    """The ``loop`` of simulate.c."""
+
+    _fields_ = [
+        ("period", ctypes.c_double),
+        *(
+            (name, ctypes.c_int64)
+            for name in "substeps dwell last outside_error outside_symbol stop symbols".split()
+        ),
+        ("controls", ctypes.c_void_p),
+        ("cells", TreeArguments),
+    ]
+
+
+def trial_type(n: int, m: int, parameters: int, queue: int) -> np.dtype:
+    """Return the record of a trial, the ``trial`` of simulate.c."""
+    real, whole = np.float64, np.int64
+    fields: list[Any] = [
+        ("state", real, (n,)),
+        ("push", real, (n,)),
+        ("cost", real),
+        ("rest", real),
+        ("parameters", real, (parameters,)),
+        ("control", real, (m,)),
+        ("queue", real, (queue, m)),
+    ]
+    names = "delay symbol held switches outside ended end arrived away".split()
+    return np.dtype(fields + [(name, whole) for name in names])
+
+
+@dataclass(frozen=True)
+class SimulationKernel:
+    """The closed loop of a policy and a plant, compiled. Safe to call from threads."""
+
+    function: Any
+
+    @staticmethod
+    def build(
+        dynamics: Program, running_cost: Program, inside: Program, queue: int
+    ) -> SimulationKernel:
+        """Return the kernel of a plant; `KernelBuildError` if it fails.
+
+        Parameters
+        ----------
+        dynamics : Program ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``
+            The plant.
+        running_cost, inside : Program of ``x``
+            Cost [cost / s], and whether a state is in the target (not 0).
+        queue : int
+            Controls that a trial remembers: one more than samples of delay, at least 2.
+        """
+        sizes = dict(dynamics.inputs)
+        programs = {"dynamics": dynamics, "running_cost": running_cost, "inside": inside}
+        source = "\n".join(
+            [
+                declarations(programs.values(), "double", SIMULATION_LANES),
+                f"#define STATES {sizes['x']}\n#define INPUTS {sizes['u']}",
+                f"#define PARAMETERS {sizes.get('p', 0)}\n#define QUEUE {queue}",
+                *(program.to_c(name) for name, program in programs.items()),
+                hand_written("lookup.c"),
+                hand_written("simulate.c"),
+            ]
+        )
+        function = load(source, ("-ffp-contract=off",)).capsyn_simulate
+        function.restype = None
+        p, whole = ctypes.c_void_p, ctypes.c_int64
+        function.argtypes = [whole, p, whole, whole, p, p, p, p, p, p]
+        return SimulationKernel(function)
+
+    def __call__(
+        self,
+        trials: np.ndarray,
+        first: int,
+        samples: int,
+        loop: LoopArguments,
+        noise: np.ndarray | None,
+        pushes: np.ndarray | None,
+        record: Sequence[np.ndarray | None],
+    ) -> None:
+        """Run `samples` samples of the trials; `record` is (states, symbols, costs)."""
+        arrays = (noise, pushes, *record)
+        self.function(
+            len(trials),
+            _pointer(trials),
+            first,
+            samples,
+            ctypes.addressof(loop),
+            *(None if a is None else _pointer(a) for a in arrays),
+        )

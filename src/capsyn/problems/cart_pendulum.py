@@ -14,6 +14,7 @@ from capsyn.settings import SsacSettings
 GRAVITY = 9.81  # m/s^2
 LENGTH = 2.0  # m
 MASS = 1.0  # kg
+TOLERANCE = 0.05 * 2 * MASS * GRAVITY * LENGTH  # J; of the energy between hanging and upright
 
 
 def dynamics(x: Any, u: Any) -> list[Any]:
@@ -43,6 +44,7 @@ def cart_pendulum(values: tuple[float, ...] = (5.0, -5.0), name: str = "cart-pen
         default=0.0,
         horizon=1.2,
         terminal_cost=lambda x: 0.5 * energy(x) ** 2,
+        target=lambda x: ca.fabs(energy(x)) <= TOLERANCE,
         outside="nearest",
         settings=SsacSettings(gamma=-5.0, control_weight=0.3),
         description=f"swing-up of a pendulum by {len(values)} accelerations of its cart",

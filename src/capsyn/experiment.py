@@ -1,0 +1,206 @@
+"""What simulations and Monte Carlo trials share: a closed loop, its arguments checked."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.closed_loop import (
+    NOT_FINITE,
+    TIME,
+    Command,
+    Decide,
+    Loop,
+    Noise,
+    Record,
+    hold,
+    new_trials,
+    run,
+)
+from capsyn.errors import ProblemError
+from capsyn.plant import Plant, choose_substeps, plant_of
+from capsyn.policy import Outside, Policy, check_outside
+from capsyn.policy_loop import run_policy
+from capsyn.processors import processors
+from capsyn.program import Program
+from capsyn.targets import INSIDE, Target, check_target, target_program
+from capsyn.transcription import user_program
+from capsyn.validation import describe, finite_number, numbers, one_of, whole_number
+
+MOST_SAMPLES = 10**9
+"""Most samples of a trial."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A controller, a plant, and how they are brought together.
+
+    Parameters
+    ----------
+    plant : Plant
+        The plant.
+    loop : Loop
+        How the loop runs.
+    inputs : tuple of str
+        Names of the inputs.
+    rate : float
+        Samples per second [1 / s].
+    target : Ball, Box, Program or None
+        What arriving means.
+    run : callable ``(trials, noise, record)``
+        Runs trials in place.
+    """
+
+    plant: Plant
+    loop: Loop
+    inputs: tuple[str, ...]
+    rate: float
+    target: Target | None
+    run: Callable[[np.ndarray, Noise | None, Record | None], None]
+
+    def trials(
+        self,
+        states: np.ndarray,
+        delays: np.ndarray,
+        parameters: np.ndarray,
+        push: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return new trials; see `new_trials`."""
+        push = np.zeros_like(states) if push is None else push
+        return new_trials(states, self.plant.m, delays, parameters, push, self.loop.period)
+
+
+def set_up(
+    controller: Any,
+    duration: float,
+    rate: float | None,
+    *,
+    model: Any = None,
+    parameters: Sequence[str] = (),
+    typical: Any = None,
+    disturbance: Any = None,
+    min_dwell: float | None = None,
+    outside: Outside | None = None,
+    target: Any = None,
+    stop_at_target: bool = False,
+    substeps: int | None = None,
+    backend: str = "auto",
+    threads: int | None = None,
+) -> Experiment:
+    """Return the experiment that the arguments of `simulate` describe.
+
+    Parameters
+    ----------
+    typical : (P, K), optional
+        Parameters for choosing the steps of the integration.
+    """
+    duration = finite_number("duration", duration, above=0.0)
+    if rate is None:
+        settings = getattr(controller, "settings", None)
+        if settings is None:
+            raise ProblemError("`rate` must be given for a controller without settings")
+        rate = 1 / settings.sample_time
+    rate = finite_number("rate", rate, above=0.0)
+    samples = duration * rate
+    if not 0.5 <= samples <= MOST_SAMPLES:
+        raise ProblemError(
+            f"`duration` times `rate` must be 1 to {MOST_SAMPLES:g} samples; got {samples:g}"
+        )
+    one_of("backend", backend, ["auto", "c", "numpy"])
+    threads = processors(threads)
+    if not callable(controller):
+        raise ProblemError(
+            "`controller` must be a Policy, an OnlineController or a function of time and states; "
+            f"got {describe(controller)}"
+        )
+    plant = plant_of(controller, model, parameters)
+    n, m = plant.n, plant.m
+    if min_dwell is None:
+        min_dwell = getattr(controller, "min_dwell", 0.0)
+    dwell = finite_number("min_dwell", min_dwell, least=0.0) * rate
+    if target is None:
+        target = getattr(controller, "target", None)
+    elif callable(target) and not isinstance(target, Program):
+        target = user_program("target", target, (("x", n),), INSIDE)
+    check_target(target, plant.domain)
+    if stop_at_target and target is None:
+        raise ProblemError("`target` must be given to stop at it; the policy has none")
+    idle = getattr(controller, "default", np.zeros(m))
+    alphabet = getattr(controller, "alphabet", None)
+    period, samples = 1 / rate, round(samples)
+    if substeps is None:
+        controls = idle[None, :] if alphabet is None else np.vstack([alphabet.values, idle])
+        values = np.zeros((0, 1)) if typical is None else typical
+        substeps = choose_substeps(plant, controls, values, period)
+    loop = Loop(
+        period,
+        samples,
+        whole_number("substeps", substeps, least=1),
+        math.ceil(dwell - 1e-9),
+        target_program(target, plant.domain),
+        stop_at_target,
+        idle,
+        _pushes(disturbance, n, period, samples),
+    )
+    inputs = tuple(f"u{i + 1}" for i in range(m)) if alphabet is None else alphabet.inputs
+    if isinstance(controller, Policy):
+        rule = check_outside(
+            controller.outside if outside is None else outside, controller.alphabet
+        )
+
+        def start(trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
+            run_policy(controller, rule, plant, loop, trials, noise, record, backend, threads)
+
+    else:
+        if outside is not None:
+            raise ProblemError("`outside` must be given for policies only")
+        decide = getattr(controller, "decide", None) or _function_decide(controller, m)
+
+        def start(trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
+            run(decide, plant, loop, trials, noise, record)
+
+    return Experiment(plant, loop, inputs, rate, target, start)
+
+
+def per_state(name: str, value: Any, n: int, least: float | None = None) -> np.ndarray:
+    """Return (n,) finite numbers from as many, or from one for all."""
+    array = numbers(name, value)
+    array = np.full(n, array) if array.ndim == 0 else array
+    if array.shape != (n,) or not np.isfinite(array).all():
+        raise ProblemError(
+            f"`{name}` must be a finite number or {n} of them, one per state; got {describe(value)}"
+        )
+    if least is not None and (array < least).any():
+        raise ProblemError(f"`{name}` must be >= {least:g}; got {describe(value)}")
+    return array
+
+
+def _pushes(disturbance: Any, n: int, period: float, samples: int) -> np.ndarray | None:
+    if disturbance is None:
+        return None
+    if not callable(disturbance):
+        return np.tile(per_state("disturbance", disturbance, n), (samples, 1))
+    values = [per_state("disturbance", disturbance(k * period), n) for k in range(samples)]
+    return np.array(values)
+
+
+def _function_decide(function: Callable[..., Any], m: int) -> Decide:
+    """Return the decision of a function ``(time, states (B, n)) -> controls (B, m)``."""
+
+    def decide(time: float, measured: np.ndarray) -> Command:
+        controls = numbers("controller", function(time, measured))
+        wanted = (len(measured), m)
+        if controls.shape != wanted:
+            raise ProblemError(
+                f"`controller` must return controls of shape {wanted}; got shape {controls.shape}"
+            )
+        command = hold(controls)
+        finite = np.isfinite(controls).all(axis=1)
+        return dataclasses.replace(command, ended=np.where(finite, TIME, NOT_FINITE))
+
+    return decide

@@ -1,0 +1,231 @@
+/* The closed loop of a policy and a plant at a sample rate, for blocks of LANES trials.
+ *
+ * Needs lookup.c, STATES, INPUTS, PARAMETERS, QUEUE and the programs dynamics, running_cost and
+ * inside before it, and -ffp-contract=off. `closed_loop.py` says what happens at a sample, and
+ * does the same in NumPy. Trials do not see each other, and each goes through the same
+ * instructions whatever its place, so that results do not depend on how trials are grouped.
+ */
+enum { NONE = -2, RUNNING = 0, ARRIVED = 1, LEFT_DOMAIN = 2, NOT_A_STATE = 3 };
+
+typedef struct {
+    double state[STATES], push[STATES], cost, rest;
+#if PARAMETERS
+    double parameters[PARAMETERS];
+#endif
+    double control[INPUTS], queue[QUEUE][INPUTS];
+    int64_t delay, symbol, held, switches, outside, ended, end, arrived, away;
+} trial;
+
+typedef struct {
+    double period;
+    int64_t substeps, dwell, last, outside_error, outside_symbol, stop, symbols;
+    const double *controls; /* (symbols + 1, INPUTS), the default last */
+    tree cells;
+} loop;
+
+typedef double lanes_of_states[STATES][LANES];
+typedef double lanes_of_inputs[INPUTS][LANES];
+typedef double lanes[LANES];
+
+typedef struct {
+    lanes_of_states x, push;
+    lanes cost;
+#if PARAMETERS
+    double parameters[PARAMETERS][LANES];
+#endif
+} block;
+
+static inline void slope(const block *b, const lanes_of_states x, const lanes_of_inputs u,
+                         lanes_of_states out, double cost[1][LANES])
+{
+#if PARAMETERS
+    dynamics(x, u, b->parameters, out);
+#else
+    dynamics(x, u, out);
+#endif
+    running_cost(x, cost);
+    for (int i = 0; i < STATES; ++i)
+        EACH_LANE {
+            out[i][lane] += b->push[i][lane];
+        }
+}
+
+static inline void along(const lanes_of_states x, const lanes_of_states k, const lanes h,
+                         const double factor, lanes_of_states out)
+{
+    for (int i = 0; i < STATES; ++i)
+        EACH_LANE {
+            out[i][lane] = x[i][lane] + factor * h[lane] * k[i][lane];
+        }
+}
+
+/* The classical Runge-Kutta method over a duration of its own in every lane. */
+static void advance(block *b, const lanes_of_inputs u, const lanes duration, const int64_t substeps)
+{
+    _Alignas(64) lanes_of_states k1, k2, k3, k4, y;
+    _Alignas(64) double c1[1][LANES], c2[1][LANES], c3[1][LANES], c4[1][LANES];
+    _Alignas(64) lanes h;
+    EACH_LANE {
+        h[lane] = duration[lane] / (double)substeps;
+    }
+    for (int64_t s = 0; s < substeps; ++s) {
+        slope(b, b->x, u, k1, c1);
+        along(b->x, k1, h, 0.5, y);
+        slope(b, y, u, k2, c2);
+        along(b->x, k2, h, 0.5, y);
+        slope(b, y, u, k3, c3);
+        along(b->x, k3, h, 1.0, y);
+        slope(b, y, u, k4, c4);
+        for (int i = 0; i < STATES; ++i)
+            EACH_LANE {
+                b->x[i][lane] += h[lane] / 6 *
+                    (k1[i][lane] + 2 * k2[i][lane] + 2 * k3[i][lane] + k4[i][lane]);
+            }
+        EACH_LANE {
+            b->cost[lane] += h[lane] / 6 *
+                (c1[0][lane] + 2 * c2[0][lane] + 2 * c3[0][lane] + c4[0][lane]);
+        }
+    }
+}
+
+/* What a trial does at sample k: end, or take a new control into its queue. */
+static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
+                   const double *noise, const int target)
+{
+    for (int i = 0; i < STATES; ++i)
+        if (!isfinite(t->state[i]))
+            t->ended = NOT_A_STATE;
+    if (t->ended == RUNNING && target) {
+        if (t->arrived < 0)
+            t->arrived = k;
+        if (l->stop)
+            t->ended = ARRIVED;
+    } else {
+        t->away = k;
+    }
+    if (t->ended == RUNNING && k < l->last) {
+        double measured[STATES];
+        int outside;
+        for (int i = 0; i < STATES; ++i)
+            measured[i] = t->state[i] + (noise ? noise[i] : 0.0);
+        int64_t symbol = nearest_label(&l->cells, m, measured, &outside);
+        outside |= symbol == NOT_FINITE;
+        t->outside += outside;
+        if (outside && l->outside_error)
+            t->ended = symbol == NOT_FINITE ? NOT_A_STATE : LEFT_DOMAIN;
+        else if (symbol == NOT_FINITE && l->outside_symbol < 0)
+            t->ended = NOT_A_STATE;
+        else {
+            if (outside && l->outside_symbol >= 0)
+                symbol = l->outside_symbol;
+            const double *u = l->controls + symbol * INPUTS;
+            int changes = 0;
+            for (int i = 0; i < INPUTS; ++i)
+                changes |= u[i] != t->control[i];
+            if (t->symbol == NONE || (changes && t->held >= l->dwell)) {
+                t->switches += t->symbol != NONE;
+                t->held = 0;
+            }
+            if (t->held == 0 || !changes) {
+                t->symbol = symbol;
+                for (int i = 0; i < INPUTS; ++i)
+                    t->control[i] = u[i];
+            }
+            ++t->held;
+            for (int i = 0; i < INPUTS; ++i)
+                t->queue[k % QUEUE][i] = t->control[i];
+        }
+    }
+    if (t->ended != RUNNING || k == l->last)
+        t->end = k;
+}
+
+/* Run samples first .. first + samples - 1 of the trials, and sample `last` too where it is next.
+ *
+ * noise (count, samples, STATES), pushes (samples, STATES), states (count, last + 1, STATES),
+ * symbols (count, last) and costs (count, last + 1) may be NULL.
+ */
+void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t first,
+                     const int64_t samples, const loop *settings, const double *restrict noise,
+                     const double *restrict pushes, double *restrict states,
+                     int64_t *restrict symbols, double *restrict costs)
+{
+    const loop l = *settings;
+    const measures m = measure(&l.cells);
+    const double *idle = l.controls + l.symbols * INPUTS;
+
+    for (int64_t start = 0; start < count; start += LANES) {
+        const int used = count - start < LANES ? (int)(count - start) : LANES;
+        trial *t = trials + start;
+        _Alignas(64) block b;
+        _Alignas(64) lanes_of_inputs late, now;
+        _Alignas(64) lanes late_time, now_time;
+        _Alignas(64) double target[1][LANES];
+        int any_late = 0;
+        for (int lane = 0; lane < LANES; ++lane) {
+            const trial *from = t + (lane < used ? lane : used - 1);
+            for (int i = 0; i < STATES; ++i)
+                b.x[i][lane] = from->state[i];
+            b.cost[lane] = from->cost;
+#if PARAMETERS
+            for (int i = 0; i < PARAMETERS; ++i)
+                b.parameters[i][lane] = from->parameters[i];
+#endif
+            late_time[lane] = from->rest;
+            now_time[lane] = l.period - from->rest;
+            any_late |= from->rest > 0;
+        }
+        for (int64_t k = first; k < first + samples + (first + samples == l.last); ++k) {
+            int running = 0;
+            inside(b.x, target);
+            for (int lane = 0; lane < used; ++lane) {
+                trial *one = t + lane;
+                if (one->ended != RUNNING || one->end >= 0)
+                    continue;
+                for (int i = 0; i < STATES; ++i)
+                    one->state[i] = b.x[i][lane];
+                one->cost = b.cost[lane];
+                const double *own_noise =
+                    noise ? noise + ((start + lane) * samples + (k - first)) * STATES : NULL;
+                sample(one, &l, &m, k, k < l.last ? own_noise : NULL, target[0][lane] != 0);
+                if (states)
+                    for (int i = 0; i < STATES; ++i)
+                        states[((start + lane) * (l.last + 1) + k) * STATES + i] = one->state[i];
+                if (costs)
+                    costs[(start + lane) * (l.last + 1) + k] = one->cost;
+                if (one->end >= 0)
+                    continue;
+                if (symbols)
+                    symbols[(start + lane) * l.last + k] = one->symbol;
+                running = 1;
+                const double *before =
+                    k - one->delay - 1 >= 0 ? one->queue[(k - one->delay - 1) % QUEUE] : idle;
+                const double *after =
+                    k - one->delay >= 0 ? one->queue[(k - one->delay) % QUEUE] : idle;
+                for (int i = 0; i < INPUTS; ++i) {
+                    late[i][lane] = before[i];
+                    now[i][lane] = after[i];
+                }
+            }
+            if (!running)
+                break;
+            for (int lane = 0; lane < LANES; ++lane) {
+                const trial *from = t + (lane < used ? lane : used - 1);
+                for (int i = 0; i < STATES; ++i)
+                    b.push[i][lane] = from->push[i] + (pushes ? pushes[(k - first) * STATES + i] : 0);
+                if (lane >= used || t[lane].end >= 0)
+                    for (int i = 0; i < INPUTS; ++i)
+                        late[i][lane] = now[i][lane] = idle[i];
+            }
+            if (any_late)
+                advance(&b, late, late_time, l.substeps);
+            advance(&b, now, now_time, l.substeps);
+        }
+        for (int lane = 0; lane < used; ++lane)
+            if (t[lane].end < 0) {
+                for (int i = 0; i < STATES; ++i)
+                    t[lane].state[i] = b.x[i][lane];
+                t[lane].cost = b.cost[lane];
+            }
+    }
+}

@@ -1,0 +1,123 @@
+"""The closed loop of a policy, compiled where there is a compiler."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from capsyn.closed_loop import (
+    LEFT_DOMAIN,
+    NOISE_BYTES,
+    NONE,
+    NOT_FINITE,
+    TIME,
+    Command,
+    Decide,
+    Loop,
+    Noise,
+    Record,
+    hold,
+    run,
+)
+from capsyn.errors import CapsynWarning, KernelBuildError
+from capsyn.native.kernels import (
+    SIMULATION_LANES,
+    LoopArguments,
+    SimulationKernel,
+    TreeArguments,
+)
+from capsyn.plant import Plant
+from capsyn.policy import Outside, Policy
+
+
+def run_policy(
+    policy: Policy,
+    outside: Outside,
+    plant: Plant,
+    loop: Loop,
+    trials: np.ndarray,
+    noise: Noise | None,
+    record: Record | None,
+    backend: str,
+    threads: int,
+) -> None:
+    """Run trials under a policy, in place, compiled where there is a compiler."""
+    decide = policy_decide(policy, outside)
+    if backend != "numpy":
+        try:
+            queue = trials.dtype["queue"].shape[0]
+            kernel = SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue)
+        except KernelBuildError as error:
+            if backend == "c":
+                raise
+            warnings.warn(f"simulating with NumPy: {error}", CapsynWarning, stacklevel=4)
+        else:
+            _run_compiled(kernel, policy, outside, loop, trials, noise, record, threads)
+            return
+    run(decide, plant, loop, trials, noise, record)
+
+
+def policy_decide(policy: Policy, outside: Outside) -> Decide:
+    """Return the decision of a policy under an out-of-domain rule."""
+    table = np.vstack([policy.alphabet.values, policy.default])
+
+    def decide(time: float, measured: np.ndarray) -> Command:
+        finite = np.isfinite(measured).all(axis=1)
+        out = ~policy.domain.contains(measured)
+        symbols = np.full(len(measured), outside if isinstance(outside, int) else -1)
+        known = finite if outside == "nearest" else ~out
+        symbols[known] = policy(measured[known], "nearest", backend="numpy")
+        ended = np.full(len(measured), TIME)
+        if isinstance(outside, str):
+            ended[out & (outside == "error")] = LEFT_DOMAIN
+            ended[~finite] = NOT_FINITE
+        return dataclasses.replace(hold(table[symbols], symbols), ended=ended, outside=out)
+
+    return decide
+
+
+def _run_compiled(
+    kernel: SimulationKernel,
+    policy: Policy,
+    outside: Outside,
+    loop: Loop,
+    trials: np.ndarray,
+    noise: Noise | None,
+    record: Record | None,
+    threads: int,
+) -> None:
+    n, symbols = policy.domain.n, len(policy.alphabet)
+    table = np.vstack([policy.alphabet.values, policy.default])
+    tree = TreeArguments.of(policy.domain, policy.cells)
+    rule = -1 if isinstance(outside, str) else outside % (symbols + 1)
+    error = outside == "error"
+    arguments = LoopArguments(
+        loop.period, loop.substeps, loop.dwell, loop.samples, error, rule, loop.stop_at_target,
+        symbols, table.ctypes.data, tree,
+    )  # fmt: skip
+
+    def part(bounds: tuple[int, int]) -> None:
+        start, stop = bounds
+        draw = noise.draw(start, stop) if noise else None
+        chunk = max(1, NOISE_BYTES // (8 * (stop - start) * n)) if noise else loop.samples
+        for first in range(0, loop.samples, chunk):
+            samples = min(chunk, loop.samples - first)
+            pushes = None if loop.pushes is None else loop.pushes[first : first + samples]
+            arrays = (record.states, record.symbols, record.costs) if record else (None,) * 3
+            views = [None if a is None else a[start:stop] for a in arrays]
+            own = trials[start:stop]
+            kernel(own, first, samples, arguments, draw and draw(samples), pushes, views)
+
+    size = -(-len(trials) // threads)
+    size = -(-size // SIMULATION_LANES) * SIMULATION_LANES
+    parts = [(k, min(k + size, len(trials))) for k in range(0, len(trials), size)]
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(part, parts))
+    trials["symbol"][trials["symbol"] == symbols] = -1
+    if record:
+        record.symbols[record.symbols == symbols] = -1
+        known = record.symbols != NONE
+        record.controls[known] = table[record.symbols[known]]

@@ -1,0 +1,109 @@
+"""Sets of states as programs: whether a state is in a target."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from capsyn.domain import Ball, Box
+from capsyn.errors import ProblemError
+from capsyn.program import Program
+from capsyn.program_builder import ProgramBuilder
+from capsyn.validation import describe
+
+Target = Ball | Box | Program
+"""A set of states; of a program ``x -> inside``, those where it is not 0."""
+
+INSIDE = (("inside", 1),)
+
+
+def check_target(target: Any, domain: Box) -> None:
+    """Raise `ProblemError` unless a target is None, or a set of states that meets the domain."""
+    if target is None:
+        return
+    if isinstance(target, Program):
+        if target.inputs != (("x", domain.n),) or target.outputs != INSIDE:
+            raise ProblemError(f"`target` must be a program of {domain.n} state(s)")
+        return
+    if not isinstance(target, (Ball, Box)):
+        raise ProblemError(
+            f"`target` must be a Ball, a Box or a function of the state; got {describe(target)}"
+        )
+    axes = target_axes(target, domain)
+    lower, upper, periodic = domain.lower[axes], domain.upper[axes], np.array(domain.periodic)[axes]
+    if isinstance(target, Ball):
+        off = np.where(periodic, 0.0, target.center - np.clip(target.center, lower, upper))
+        meets = np.linalg.norm(off) <= target.radius
+    else:
+        meets = (periodic | ((target.lower <= upper) & (target.upper >= lower))).all()
+    if not meets:
+        raise ProblemError("`target` must meet the domain; it lies outside")
+
+
+def target_axes(target: Ball | Box, domain: Box) -> list[int]:
+    """Return the axes of the domain that a ball or box is about.
+
+    They are those that its names say, or all of them in order where it names none of them.
+    """
+    names = target.names or ()
+    size = target.n
+    if set(names) <= set(domain.names) and names:
+        return [domain.names.index(name) for name in names]
+    if size != domain.n:
+        raise ProblemError(
+            f"`target` must have {domain.n} dimension(s), or name some of the states "
+            f"{', '.join(domain.names)}; got {size}"
+            + (f" named {', '.join(names)}" if names else "")
+        )
+    return list(range(domain.n))
+
+
+def describe_target(target: Target, domain: Box) -> str:
+    """Return a target in words."""
+    if isinstance(target, Program):
+        return f"a condition of {len(target.instructions)} operations"
+    names = [domain.names[i] for i in target_axes(target, domain)]
+    if isinstance(target, Ball):
+        center = ", ".join(f"{v:g}" for v in target.center)
+        return f"ball of radius {target.radius:g} around {', '.join(names)} = {center}"
+    return ", ".join(
+        f"{name} in [{low:g}, {high:g}]"
+        for name, low, high in zip(names, target.lower, target.upper)
+    )
+
+
+def target_program(target: Target | None, domain: Box) -> Program:
+    """Return the program ``x -> inside`` of a target, 1 inside and 0 outside; None has no inside.
+
+    On periodic axes the distance to a ball's centre, or to a box's middle, is the shorter one.
+    """
+    if isinstance(target, Program):
+        return target
+    builder = ProgramBuilder()
+    x = [builder.input() for _ in range(domain.n)]
+    apply, constant = builder.apply, builder.constant
+
+    def offset(i: int, center: float) -> int:
+        off = apply("sub", x[i], constant(center))
+        width = constant(domain.widths[i])
+        return apply("remainder", off, width) if domain.periodic[i] else off
+
+    result = constant(0.0)
+    if isinstance(target, Ball):
+        distance = constant(0.0)
+        for i, center in zip(target_axes(target, domain), target.center):
+            off = offset(i, center)
+            distance = apply("add", distance, apply("mul", off, off))
+        result = apply("le", distance, constant(target.radius**2))
+    elif isinstance(target, Box):
+        result = constant(1.0)
+        for i, low, high in zip(target_axes(target, domain), target.lower, target.upper):
+            if domain.periodic[i]:
+                off = apply("fabs", offset(i, (low + high) / 2))
+                within = apply("le", off, constant((high - low) / 2))
+            else:
+                above, below = (constant(low), x[i]), (x[i], constant(high))
+                within = apply("and", apply("le", *above), apply("le", *below))
+            result = apply("and", result, within)
+    return builder.build("target", (("x", domain.n),), INSIDE, [result])
