@@ -244,3 +244,22 @@ def c_number(number: float) -> str:
     if math.isinf(number):
         return "(real)INFINITY" if number > 0 else "(real)-INFINITY"
     return f"(real){number.hex()}"
+
+
+def is_affine(program: Program, name: str) -> bool:
+    """Return whether the results are affine in one input, as far as their operations show."""
+    degrees: list[float] = []
+    for port, size in program.inputs:
+        degrees += [1.0 if port == name else 0.0] * size
+    for operation, *operands in program.instructions:
+        of = [] if operation == "const" else [degrees[k] for k in operands]
+        if operation in ("add", "sub", "neg"):
+            degrees.append(max(of))
+        elif operation == "mul":
+            degrees.append(sum(of))
+        elif operation in ("div", "select"):  # affine in the numerator, in what is selected
+            fixed, free = (of[1], of[0]) if operation == "div" else of
+            degrees.append(math.inf if fixed else free)
+        else:
+            degrees.append(math.inf if any(of) else 0.0)
+    return all(degrees[k] <= 1 for k in program.results)
