@@ -62,9 +62,9 @@ BAD = [
     ("outside", {"outside": 2}, "-1 to 1.*got 2"),
     ("outside", {"outside": True}, "got True"),
     ("outside", {"outside": None}, "got None"),
-    ("target", {"target": Ball([0.0], 0.1)}, r"2 dimension\(s\); got 1"),
-    ("target", {"target": Box([0] * 3, [1] * 3)}, r"2 dimension\(s\); got 3"),
-    ("target", {"target": [0, 0]}, "a Ball or a Box"),
+    ("target", {"target": Ball([0.0], 0.1)}, r"2 dimension\(s\), or name .*; got 1"),
+    ("target", {"target": Box([0] * 3, [1] * 3)}, r"2 dimension\(s\), or name .*; got 3"),
+    ("target", {"target": [0, 0]}, "a Ball, a Box or a function"),
     ("settings", {"settings": {"gamma": -5}}, "capsyn.SsacSettings; got {'gamma': -5}"),
     ("settings", {"settings": None}, "got None"),
     (

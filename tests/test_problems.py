@@ -28,7 +28,7 @@ PENDULUM = {
     "settings": SsacSettings(gamma=-5.0, control_weight=0.3),
     "partitions": (9, 9),
     "max_level": 4,
-    "target": None,
+    "target": cart_pendulum.has_upright_energy,
 }
 EXPECTED = {
     "cart-pendulum": PENDULUM | {"symbols": [[5.0], [-5.0]]},
@@ -36,7 +36,7 @@ EXPECTED = {
     "double-tank-a": TANK
     | {
         "symbols": [list(v) for v in itertools.product((0.0, 1.0), repeat=3)],
-        "settings": SsacSettings(gamma=-5.0),
+        "settings": SsacSettings(gamma=-10.0),
         "target": Ball([0.8, 0.2], 0.1),
     },
     "double-tank-b": TANK

@@ -12,7 +12,7 @@ import pytest
 from capsyn import Alphabet, Ball, Box, Policy, Problem, SsacSettings, problems, synthesize
 from capsyn import synthesis as module
 from capsyn.errors import CapsynWarning, ProblemError, SynthesisError
-from capsyn.transcription import transcribe
+from capsyn.transcription import transcribe, transcribe_target
 
 MU_H, HEAVY = 1.0 * 2.0, 1.0 * 9.81 * 2.0
 
@@ -119,7 +119,7 @@ def test_tanks_never_take_the_default(name):
     policy = synthesize(problems.get(name))
     labels = policy(policy.domain.sample(50_000, 1))
     assert np.unique(labels).tolist() == list(range(len(policy.alphabet)))
-    assert policy.volume_shares[-1] == 0.0 and (policy.volume_shares[:-1] > 0.005).all()
+    assert policy.volume_shares[-1] == 0.0 and (policy.volume_shares[:-1] > 0.002).all()
 
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a", "cart-pole"])
@@ -209,7 +209,7 @@ def test_policy_carries_the_problem(pendulum, cart_pole):
     assert pendulum.name == "cart-pendulum"
     assert pendulum.domain == problem.domain and pendulum.alphabet == problem.alphabet
     assert pendulum.default.tolist() == [0.0] and pendulum.horizon == 1.2
-    assert pendulum.outside == "nearest" and pendulum.target is None
+    assert pendulum.outside == "nearest" and pendulum.target == transcribe_target(problem)
     assert pendulum.model == transcribe(problem)
     assert isinstance(pendulum.settings.steps, int) and problem.settings.steps is None
     assert pendulum.settings.gamma == -5.0 and pendulum.settings.control_weight == 0.3

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from capsyn.domain import Ball as Ball
     from capsyn.domain import Box as Box
     from capsyn.errors import CapsynError as CapsynError
+    from capsyn.online import online_controller as online_controller
     from capsyn.policy import Policy as Policy
     from capsyn.problem import Problem as Problem
     from capsyn.settings import SsacSettings as SsacSettings
@@ -26,6 +27,7 @@ _PUBLIC = {
     "Box": "domain",
     "CapsynError": "errors",
     "Policy": "policy",
+    "online_controller": "online",
     "Problem": "problem",
     "SsacSettings": "settings",
     "Trajectory": "simulation",
@@ -42,6 +44,7 @@ __all__ = [
     "Problem",
     "SsacSettings",
     "Trajectory",
+    "online_controller",
     "simulate",
     "subdivide",
     "synthesize",

@@ -174,7 +174,7 @@ class Box:
             steps[:, i] = k
         return steps
 
-    def sample(self, count: int, seed: int = 0) -> np.ndarray:
+    def sample(self, count: int, seed: int | Sequence[int] = 0) -> np.ndarray:
         """Return `count` states (count, n) drawn uniformly from the box."""
         unit = np.random.default_rng(seed).random((count, self.n))
         return self.lower + unit * self.widths
@@ -224,3 +224,11 @@ class Ball:
         """Return the ball as plain data."""
         named = {} if self.names is None else {"names": list(self.names)}
         return {"center": self.center.tolist(), "radius": self.radius} | named
+
+    def sample(self, count: int, seed: int | Sequence[int] = 0) -> np.ndarray:
+        """Return `count` points (count, n) drawn uniformly from the ball."""
+        generator = np.random.default_rng(seed)
+        normal = generator.standard_normal((count, self.n))
+        length = np.linalg.norm(normal, axis=1)
+        radius = self.radius * generator.random(count) ** (1 / self.n)
+        return self.center + normal * (radius / length)[:, None]

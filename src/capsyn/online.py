@@ -21,25 +21,21 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.actions import EXPONENT, ROUNDING, NumpyActions, outside_label
 from capsyn.alphabet import Alphabet
-from capsyn.closed_loop import NONE, TIME, Command
+from capsyn.closed_loop import TIME, Command
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
-from capsyn.masks import preferred
 from capsyn.model import Model
-from capsyn.native.kernels import ActionKernel, ActionOptions, TreeArguments, action_type
+from capsyn.native.kernels import ActionKernel, ActionOptions, TreeArguments
 from capsyn.policy import Policy
 from capsyn.problem import Problem
-from capsyn.program import Program, is_affine
-from capsyn.program_builder import ProgramBuilder
+from capsyn.sac import sac_program
 from capsyn.settings import SsacSettings
-from capsyn.ssac import ROUNDING, TIE, BatchController, Solution, batch_controller
+from capsyn.ssac import TIE, batch_controller
 from capsyn.targets import Target
 from capsyn.transcription import transcribe, transcribe_target
-from capsyn.validation import describe, finite_number, is_list, numbers, one_of
-
-EXPONENT = 1.6
-"""Of the cost of waiting, ``(t - t0)^1.6``, in the search of the application time."""
+from capsyn.validation import describe, finite_number, numbers, one_of
 
 Default = np.ndarray | Callable[[float], Any] | Policy
 
@@ -100,9 +96,8 @@ class OnlineController:
     horizon: float
     settings: SsacSettings
     target: Target | None
-    sac: Program | None
     kernel: ActionKernel | None
-    chooser: BatchController
+    numpy: NumpyActions
 
     def actions(self, states: Any, time: float = 0.0, schedule: bool = False) -> Actions:
         """Return the actions in states (..., n) at a time [s]; see `Actions`.
@@ -126,7 +121,8 @@ class OnlineController:
                 options.feed = feed.ctypes.data
             found = self.kernel(flat, options, schedules)
         else:
-            found = self._solve(flat, time, schedules)
+            policy = self.background if isinstance(self.background, Policy) else None
+            found = self.numpy(flat, policy or self._feed(time), schedules)
 
         found = found.reshape(shape)[()]
         return Actions(
@@ -182,11 +178,11 @@ class OnlineController:
         settings, policy = self.settings, self.background
         arrays = {
             "values": np.ascontiguousarray(self.alphabet.values),
-            "efforts": np.ascontiguousarray(self.chooser.efforts),
-            "preference": np.array(self.chooser.preference, dtype=np.int64),
+            "efforts": np.ascontiguousarray(self.numpy.chooser.efforts),
+            "preference": np.array(self.numpy.chooser.preference, dtype=np.int64),
         }
         if isinstance(policy, Policy):
-            outside, lost = _outside_label(policy), len(policy.alphabet)
+            outside, lost = outside_label(policy), len(policy.alphabet)
             arrays["table"] = np.vstack([policy.alphabet.values, policy.default])
             cells = TreeArguments.of(policy.domain, policy.cells)
         else:
@@ -201,7 +197,7 @@ class OnlineController:
             descent=settings.descent,
             exponent=EXPONENT,
             tie=TIE,
-            rounding=_ROUNDING,
+            rounding=ROUNDING,
             steps=self.steps,
             search=settings.application_time == "search",
             steepest=settings.rule == "steepest",
@@ -214,144 +210,6 @@ class OnlineController:
         )
         options.arrays = [arrays, cells]
         return options
-
-    def _solve(self, states: np.ndarray, time: float, schedules: np.ndarray | None) -> np.ndarray:
-        """Return actions (B,) as the compiled kernel does, by NumPy."""
-        model, steps, count = self.model, self.steps, len(states)
-        dt, m = [self.horizon / steps], self.alphabet.m
-        found = np.zeros(count, action_type(m))
-        found["base_symbol"] = -1
-        policy = self.background if isinstance(self.background, Policy) else None
-        feed = np.zeros((steps, m)) if policy else self._feed(time)
-        x, total, path, controls = states.T, np.zeros(count), [], []
-        for k in range(steps):
-            if policy is None:
-                u = np.tile(feed[k][:, None], count)
-            else:
-                labels = _labels(policy, x.T)
-                u = np.vstack([policy.alphabet.values, policy.default])[labels].T
-                if k == 0:
-                    found["base_symbol"] = np.where(labels == len(policy.alphabet), -1, labels)
-            path.append(x)
-            controls.append(u)
-            x, part = model.step.evaluate(x, u, dt)
-            total = total + part[0]
-        path.append(x)
-        controls.append(controls[-1])
-        part, rho = model.terminal_cost.evaluate(x)
-        total = total + part[0]
-        adjoints = [rho]
-        for k in reversed(range(steps)):
-            adjoints.append(model.adjoint.evaluate(path[k], controls[k], dt, adjoints[-1])[0])
-        adjoints.reverse()
-
-        found["cost"], found["base"], found["control"] = total, controls[0].T, controls[0].T
-        search = self.settings.application_time == "search"
-        best = np.full(count, np.inf)
-        for k in range(steps + 1 if search or schedules is not None else 1):
-            control, gradient, symbol = self._schedule(path[k], controls[k], adjoints[k], total)
-            if schedules is not None:
-                schedules[:, k] = control.T
-            with np.errstate(invalid="ignore"):
-                value = np.sqrt((control**2).sum(axis=0)) + gradient + (k * dt[0]) ** EXPONENT
-                take = value < best if search else np.full(count, k == 0)
-            best[take] = value[take]
-            found["time"][take] = k * dt[0]
-            found["gradient"][take] = gradient[take]
-            found["symbol"][take] = symbol[take]
-            found["control"][take] = control.T[take]
-        wanted = np.isfinite(total) & (found["gradient"] < 0)
-        found["symbol"][~wanted & (found["symbol"] == NONE)] = NONE
-        self._search_duration(found, np.flatnonzero(wanted), path[0], controls)
-        return found
-
-    def _schedule(
-        self, x: np.ndarray, u: np.ndarray, rho: np.ndarray, cost: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return controls (m, B), gradients (B,) and symbols (B,) at one time, eq. (8)."""
-        count = len(cost)
-        if self.sac is not None:
-            alpha = self.settings.gamma * cost
-            if self.settings.alpha_d is not None:
-                alpha = np.full(count, self.settings.alpha_d)
-            control, gradient = self.sac.evaluate(x, u, rho, alpha[None, :])
-            return control, gradient[0], np.full(count, NONE)
-        gradients, scales = self.model.insertion.evaluate(x, u, rho, cost[None, :], [_ROUNDING])
-        masks = self.chooser.possible(Solution(cost, gradients.T, scales.T))
-        symbol = preferred(masks, self.chooser.preference)
-        symbol = np.where((masks == 0) | (symbol == len(gradients)), -1, symbol)
-        chosen = symbol >= 0
-        control = np.where(chosen, self.alphabet.values[symbol].T, u)
-        return control, np.where(chosen, gradients[symbol, np.arange(count)], 0.0), symbol
-
-    def _search_duration(
-        self, found: np.ndarray, rows: np.ndarray, x0: np.ndarray, controls: list[np.ndarray]
-    ) -> None:
-        """Find start, duration and decrease of the actions `rows`, in place."""
-        settings = self.settings
-        width = settings.initial_duration
-        for attempt in range(settings.max_backtracks + 1):
-            start = np.maximum(found["time"][rows] - width, 0.0)
-            stop = np.minimum(found["time"][rows] + width, self.horizon)
-            action = found["control"][rows].T
-            base = [u[:, rows] for u in controls[:-1]]
-            idle = self._cost(x0[:, rows], base, action, start, stop, False)
-            acting = self._cost(x0[:, rows], base, action, start, stop, True)
-            last = attempt == settings.max_backtracks
-            with np.errstate(invalid="ignore"):
-                good = acting < idle - (0.0 if last else settings.descent * np.abs(idle))
-            taken = rows[good]
-            found["start"][taken], found["duration"][taken] = start[good], (stop - start)[good]
-            found["decrease"][taken] = (idle - acting)[good]
-            rows, width = rows[~good], width * settings.shrink
-
-    def _cost(
-        self,
-        x: np.ndarray,
-        base: list[np.ndarray],
-        action: np.ndarray,
-        start: np.ndarray,
-        stop: np.ndarray,
-        act: bool,
-    ) -> np.ndarray:
-        """Return costs (B,) with or without the action, on a grid with its ends as points."""
-        dt, steps = self.horizon / self.steps, self.steps
-        total, now, k = np.zeros(len(start)), np.zeros(len(start)), np.zeros(len(start), int)
-        signal = np.stack(base)
-        lanes = np.arange(len(start))
-        for _ in range(steps + 2):
-            whole = np.where(k < steps, (k + 1) * dt, now)
-            until = np.where((now < start) & (start < whole), start, whole)
-            until = np.where((now < stop) & (stop < until), stop, until)
-            acts = act & (now >= start) & (now < stop)
-            u = np.where(acts, action, signal[np.minimum(k, steps - 1), :, lanes].T)
-            x, part = self.model.step.evaluate(x, u, (until - now)[None, :])
-            total = total + part[0]
-            k, now = k + (until == whole), until
-        return total + self.model.terminal_cost.evaluate(x)[0][0]
-
-
-_ROUNDING = float(ROUNDING * np.finfo(float).eps / TIE)
-
-
-def _outside_label(policy: Policy) -> int:
-    """Return the label of predicted states outside a background policy's domain, -1: nearest."""
-    if policy.outside == "nearest":
-        return -1
-    count = len(policy.alphabet)
-    return count if policy.outside == "error" else int(policy.outside) % (count + 1)
-
-
-def _labels(policy: Policy, states: np.ndarray) -> np.ndarray:
-    """Return labels (B,) of predicted states; the default where a rule would raise."""
-    count = len(policy.alphabet)
-    rule = _outside_label(policy)
-    labels = np.full(len(states), count if rule < 0 else rule)
-    known = np.isfinite(states).all(axis=1)
-    if rule >= 0:
-        known &= policy.domain.contains(states)
-    labels[known] = policy(states[known], "nearest", backend="numpy") % (count + 1)
-    return labels
 
 
 def online_controller(
@@ -425,7 +283,7 @@ def online_controller(
     chooser = batch_controller(
         model, source.domain, alphabet.values, constant, horizon, settings, backend
     )
-    sac = _sac_program(model, alphabet, chooser.settings, limits) if method == "sac" else None
+    sac = sac_program(model, alphabet, chooser.settings, limits) if method == "sac" else None
     kernel = None
     if backend != "numpy":
         try:
@@ -444,57 +302,6 @@ def online_controller(
         horizon,
         chooser.settings,
         target,
-        sac,
         kernel,
-        chooser,
+        NumpyActions(model, alphabet.values, horizon, chooser.settings, chooser, sac),
     )
-
-
-def _sac_program(model: Model, alphabet: Alphabet, settings: SsacSettings, limits: Any) -> Program:
-    """Return SAC's schedule ``(x, u, rho, alpha) -> (control, gradient)``.
-
-    Lambda has rank one, so that ``u* = R^-1 v (v . u + alpha) / (1 + v . R^-1 v)``, v = h^T rho.
-    """
-    n, m = dict(model.dynamics.inputs)["x"], alphabet.m
-    if not is_affine(model.dynamics, "u"):
-        raise ProblemError("`dynamics` must be affine in u for the method 'sac'")
-    weight = np.asarray(settings.control_weight) * (
-        np.eye(m) if np.ndim(settings.control_weight) == 0 else 1
-    )
-    if np.linalg.eigvalsh(weight).min() <= 0:
-        raise ProblemError("`control_weight` must be positive definite for the method 'sac'")
-    inverse = np.linalg.inv(weight)
-    lower, upper = alphabet.values.min(axis=0), alphabet.values.max(axis=0)
-    if limits is not None:
-        if not is_list(limits, 2):
-            raise ProblemError(f"`limits` must be (lower, upper); got {describe(limits)}")
-        lower, upper = (alphabet.control("limits", value) for value in limits)
-        if (lower > upper).any():
-            raise ProblemError(f"`limits` must have lower <= upper; got {describe(limits)}")
-    builder = ProgramBuilder()
-    ports = (("x", n), ("u", m), ("rho", n), ("alpha", 1))
-    x, u, rho, alpha = ([builder.input() for _ in range(size)] for _, size in ports)
-    apply, constant = builder.apply, builder.constant
-
-    def dot(a: list[int], b: list[int]) -> int:
-        return functools.reduce(
-            lambda total, pair: apply("add", total, apply("mul", *pair)), zip(a, b), constant(0.0)
-        )
-
-    zero = [constant(0.0)] * m
-    drift = builder.call(model.dynamics, x, zero)
-    v = []
-    for i in range(m):
-        unit = [constant(float(i == j)) for j in range(m)]
-        rates = builder.call(model.dynamics, x, unit)
-        v.append(dot(rho, [apply("sub", a, b) for a, b in zip(rates, drift)]))
-    weighted = [dot([constant(value) for value in row], v) for row in inverse]
-    size = apply(
-        "div", apply("add", dot(v, u), alpha[0]), apply("add", constant(1.0), dot(v, weighted))
-    )
-    control = [
-        apply("fmin", apply("fmax", apply("mul", w, size), constant(low)), constant(high))
-        for w, low, high in zip(weighted, lower, upper)
-    ]
-    gradient = dot(v, [apply("sub", a, b) for a, b in zip(control, u)])
-    return builder.build("sac", ports, (("control", m), ("gradient", 1)), [*control, gradient])

@@ -29,8 +29,8 @@ GAMMA = SsacSettings(gamma=-5.0)
 CASES = (
     Case("cart-pendulum", 4, 3428),
     Case("cart-pendulum-4", 4, 8981),
-    Case("double-tank-a", 4, 7621),
-    Case("double-tank-a", 5, 17125),
+    Case("double-tank-a", 4, 7621, GAMMA, "gamma = -5"),
+    Case("double-tank-a", 5, 17125, GAMMA, "gamma = -5"),
     Case("double-tank-b", 4, 3965, GAMMA, "gamma = -5"),
     Case("double-tank-b", 5, 9474, GAMMA, "gamma = -5"),
 )

@@ -6,6 +6,7 @@ import dataclasses
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -212,7 +213,7 @@ def make_solver(model: Model, precision: str, backend: str) -> tuple[Solver, str
     if backend not in ("auto", "c", "numpy"):
         raise ProblemError(f'`backend` must be "auto", "c" or "numpy"; got {describe(backend)}')
     dtype = np.float32 if precision == "single" else np.float64
-    rounding = float(ROUNDING * np.finfo(dtype).eps / TIE)
+    rounding = relative_rounding(dtype)
     if backend != "numpy":
         from capsyn.native.kernels import SsacKernel
 
@@ -223,6 +224,11 @@ def make_solver(model: Model, precision: str, backend: str) -> tuple[Solver, str
                 raise
             warnings.warn(f"solving with NumPy: {error}", CapsynWarning, stacklevel=5)
     return NumpySolver(model, dtype, rounding), "numpy"
+
+
+def relative_rounding(dtype: Any) -> float:
+    """Return the input `rounding` of ``Model.insertion`` for an arithmetic."""
+    return float(ROUNDING * np.finfo(dtype).eps / TIE)
 
 
 @dataclass(frozen=True)

@@ -18,19 +18,19 @@ Target = Ball | Box | Program
 INSIDE = (("inside", 1),)
 
 
-def check_target(target: Any, domain: Box) -> None:
+def check_target(target: Any, domain: Box, name: str = "target") -> None:
     """Raise `ProblemError` unless a target is None, or a set of states that meets the domain."""
     if target is None:
         return
     if isinstance(target, Program):
         if target.inputs != (("x", domain.n),) or target.outputs != INSIDE:
-            raise ProblemError(f"`target` must be a program of {domain.n} state(s)")
+            raise ProblemError(f"`{name}` must be a program of {domain.n} state(s)")
         return
     if not isinstance(target, (Ball, Box)):
         raise ProblemError(
-            f"`target` must be a Ball, a Box or a function of the state; got {describe(target)}"
+            f"`{name}` must be a Ball, a Box or a function of the state; got {describe(target)}"
         )
-    axes = target_axes(target, domain)
+    axes = target_axes(target, domain, name)
     lower, upper, periodic = domain.lower[axes], domain.upper[axes], np.array(domain.periodic)[axes]
     if isinstance(target, Ball):
         off = np.where(periodic, 0.0, target.center - np.clip(target.center, lower, upper))
@@ -38,10 +38,10 @@ def check_target(target: Any, domain: Box) -> None:
     else:
         meets = (periodic | ((target.lower <= upper) & (target.upper >= lower))).all()
     if not meets:
-        raise ProblemError("`target` must meet the domain; it lies outside")
+        raise ProblemError(f"`{name}` must meet the domain; it lies outside")
 
 
-def target_axes(target: Ball | Box, domain: Box) -> list[int]:
+def target_axes(target: Ball | Box, domain: Box, name: str = "target") -> list[int]:
     """Return the axes of the domain that a ball or box is about.
 
     They are those that its names say, or all of them in order where it names none of them.
@@ -49,10 +49,10 @@ def target_axes(target: Ball | Box, domain: Box) -> list[int]:
     names = target.names or ()
     size = target.n
     if set(names) <= set(domain.names) and names:
-        return [domain.names.index(name) for name in names]
+        return [domain.names.index(axis) for axis in names]
     if size != domain.n:
         raise ProblemError(
-            f"`target` must have {domain.n} dimension(s), or name some of the states "
+            f"`{name}` must have {domain.n} dimension(s), or name some of the states "
             f"{', '.join(domain.names)}; got {size}"
             + (f" named {', '.join(names)}" if names else "")
         )

@@ -19,7 +19,7 @@ from capsyn.program import Program
 
 LANES = 64
 SIMULATION_LANES = 32
-ACTION_LANES = 16
+ACTION_LANES = 8
 OUTSIDE, NOT_FINITE = -2, -3
 """What `LookupKernel` writes for states outside the domain, or not finite."""
 

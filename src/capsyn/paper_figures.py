@@ -1,0 +1,393 @@
+"""The paper's figures, in its order; every function returns the Axes that it drew on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from capsyn.domain import Box
+from capsyn.errors import ProblemError
+from capsyn.plots import PALETTE, symbol_colors
+from capsyn.policy import Policy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.text import Text
+
+BLUE, ORANGE, GREEN, _, SKY, RED, _, _ = PALETTE
+INK, GREY, LIGHT = "#222222", "#7F7F7F", "#DCE9F2"
+
+
+def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
+    """Draw the layers of a policy of two states, Fig. 3: one Axes for each level.
+
+    Layer `k` shows the cells that are labelled at levels up to `k`, and in white the cells of
+    level `k` that are divided further, outlined in grey.
+
+    Parameters
+    ----------
+    policy : Policy
+        A policy of two states.
+    axes : max_level + 1 Axes
+        Where to draw, layer 0 first.
+
+    Raises
+    ------
+    ProblemError
+        Another number of states or of Axes.
+    """
+    from matplotlib.collections import PolyCollection
+
+    domain, tree = policy.domain, policy.cells
+    if domain.n != 2:
+        raise ProblemError(f"`policy` must have two states to draw its layers; got {domain.n}")
+    if len(axes) != tree.max_level + 1:
+        raise ProblemError(f"`axes` must be {tree.max_level + 1} Axes; got {len(axes)}")
+    colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
+
+    def add(ax: Axes, level: int, corners: np.ndarray, faces: Any, edges: str) -> None:
+        width = 0.3 * 0.7**level  # else outlines bleach the finest cells
+        ax.add_collection(
+            PolyCollection(list(corners), facecolors=faces, edgecolors=edges, linewidths=width)
+        )
+
+    labelled: list[tuple[np.ndarray, np.ndarray]] = []
+    levels = list(tree.levels())  # fewer than the axes where no cell of a level is split
+    for k, ax in enumerate(axes):
+        if k < len(levels):
+            _, places, lower = levels[k]
+            corners = _rectangles(domain, lower, tree.sizes(k), tree.counts)
+            leaf = tree.entries[places] < 0
+            labelled.append((corners[leaf], -1 - tree.entries[places[leaf]]))
+            divided = corners[~leaf]
+        for level, (cells, labels) in enumerate(labelled):
+            add(ax, level, cells, colors[labels], "white")
+        add(ax, k, divided, "white", GREY)
+        _frame(ax, domain)
+        ax.set_title(f"layer {k}", fontsize="medium")
+        if k:
+            ax.set_ylabel("")
+            ax.tick_params(labelleft=False)
+    return axes
+
+
+def draw_automaton(policy: Policy, ax: Axes) -> Axes:
+    """Draw the finite state machine of a policy, Fig. 3 and 4a.
+
+    Vertices are the symbols, and the default where some cell is labelled with it. The edge from
+    any vertex into vertex `i` is taken where the state enters ``A_i``, the union of the cells
+    labelled with symbol `i`; ``A_d`` is that of the default. Up to four vertices, every edge bears
+    this name; with more, an edge is known by the colour of the vertex that it enters, and the name
+    stands at its loop.
+    """
+    from matplotlib.patches import Circle
+
+    n = len(policy.alphabet)
+    count = n + int(policy.volume_shares[-1] > 0)
+    colors = [*symbol_colors(n), "#FFFFFF"]
+    start = np.pi if count == 2 else np.pi / 2 + np.pi / count if count == 4 else np.pi / 2
+    angles = start - 2 * np.pi * np.arange(count) / count
+    outward = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    centers = outward if count > 1 else np.zeros((1, 2))
+    radius = 0.32 if count <= 4 else 0.55 * np.sin(np.pi / count)
+    for i in range(count):
+        name = f"$A_{{{i + 1}}}$" if i < n else "$A_d$"
+        line = colors[i] if i < n else GREY
+        _arrow(ax, _loop(centers[i], outward[i], radius), line)
+        tip = centers[i] + outward[i] * (2.35 * radius + 0.1)
+        _write(ax, tip, name, 11 if count <= 4 else 10)
+        for j in range(count):
+            if i == j:
+                continue
+            curve = _arc(centers[j], centers[i], radius)
+            _arrow(ax, curve, line)
+            if count <= 4:
+                place = _bezier(curve, 0.5 if count == 2 else 0.7)
+                _write(ax, place, name, 9).set_bbox({"fc": "white", "ec": "none", "pad": 0.8})
+    for i in range(count):
+        ax.add_patch(
+            Circle(tuple(centers[i]), radius, facecolor=colors[i], edgecolor=INK, lw=0.8, zorder=3)
+        )
+        title = f"$u_{{{i + 1}}}$\n{policy.alphabet.names[i]}" if i < n else "default"
+        size = (10 if count <= 4 else 8) - (len(title) > 15)
+        _write(ax, centers[i], title, size, _readable(colors[i])).set_zorder(4)
+    reach = np.abs(centers + outward * (2.35 * radius + 0.25)).max(axis=0)
+    reach = np.maximum(reach, radius * 1.6)
+    ax.set(xlim=(-reach[0], reach[0]), ylim=(-reach[1], reach[1]), aspect="equal")
+    ax.axis("off")
+    return ax
+
+
+def draw_derivative_signs(
+    x_axis: np.ndarray, y_axis: np.ndarray, signs: np.ndarray, domain: Box, ax: Axes
+) -> Axes:
+    """Draw the sign of the derivative of a Lyapunov function over a grid, Fig. 4b.
+
+    Parameters
+    ----------
+    x_axis, y_axis : (nx,), (ny,)
+        Grid of the two states [state units].
+    signs : (nx, ny)
+        -1, 0 or 1, and 2 where the derivative is not finite.
+    domain : Box
+        Domain of the policy, for names, units and bounds.
+    ax : Axes
+        Where to draw.
+    """
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    # single grid points are smaller than a pixel: what is not negative is drawn as markers
+    ax.set_facecolor(LIGHT)
+    handles: list[Any] = [Patch(facecolor=LIGHT, edgecolor=GREY, label="dV/dt < 0")]
+    for sign, color, size, marker, label in (
+        (0, GREY, 1.2, "s", "dV/dt = 0"),
+        (1, "black", 1.6, "s", "dV/dt > 0"),
+        (2, RED, 5.0, "^", "not finite"),
+    ):
+        i, j = np.nonzero(signs == sign)
+        if len(i):
+            style: dict[str, Any] = {"ls": "", "marker": marker, "mew": 0, "color": color}
+            ax.plot(x_axis[i], y_axis[j], ms=size, rasterized=True, **style)
+            handles.append(Line2D([], [], ms=5, label=label, **style))
+    _frame(ax, domain)
+    ax.legend(
+        handles=handles,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=len(handles),
+        frameon=False,
+        handletextpad=0.4,
+    )
+    return ax
+
+
+def draw_tanks(ax: Axes) -> Axes:
+    """Draw the two-tank system, Fig. 5.
+
+    Tank T1 stands `h` above tank T2; liquid flows in through valve V1, between the tanks through
+    V2, and out through V3. The levels are ``x1`` and ``x2``.
+    """
+    from matplotlib.patches import Polygon
+
+    height, lift, width, pipe = 1.15, 0.5, 0.8, 0.06
+    left, right = 0.0, 1.55
+    levels = {left: (lift, 0.65), right: (0.0, 0.8)}
+
+    def box(x: float, y: float, w: float, h: float, color: str) -> None:
+        corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h)]
+        ax.add_patch(Polygon(corners, facecolor=color, edgecolor="none"))
+
+    def line(*points: tuple[float, float], lw: float = 1.6) -> None:
+        ax.plot(*np.array(points).T, color=INK, lw=lw, solid_joinstyle="miter")
+
+    def valve(x: float, y: float, name: str, upright: bool, dx: float, dy: float) -> None:
+        bow = np.array([(-0.1, -0.075), (-0.1, 0.075), (0.1, -0.075), (0.1, 0.075)])
+        bow = bow[:, ::-1] if upright else bow
+        ax.add_patch(Polygon(bow + (x, y), facecolor="white", edgecolor=INK, lw=1.4, zorder=4))
+        _write(ax, (x + dx, y + dy), name, 12)
+
+    def measure(x: float, low: float, high: float, name: str, side: int) -> None:
+        style = {"arrowstyle": "<|-|>", "color": INK, "lw": 0.9, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", (x, low), (x, high), arrowprops=style)
+        _write(ax, (x + 0.12 * side, (low + high) / 2), name, 12)
+
+    # liquid, then walls with gaps where the pipes are, then pipes and valves
+    for x, (base, level) in levels.items():
+        box(x, base, width, level, SKY)
+    join = lift + pipe  # centre of the pipe between the tanks: T1's floor, h above T2's
+    box(left + width, lift, right - left - width, 2 * pipe, SKY)
+    box(right + width, 0.0, 0.62, 2 * pipe, SKY)
+    box(left + 0.34, lift + 0.65, 2 * pipe, 0.9, SKY)
+    top = lift + height
+    line((left, top), (left, lift), (right, lift), (right, 0.0), (right + width + 0.62, 0.0))
+    line((left + width, top), (left + width, lift + 2 * pipe), (right, lift + 2 * pipe))
+    line((right, lift + 2 * pipe), (right, height))
+    line((right + width, height), (right + width, 2 * pipe), (right + width + 0.62, 2 * pipe))
+    for x in (left + 0.34, left + 0.34 + 2 * pipe):
+        line((x, top + 0.02), (x, top + 0.4))
+    valve(left + 0.34 + pipe, top + 0.21, "$V_1$", True, 0.22, 0.0)
+    valve((left + width + right) / 2, join, "$V_2$", False, 0.0, 0.18)
+    valve(right + width + 0.33, pipe, "$V_3$", False, 0.0, 0.18)
+
+    for x, name in ((left, "$T_1$"), (right, "$T_2$")):
+        base, level = levels[x]
+        _write(ax, (x + 0.62, base + level - 0.2), name, 12)
+    measure(left - 0.12, lift, lift + levels[left][1], "$x_1$", -1)
+    measure(right + 0.15, 0.0, levels[right][1], "$x_2$", 1)
+    measure(left + width / 2, 0.0, lift, "$h$", 1)
+    ax.plot([left, right], [0, 0], color=GREY, lw=0.9, ls="--")
+    ax.set(xlim=(-0.4, 3.1), ylim=(-0.12, top + 0.45), aspect="equal")
+    ax.axis("off")
+    return ax
+
+
+def draw_end_states(
+    initial: np.ndarray,
+    final: np.ndarray,
+    center: Sequence[float],
+    radius: float,
+    names_units: Sequence[tuple[str, str]],
+    ax: Axes,
+) -> Axes:
+    """Draw the initial and the final states of trials, and the target, Fig. 6, top right.
+
+    Parameters
+    ----------
+    initial, final : (trials, 2)
+        States [state units].
+    center : (2,)
+        Centre of the target [state units].
+    radius : float
+        Tolerance: radius of the target [state units].
+    names_units : 2 pairs of strings
+        Name and unit of each state.
+    ax : Axes
+        Where to draw.
+    """
+    turn = np.linspace(0, 2 * np.pi, 181)
+    circle = np.asarray(center)[:, None] + radius * np.stack([np.cos(turn), np.sin(turn)])
+    ax.plot(*initial.T, "o", ms=3.5, mew=0, color=GREEN, label="initial")
+    ax.plot(*circle, color=INK, lw=1.2, label="target")
+    ax.plot(*final.T, "x", ms=4, mew=0.9, color=RED, label="final")
+    (x_name, x_unit), (y_name, y_unit) = names_units
+    ax.set(xlabel=_quantity(x_name, x_unit), ylabel=_quantity(y_name, y_unit), aspect="equal")
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
+    return ax
+
+
+def draw_costs(times: np.ndarray, costs: np.ndarray, ax: Axes, log: bool = False) -> Axes:
+    """Draw the cost J along trials, Fig. 6, bottom right.
+
+    Parameters
+    ----------
+    times : (K,)
+        Times [s].
+    costs : (trials, K)
+        Open-loop cost of eq. (3) at each time; NaN after the end of a trial.
+    ax : Axes
+        Where to draw.
+    log : bool
+        Whether the axis of the cost is logarithmic.
+    """
+    ax.plot(times, np.transpose(costs), color=BLUE, lw=0.6, alpha=0.6)
+    ax.set(xlabel="time [s]", ylabel="cost J of eq. (3)", xlim=(times[0], times[-1]))
+    ax.set_yscale("log" if log else "linear")
+    if not log:
+        ax.set_ylim(bottom=min(0.0, float(np.nanmin(costs))))
+    return ax
+
+
+def draw_dwell_tradeoff(
+    dwell_times: np.ndarray,
+    shares: np.ndarray,
+    lows: np.ndarray,
+    highs: np.ndarray,
+    switch_rates: np.ndarray,
+    ax: Axes,
+) -> tuple[Axes, Axes]:
+    """Draw what a minimum dwell time costs and saves; return also the Axes of the switches.
+
+    Parameters
+    ----------
+    dwell_times : (K,)
+        Least times between switches [s], ascending.
+    shares, lows, highs : (K,)
+        Share of successful trials, and its confidence interval.
+    switch_rates : (K,)
+        Switches per second.
+    ax : Axes
+        Where to draw.
+    """
+    positive = dwell_times[dwell_times > 0]
+    if positive.size and positive[-1] > 10 * positive[0]:
+        ax.set_xscale(
+            "symlog", linthresh=positive[0], linscale=0.4
+        )  # as logarithmic, but 0 has a place
+        ax.set_xticks(dwell_times, [f"{time:g}" for time in dwell_times])
+        ax.minorticks_off()
+    errors = np.abs(np.stack([lows, highs]) - shares)
+    ax.errorbar(dwell_times, shares, errors, color=BLUE, marker="o", ms=5, lw=1.4, capsize=3)
+    ax.set_xlabel("minimum dwell time [s]")
+    ax.set_ylabel("share of successful trials", color=BLUE)
+    ax.set_ylim(0.0, 1.03)
+    second = ax.twinx()
+    second.plot(dwell_times, switch_rates, color=RED, marker="s", ms=5, lw=1.4, ls="--")
+    second.set_ylabel("switches [1/s]", color=RED)
+    if (np.asarray(switch_rates) > 0).all():
+        second.set_yscale("log")
+    else:
+        second.set_ylim(bottom=0.0)
+    return ax, second
+
+
+def _quantity(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name
+
+
+def _frame(ax: Axes, domain: Box) -> None:
+    """Give the axes names, units and bounds of the two states of a domain."""
+    for axis, i in (("x", 0), ("y", 1)):
+        limits = (domain.lower[i], domain.upper[i])
+        label = _quantity(domain.names[i], domain.units[i])
+        ax.set(**{f"{axis}lim": limits, f"{axis}label": label})
+
+
+def _rectangles(
+    domain: Box, lower: np.ndarray, size: np.ndarray, counts: Sequence[int]
+) -> np.ndarray:
+    """Return the corners (M, 4, 2) of cells with lower corners (M, 2), in finest cells."""
+    low, high = domain.points(lower, counts), domain.points(lower + size, counts)
+    x = np.stack([low[:, 0], high[:, 0], high[:, 0], low[:, 0]], axis=1)
+    y = np.stack([low[:, 1], low[:, 1], high[:, 1], high[:, 1]], axis=1)
+    return np.stack([x, y], axis=2)
+
+
+def _arc(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
+    """Return the points (4, 2) of a curve between two circles that leaves room for its twin."""
+    along = (end - start) / np.linalg.norm(end - start)
+    side = np.array([along[1], -along[0]])
+    turn = 0.3
+    leave = np.cos(turn) * along + np.sin(turn) * side
+    arrive = -np.cos(turn) * along + np.sin(turn) * side
+    first, last = start + radius * leave, end + 1.06 * radius * arrive
+    reach = np.linalg.norm(last - first) / 3
+    return np.array([first, first + reach * leave, last + reach * arrive, last])
+
+
+def _loop(center: np.ndarray, outward: np.ndarray, radius: float) -> np.ndarray:
+    """Return the points (4, 2) of a curve from a circle to itself, on its outer side."""
+    side = np.array([outward[1], -outward[0]])
+    ends = [np.cos(0.45) * outward + s * np.sin(0.45) * side for s in (1, -1)]
+    far = [2.6 * outward + s * 1.1 * side for s in (1, -1)]
+    return center + radius * np.array([ends[0], far[0], far[1], 1.06 * ends[1]])
+
+
+def _bezier(points: np.ndarray, t: float) -> np.ndarray:
+    """Return the point (2,) at parameter `t` of a cubic Bezier curve (4, 2)."""
+    weights = np.array([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3])
+    return weights @ points
+
+
+def _arrow(ax: Axes, curve: np.ndarray, color: Any) -> None:
+    from matplotlib.patches import FancyArrowPatch
+    from matplotlib.path import Path
+
+    path = Path(curve, [Path.MOVETO, Path.CURVE4, Path.CURVE4, Path.CURVE4])
+    ax.add_patch(
+        FancyArrowPatch(path=path, arrowstyle="-|>", mutation_scale=11, color=color, lw=1.1)
+    )
+
+
+def _write(ax: Axes, place: Any, text: str, size: float, color: str = INK) -> Text:
+    x, y = place
+    return ax.text(x, y, text, ha="center", va="center", fontsize=size, color=color)
+
+
+def _readable(color: Any) -> str:
+    """Return black or white, whichever is easier to read on a colour."""
+    from matplotlib.colors import to_rgb
+
+    return "black" if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > 0.5 else "white"

@@ -1,0 +1,1 @@
+"""Evidence for policies, one module per kind."""

@@ -1,0 +1,373 @@
+"""Agreement: where a policy gives another symbol than the controller that it came from.
+
+Algorithm 1 looks at test points only. Random states show what lies between them: how well the
+cells along a switching surface follow it, and the islands that all test points of a cell missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.lattice_points import CHUNK
+from capsyn.masks import Label, preferred, several
+from capsyn.policy import Policy
+from capsyn.processors import processors
+from capsyn.ssac import batch_controller
+from capsyn.validation import describe, one_of, whole_number
+from capsyn.verification.statistics import check_confidence, clopper_pearson
+
+KEPT = 10_000
+"""Most disagreeing states, and most islands, that are kept; all are counted."""
+WAVE = 32
+"""Chunks of states that are in memory at once."""
+
+Controller = Callable[[np.ndarray], Any]
+"""States (B, n) to symbols (B,); -1 is the default control."""
+
+
+@dataclass(frozen=True)
+class Island:
+    """A cell whose test points agreed, in which a random state disagrees.
+
+    Parameters
+    ----------
+    level : int
+        Level of the cell.
+    lower, upper : n floats
+        Bounds of the cell [state units].
+    symbol : int
+        What the policy gives there; -1 is the default control.
+    others : ints
+        What the controller gives at the states that disagree, ascending.
+    states, disagreeing : int
+        Random states in the cell, and those of them that disagree.
+    example : n floats
+        The first state that disagrees [state units].
+    """
+
+    level: int
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    symbol: int
+    others: tuple[int, ...]
+    states: int
+    disagreeing: int
+    example: tuple[float, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the island as plain data."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """How often a policy of N symbols equals its controller at random states.
+
+    Parameters
+    ----------
+    symbols : N + 1 strings
+        Names of the symbols, "default" last.
+    seed : int
+        Seed of the states: they are ``policy.domain.sample(states, seed)``.
+    states, agreeing : int
+        Random states, and those at which the policy agrees.
+    confidence, low, high : float
+        Clopper-Pearson interval of the share that agrees.
+    ties : int
+        States where several symbols could be best; any of them agrees.
+    not_finite : int
+        States where the controller has no finite result; there only the default agrees.
+    level_states, level_agreeing : (max_level + 1,)
+        States in cells of each level, and those that agree.
+    mixed_states, mixed_agreeing : int
+        States in cells whose test points did not agree, and those that agree. The other states
+        lie in uniform cells.
+    pairs : (N + 1, N + 1)
+        States by the policy's symbol (row) and the controller's (column), the default last.
+    disagreeing_states : (D, n)
+        The first states that disagree [state units], at most `KEPT`.
+    disagreeing_symbols : (D, 2)
+        The policy's and the controller's symbol at each of them; -1 is the default control.
+    island_cells, island_states : int
+        Uniform cells with disagreeing states, and those states.
+    islands : tuple of Island
+        These cells, most disagreeing states first, at most `KEPT`.
+    """
+
+    symbols: tuple[str, ...]
+    seed: int
+    states: int
+    agreeing: int
+    confidence: float
+    low: float
+    high: float
+    ties: int
+    not_finite: int
+    level_states: np.ndarray
+    level_agreeing: np.ndarray
+    mixed_states: int
+    mixed_agreeing: int
+    pairs: np.ndarray
+    disagreeing_states: np.ndarray
+    disagreeing_symbols: np.ndarray
+    island_cells: int
+    island_states: int
+    islands: tuple[Island, ...]
+
+    @property
+    def share(self) -> float:
+        """Share of the states, an estimate of that of the volume, where the policy agrees."""
+        return self.agreeing / self.states
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as plain data."""
+        data = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
+        return data | {
+            "symbols": list(self.symbols),
+            "share": self.share,
+            "islands": [island.to_json() for island in self.islands],
+        }
+
+
+def agreement(
+    policy: Policy,
+    states: int = 100_000,
+    *,
+    controller: Controller | None = None,
+    seed: int = 0,
+    confidence: float = 0.95,
+    backend: str = "auto",
+    threads: int | None = None,
+) -> Agreement:
+    """Return how often a policy equals a controller at random states of its domain, and where not.
+
+    Parameters
+    ----------
+    policy : Policy
+        The policy.
+    states : int
+        Number of states, drawn uniformly from the domain.
+    controller : callable, optional
+        States (B, n) to symbol indices (B,), -1 for the default, such as another policy.
+        Default: sSAC with the policy's own model, horizon and settings.
+    seed : int
+        Seed of the states.
+    confidence : float
+        Confidence of the interval of the share.
+    backend : "auto", "c" or "numpy"
+        How sSAC is solved.
+    threads : int, optional
+        Threads that call the controller. Default: one per processor for sSAC, one for a given
+        `controller`. The result does not depend on it.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used, a policy that carries no model where no `controller` is
+        given, or a controller whose output is no symbols.
+    KernelBuildError
+        ``backend="c"`` without a working compiler.
+
+    Notes
+    -----
+    Where several symbols tie, the policy agrees if it gives one of them, see
+    `BatchController.masks`.
+    """
+    if not isinstance(policy, Policy):
+        raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
+    states = whole_number("states", states, least=1)
+    seed = whole_number("seed", seed, least=0)
+    confidence = check_confidence(confidence)
+    one_of("backend", backend, ["auto", "c", "numpy"])
+    threads = 1 if threads is None and controller is not None else processors(threads)
+    masks, preference = _label(policy, controller, backend)
+    tally = _Tally(policy)
+    with ThreadPoolExecutor(threads) as pool:
+        run = map if threads == 1 else pool.map
+        for wave in _waves(policy, states, seed):
+            for chunk, found in zip(wave, run(masks, wave)):
+                tally.add(chunk, found, preference)
+    low, high = clopper_pearson(states - tally.wrong, states, confidence)
+    return Agreement(
+        symbols=(*policy.alphabet.names, "default"),
+        seed=seed,
+        states=states,
+        agreeing=states - tally.wrong,
+        confidence=confidence,
+        low=low,
+        high=high,
+        **tally.results(),
+    )
+
+
+def _label(
+    policy: Policy, controller: Controller | None, backend: str
+) -> tuple[Label, tuple[int, ...]]:
+    """Return the controller as a function that gives masks, and its preference among ties."""
+    n_symbols = len(policy.alphabet)
+    if controller is None:
+        if policy.model is None or policy.horizon is None or policy.settings is None:
+            raise ProblemError(
+                "`policy` must carry its model, horizon and settings, or `controller` must be "
+                f"given; got {policy!r} without them"
+            )
+        ssac = batch_controller(
+            policy.model,
+            policy.domain,
+            policy.alphabet.values,
+            policy.default,
+            policy.horizon,
+            policy.settings,
+            backend,
+        )
+        return ssac.masks, ssac.preference
+    if not callable(controller):
+        raise ProblemError(f"`controller` must be a function; got {describe(controller)}")
+    given: Controller = controller
+
+    def masks(states: np.ndarray) -> np.ndarray:
+        symbols = np.asarray(given(states))
+        if symbols.shape != (len(states),) or symbols.dtype.kind not in "iu":
+            raise ProblemError(
+                f"`controller` must return ({len(states)},) integers; got {symbols.dtype} of "
+                f"shape {symbols.shape}"
+            )
+        wrong = (symbols < -1) | (symbols >= n_symbols)
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise ProblemError(
+                f"`controller` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
+                f"at state {states[i].tolist()}"
+            )
+        return np.uint64(1) << np.where(symbols < 0, n_symbols, symbols).astype(np.uint64)
+
+    return masks, tuple(range(n_symbols + 1))
+
+
+def _waves(policy: Policy, count: int, seed: int) -> Iterator[list[np.ndarray]]:
+    """Yield the states of ``policy.domain.sample(count, seed)``, as lists of chunks (B, n)."""
+    domain, random = policy.domain, np.random.default_rng(seed)
+    sizes = [min(CHUNK, count - start) for start in range(0, count, CHUNK)]
+    for start in range(0, len(sizes), WAVE):
+        yield [
+            domain.lower + random.random((size, domain.n)) * domain.widths
+            for size in sizes[start : start + WAVE]
+        ]
+
+
+class _Tally:
+    """Counts over chunks of states: in all, by cell, and by pair of symbols."""
+
+    def __init__(self, policy: Policy) -> None:
+        cells = len(policy.cells.entries)
+        self._policy = policy
+        self._leaves = len(policy.alphabet) + 1
+        self._drawn = np.zeros(cells, dtype=np.int64)
+        self._wrong = np.zeros(cells, dtype=np.int64)
+        self._seen = np.zeros(cells, dtype=np.uint64)
+        self._pairs = np.zeros((self._leaves, self._leaves), dtype=np.int64)
+        self._examples: list[tuple[np.ndarray, np.ndarray]] = []
+        self._kept: list[tuple[np.ndarray, np.ndarray]] = []
+        self._room = KEPT
+        self._ties = self._not_finite = 0
+
+    @property
+    def wrong(self) -> int:
+        """States that disagree."""
+        return int(self._wrong.sum())
+
+    def add(self, states: np.ndarray, masks: np.ndarray, preference: tuple[int, ...]) -> None:
+        """Count states (B, n) with the controller's masks (B,)."""
+        tree, default = self._policy.cells, self._leaves - 1
+        cells = tree.find(self._policy.domain.locate(states, tree.counts))
+        own = -1 - tree.entries[cells]
+        self._ties += int(several(masks).sum())
+        self._not_finite += int((masks == 0).sum())
+        masks = np.where(masks == 0, np.uint64(1 << default), masks)
+        agree = (masks >> own.astype(np.uint64)) & np.uint64(1) != 0
+        other = np.where(agree, own, preferred(masks, preference))
+        np.add.at(self._pairs, (own, other), 1)
+        places, counts = np.unique(cells, return_counts=True)
+        self._drawn[places] += counts
+
+        states, cells, own, other = (x[~agree] for x in (states, cells, own, other))
+        places, first, counts = np.unique(cells, return_index=True, return_counts=True)
+        new = self._wrong[places] == 0
+        self._examples.append((places[new], states[first[new]]))
+        self._wrong[places] += counts
+        np.bitwise_or.at(self._seen, cells, np.uint64(1) << other.astype(np.uint64))
+        symbols = np.stack([own, other], axis=1)[: self._room]
+        self._kept.append((states[: self._room], np.where(symbols == default, -1, symbols)))
+        self._room -= len(symbols)
+
+    def results(self) -> dict[str, Any]:
+        """Return the fields of an `Agreement` that are counts and places."""
+        tree = self._policy.cells
+        mixed = tree.mixed_cells
+        uniform_wrong = self._wrong.copy()
+        uniform_wrong[mixed] = 0
+        islands = np.flatnonzero(uniform_wrong)
+        level_states = np.zeros(tree.max_level + 1, dtype=np.int64)
+        level_wrong = np.zeros_like(level_states)
+        level = np.zeros(len(islands), dtype=np.int64)
+        lower = np.zeros((len(islands), tree.n), dtype=np.int64)
+        for k, places, corners in tree.levels():
+            level_states[k] = self._drawn[places].sum()
+            level_wrong[k] = self._wrong[places].sum()
+            # the cells of a level stand one after the other, as islands do
+            start, end = np.searchsorted(islands, (places[0], places[-1] + 1))
+            level[start:end] = k
+            lower[start:end] = corners[islands[start:end] - places[0]]
+        states, symbols = (np.concatenate(parts) for parts in zip(*self._kept))
+        return {
+            "ties": self._ties,
+            "not_finite": self._not_finite,
+            "level_states": level_states,
+            "level_agreeing": level_states - level_wrong,
+            "mixed_states": int(self._drawn[mixed].sum()),
+            "mixed_agreeing": int((self._drawn - self._wrong)[mixed].sum()),
+            "pairs": self._pairs,
+            "disagreeing_states": states,
+            "disagreeing_symbols": symbols,
+            "island_cells": len(islands),
+            "island_states": int(uniform_wrong.sum()),
+            "islands": self._islands(islands, level, lower),
+        }
+
+    def _islands(
+        self, cells: np.ndarray, level: np.ndarray, lower: np.ndarray
+    ) -> tuple[Island, ...]:
+        """Return uniform cells (K,) with disagreeing states, most of these first."""
+        tree, domain = self._policy.cells, self._policy.domain
+        places, states = (np.concatenate(parts) for parts in zip(*self._examples))
+        order = np.argsort(places)
+        examples = states[order[np.searchsorted(places, cells, sorter=order)]]
+        sizes = np.stack([tree.sizes(k) for k in range(tree.max_level + 1)])
+        low = domain.points(lower, tree.counts)
+        high = domain.points(lower + sizes[level], tree.counts)
+
+        def symbol(leaf: int) -> int:
+            return -1 if leaf == self._leaves - 1 else leaf
+
+        found = []
+        for i in np.argsort(-self._wrong[cells], kind="stable")[:KEPT]:
+            seen = int(self._seen[cells[i]])
+            found.append(
+                Island(
+                    level=int(level[i]),
+                    lower=tuple(low[i].tolist()),
+                    upper=tuple(high[i].tolist()),
+                    symbol=symbol(-1 - int(tree.entries[cells[i]])),
+                    others=tuple(symbol(k) for k in range(self._leaves) if seen >> k & 1),
+                    states=int(self._drawn[cells[i]]),
+                    disagreeing=int(self._wrong[cells[i]]),
+                    example=tuple(examples[i].tolist()),
+                )
+            )
+        return tuple(found)
