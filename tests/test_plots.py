@@ -37,13 +37,13 @@ def test_the_cells_in_a_plane_tile_it_and_have_the_lookups_colours(n, plane):
     indices = [policy.domain.names.index(p) if isinstance(p, str) else p for p in plane]
     at = {name: 0.3 for i, name in enumerate(policy.domain.names) if i not in indices}
     ax = plot_policy(policy, plane, at, Figure().add_subplot())
-    (cells,) = ax.collections
-    paths = cells.get_paths()
+    paths = [path for cells in ax.collections for path in cells.get_paths()]
+    colours = [color for cells in ax.collections for color in cells.get_facecolor()]
     assert sum(map(area, paths)) == pytest.approx(4.0)
     states = np.full((len(paths), n), 0.3)
     states[:, indices] = [path.vertices[:4].mean(axis=0) for path in paths]
     wanted = [PALETTE[k] for k in policy(states)]
-    assert [to_hex(c).upper() for c in cells.get_facecolor()] == wanted
+    assert [to_hex(c).upper() for c in colours] == wanted
 
 
 def test_axes_carry_names_units_bounds_and_a_legend_with_the_symbols_seen():

@@ -8,6 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from capsyn.cli_evidence import reproduce, simulate, verify
+from capsyn.cli_options import (
+    Backend,
+    File,
+    Json,
+    MinDwell,
+    Outside,
+    Seed,
+    Threads,
+    assignments,
+    number,
+    whole_number_list,
+)
 from capsyn.console import print_report, print_table, progress_bars, show
 from capsyn.errors import CapsynError, CapsynWarning, ProblemError
 
@@ -27,9 +40,6 @@ app = typer.Typer(
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
-
-Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
-File = Annotated[str, typer.Argument(metavar="FILE", help="A policy file.")]
 
 
 def _version(wanted: bool) -> None:
@@ -100,19 +110,15 @@ def synth(
     steps: Annotated[int | None, typer.Option(help="Integration steps over the horizon.")] = None,
     tolerance: Annotated[float | None, typer.Option(help="Of the step-doubling check.")] = None,
     precision: Annotated[str | None, typer.Option(help="double or single.")] = None,
-    outside: Annotated[
-        str | None, typer.Option(help="error, nearest, or a symbol's name or index.")
-    ] = None,
-    min_dwell: Annotated[
-        float | None, typer.Option(help="Least time between switches [s].")
-    ] = None,
+    outside: Outside = None,
+    min_dwell: MinDwell = None,
     test_points: Annotated[
         str, typer.Option(help="vertices, then +center, +edge_midpoints, +random:R.")
     ] = "vertices+center",
-    seed: Annotated[int, typer.Option(help="Of everything that is random.")] = 0,
+    seed: Seed = 0,
     max_solves: Annotated[int | None, typer.Option(help="Stop at a level before so many.")] = None,
-    backend: Annotated[str, typer.Option(help="auto, c or numpy.")] = "auto",
-    threads: Annotated[int | None, typer.Option(help="Default: one per processor.")] = None,
+    backend: Backend = "auto",
+    threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Make the control alphabet policy of a problem."""
@@ -127,7 +133,7 @@ def synth(
     if horizon is not None:
         chosen = chosen.replace(horizon=horizon)
     if default is not None:
-        chosen = chosen.replace(default=[_number("--default", u) for u in default.split(",")])
+        chosen = chosen.replace(default=[number("--default", u) for u in default.split(",")])
     path = output
     if path is None:
         path = f"{chosen.name}.cap"
@@ -147,8 +153,8 @@ def synth(
     with progress_bars() as progress:
         policy = synthesize(
             chosen,
-            partitions=_whole_numbers("--partitions", partitions),
-            refinement=_whole_numbers("--refinement", refinement),
+            partitions=whole_number_list("--partitions", partitions),
+            refinement=whole_number_list("--refinement", refinement),
             max_level=max_level,
             settings=_settings(chosen.settings, changes),
             outside=outside,
@@ -184,9 +190,7 @@ def info(file: File, as_json: Json = False) -> None:
 def query(
     file: File,
     state: Annotated[list[str], typer.Argument(metavar="X1 X2 ..", help="A state.")],
-    outside: Annotated[
-        str | None, typer.Option(help="error, nearest, or a symbol's name or index.")
-    ] = None,
+    outside: Outside = None,
     as_json: Json = False,
 ) -> None:
     """Look up the symbol of a state."""
@@ -198,7 +202,7 @@ def query(
         raise ProblemError(
             f"the state must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
         )
-    values = [_number(name, text) for name, text in zip(names, state)]
+    values = [number(name, text) for name, text in zip(names, state)]
     symbol = int(policy(values, outside))
     control = policy.control(values, outside).tolist()
     data = {
@@ -237,20 +241,19 @@ def plot(
     policy = Policy.load(file)
     names = policy.domain.names
     axes = tuple(name.strip() for name in plane.split(",")) if plane else names[:2]
-    values = {}
-    for item in at or []:
-        name, equals, value = item.partition("=")
-        if not equals or name in values:
-            raise ProblemError(f"--at must be NAME=VALUE, once for a state; got '{item}'")
-        values[name] = _number(name, value)
+    values = {name: number(name, text) for name, text in assignments("--at", at or []).items()}
     save_policy_plot(policy, output, axes, values, outlines)
     typer.echo(f"wrote {output}")
 
 
+app.command()(simulate)
+app.command()(verify)
+
+
 @app.command()
 def bench(
-    backend: Annotated[str, typer.Option(help="auto, c or numpy.")] = "auto",
-    threads: Annotated[int | None, typer.Option(help="Default: one per processor.")] = None,
+    backend: Backend = "auto",
+    threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Make the paper's six policies: solves beside the paper's, and time."""
@@ -258,6 +261,9 @@ def bench(
 
     rows = count_solves(backend=backend, threads=threads)
     show(as_json, rows, lambda: print_table(rows))
+
+
+app.command()(reproduce)
 
 
 def main() -> None:
@@ -293,23 +299,6 @@ def _show_warning(message: Any, category: type[Warning], *rest: Any, **more: Any
         str(message) if issubclass(category, CapsynWarning) else f"{category.__name__}: {message}"
     )
     print(f"warning: {' '.join(text.split())}", file=sys.stderr)
-
-
-def _number(name: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ProblemError(f"`{name}` must be a number; got '{text}'") from None
-
-
-def _whole_numbers(name: str, text: str | None) -> list[int] | int | None:
-    if text is None:
-        return None
-    try:
-        values = [int(part) for part in text.split(",")]
-    except ValueError:
-        raise ProblemError(f"{name} must be whole numbers such as 9 or 9,5; got '{text}'") from None
-    return values[0] if len(values) == 1 else values
 
 
 def _settings(settings: SsacSettings, changes: dict[str, Any]) -> SsacSettings | None:

@@ -46,8 +46,8 @@ class Experiment:
         The plant.
     loop : Loop
         How the loop runs.
-    inputs : tuple of str
-        Names of the inputs.
+    inputs, units : tuples of str
+        Names and units of the inputs.
     rate : float
         Samples per second [1 / s].
     target : Ball, Box, Program or None
@@ -59,6 +59,7 @@ class Experiment:
     plant: Plant
     loop: Loop
     inputs: tuple[str, ...]
+    units: tuple[str, ...]
     rate: float
     target: Target | None
     run: Callable[[np.ndarray, Noise | None, Record | None], None]
@@ -148,6 +149,7 @@ def set_up(
         _pushes(disturbance, n, period, samples),
     )
     inputs = tuple(f"u{i + 1}" for i in range(m)) if alphabet is None else alphabet.inputs
+    units = ("",) * m if alphabet is None else alphabet.units
     if isinstance(controller, Policy):
         rule = check_outside(
             controller.outside if outside is None else outside, controller.alphabet
@@ -164,7 +166,7 @@ def set_up(
         def start(trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
             run(decide, plant, loop, trials, noise, record)
 
-    return Experiment(plant, loop, inputs, rate, target, start)
+    return Experiment(plant, loop, inputs, units, rate, target, start)
 
 
 def per_state(name: str, value: Any, n: int, least: float | None = None) -> np.ndarray:

@@ -12,6 +12,7 @@ from capsyn.policy import Policy
 from capsyn.problem import Problem
 from capsyn.settings import SsacSettings
 from capsyn.synthesis import synthesize
+from capsyn.verification.monte_carlo import MonteCarlo
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class Case:
     note: str = ""
 
 
+RATE = 1000.0
+"""Samples per second of the paper's trials."""
 GAMMA = SsacSettings(gamma=-5.0)
 CASES = (
     Case("cart-pendulum", 4, 3428),
@@ -35,6 +38,16 @@ CASES = (
     Case("double-tank-b", 5, 9474, GAMMA, "gamma = -5"),
 )
 """The six cases, read as the paper prints them: alpha_d = -5 J."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number of the paper beside ours, and what to know about it."""
+
+    what: str
+    paper: str
+    ours: str
+    note: str = ""
 
 
 def problem_of(case: Case) -> Problem:
@@ -73,3 +86,11 @@ def count_solves(**options: Any) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def successes(result: MonteCarlo) -> str:
+    """Return how many trials succeeded, with the interval, in words."""
+    return (
+        f"{int(result.success.sum()):,} of {len(result.success):,} "
+        f"({result.low:.2%} to {result.high:.2%})"
+    )

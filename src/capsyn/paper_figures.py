@@ -9,15 +9,32 @@ import numpy as np
 
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
-from capsyn.plots import PALETTE, symbol_colors
+from capsyn.plots import PALETTE, frame, outline_width, quantity, rectangles, symbol_colors
 from capsyn.policy import Policy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from matplotlib.text import Text
 
 BLUE, ORANGE, GREEN, _, SKY, RED, _, _ = PALETTE
 INK, GREY, LIGHT = "#222222", "#7F7F7F", "#DCE9F2"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure [inches] that no window shows."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def halves(figure: Figure, columns: bool, ratios: tuple[float, float]) -> tuple[Any, Any]:
+    """Return the two parts of a figure, side by side or one above the other."""
+    if columns:
+        parts: Any = figure.subfigures(1, 2, width_ratios=ratios)
+    else:
+        parts = figure.subfigures(2, 1, height_ratios=ratios)
+    return parts[0], parts[1]
 
 
 def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
@@ -48,9 +65,10 @@ def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
     colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
 
     def add(ax: Axes, level: int, corners: np.ndarray, faces: Any, edges: str) -> None:
-        width = 0.3 * 0.7**level  # else outlines bleach the finest cells
         ax.add_collection(
-            PolyCollection(list(corners), facecolors=faces, edgecolors=edges, linewidths=width)
+            PolyCollection(
+                list(corners), facecolors=faces, edgecolors=edges, linewidths=outline_width(level)
+            )
         )
 
     labelled: list[tuple[np.ndarray, np.ndarray]] = []
@@ -58,14 +76,14 @@ def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
     for k, ax in enumerate(axes):
         if k < len(levels):
             _, places, lower = levels[k]
-            corners = _rectangles(domain, lower, tree.sizes(k), tree.counts)
+            corners = rectangles(domain, lower, tree.sizes(k), tree.counts)
             leaf = tree.entries[places] < 0
             labelled.append((corners[leaf], -1 - tree.entries[places[leaf]]))
             divided = corners[~leaf]
         for level, (cells, labels) in enumerate(labelled):
             add(ax, level, cells, colors[labels], "white")
         add(ax, k, divided, "white", GREY)
-        _frame(ax, domain)
+        frame(ax, domain)
         ax.set_title(f"layer {k}", fontsize="medium")
         if k:
             ax.set_ylabel("")
@@ -152,7 +170,7 @@ def draw_derivative_signs(
             style: dict[str, Any] = {"ls": "", "marker": marker, "mew": 0, "color": color}
             ax.plot(x_axis[i], y_axis[j], ms=size, rasterized=True, **style)
             handles.append(Line2D([], [], ms=5, label=label, **style))
-    _frame(ax, domain)
+    frame(ax, domain)
     ax.legend(
         handles=handles,
         loc="lower center",
@@ -253,7 +271,7 @@ def draw_end_states(
     ax.plot(*circle, color=INK, lw=1.2, label="target")
     ax.plot(*final.T, "x", ms=4, mew=0.9, color=RED, label="final")
     (x_name, x_unit), (y_name, y_unit) = names_units
-    ax.set(xlabel=_quantity(x_name, x_unit), ylabel=_quantity(y_name, y_unit), aspect="equal")
+    ax.set(xlabel=quantity(x_name, x_unit), ylabel=quantity(y_name, y_unit), aspect="equal")
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
     return ax
 
@@ -321,28 +339,6 @@ def draw_dwell_tradeoff(
     else:
         second.set_ylim(bottom=0.0)
     return ax, second
-
-
-def _quantity(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit else name
-
-
-def _frame(ax: Axes, domain: Box) -> None:
-    """Give the axes names, units and bounds of the two states of a domain."""
-    for axis, i in (("x", 0), ("y", 1)):
-        limits = (domain.lower[i], domain.upper[i])
-        label = _quantity(domain.names[i], domain.units[i])
-        ax.set(**{f"{axis}lim": limits, f"{axis}label": label})
-
-
-def _rectangles(
-    domain: Box, lower: np.ndarray, size: np.ndarray, counts: Sequence[int]
-) -> np.ndarray:
-    """Return the corners (M, 4, 2) of cells with lower corners (M, 2), in finest cells."""
-    low, high = domain.points(lower, counts), domain.points(lower + size, counts)
-    x = np.stack([low[:, 0], high[:, 0], high[:, 0], low[:, 0]], axis=1)
-    y = np.stack([low[:, 1], low[:, 1], high[:, 1], high[:, 1]], axis=1)
-    return np.stack([x, y], axis=2)
 
 
 def _arc(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:

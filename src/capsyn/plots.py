@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,13 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
 from capsyn.policy import Policy
+from capsyn.simulation import Trajectory
 from capsyn.validation import describe, finite_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#999999")
 """Colours that stay apart under colour blindness (Okabe and Ito)."""
@@ -79,58 +83,123 @@ def plot_policy(
                 f"got {point[i]:g}"
             )
     steps = domain.locate(point[None, :], tree.counts)[0]
-    corners: list[np.ndarray] = []
-    labels: list[np.ndarray] = []
+    ax = plt.gca() if ax is None else ax
+    colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
+    shown: set[int] = set()
     for leaves in tree.leaves():
         size = tree.sizes(leaves.level)
         met = np.ones(len(leaves.lower), dtype=bool)
         for i in others:
             met &= (leaves.lower[:, i] <= steps[i]) & (steps[i] < leaves.lower[:, i] + size[i])
-        low = leaves.lower[met]
-        sides = [
-            domain.faces(i, low[:, i] + more * size[i], tree.counts[i])
-            for i in (horizontal, vertical)
-            for more in (0, 1)
-        ]
-        left, right, bottom, top = sides
-        x = np.stack([left, right, right, left], axis=1)
-        y = np.stack([bottom, bottom, top, top], axis=1)
-        corners.append(np.stack([x, y], axis=2))
-        labels.append(leaves.labels[met])
-    ax = plt.gca() if ax is None else ax
-    colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
-    label = np.concatenate(labels)
-    ax.add_collection(
-        PolyCollection(
-            list(np.concatenate(corners)),
-            facecolors=colors[label],
-            edgecolors="white" if outlines else "face",
-            linewidths=0.3 if outlines else 0.1,
+        labels = leaves.labels[met]
+        shown.update(labels.tolist())
+        cells = rectangles(domain, leaves.lower[met], size, tree.counts, (horizontal, vertical))
+        ax.add_collection(
+            PolyCollection(
+                list(cells),
+                facecolors=colors[labels],
+                edgecolors="white" if outlines else "face",
+                linewidths=outline_width(leaves.level) if outlines else 0.1,
+            )
         )
-    )
-    for axis, i in (("x", horizontal), ("y", vertical)):
-        unit = f" [{domain.units[i]}]" if domain.units[i] else ""
-        ax.set(
-            **{
-                f"{axis}lim": (domain.lower[i], domain.upper[i]),
-                f"{axis}label": f"{domain.names[i]}{unit}",
-            }
-        )
+    frame(ax, domain, (horizontal, vertical))
     if legend:
         names = [*policy.alphabet.names, "default"]
         handles = [
-            Patch(facecolor=colors[k], edgecolor="#666666", label=names[k])
-            for k in np.unique(label)
+            Patch(facecolor=colors[k], edgecolor="#666666", label=names[k]) for k in sorted(shown)
         ]
         title = ", ".join(policy.alphabet.inputs)
         if policy.alphabet.m == 1 and policy.alphabet.units[0]:
             title += f" [{policy.alphabet.units[0]}]"
         ax.legend(
-            handles=handles, title=title, loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False
+            handles=handles,
+            title=title,
+            alignment="left",
+            loc="upper left",
+            bbox_to_anchor=(1.01, 1),
+            frameon=False,
         )
     where = ", ".join(f"{domain.names[i]} = {point[i]:g}" for i in others)
     ax.set_title(policy.name + (f" at {where}" if where else ""))
     return ax
+
+
+def rectangles(
+    domain: Box,
+    lower: np.ndarray,
+    size: np.ndarray,
+    counts: Sequence[int],
+    plane: tuple[int, int] = (0, 1),
+) -> np.ndarray:
+    """Return the corners (M, 4, 2) [state units] of cells in the plane of two states.
+
+    Parameters
+    ----------
+    domain : Box
+        The domain.
+    lower, size : (M, n), (n,)
+        Lower corners and edge lengths of the cells, in finest cells.
+    counts : n ints
+        Finest cells along each axis.
+    plane : two ints
+        The states.
+    """
+    low, high = domain.points(lower, counts), domain.points(lower + size, counts)
+    i, j = plane
+    x = np.stack([low[:, i], high[:, i], high[:, i], low[:, i]], axis=1)
+    y = np.stack([low[:, j], low[:, j], high[:, j], high[:, j]], axis=1)
+    return np.stack([x, y], axis=2)
+
+
+def outline_width(level: int) -> float:
+    """Return the width of a level's outlines [points]; were they equal, they would hide cells."""
+    return 0.3 * 0.7**level
+
+
+def quantity(name: str, unit: str) -> str:
+    """Return the label of an axis."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def frame(ax: Axes, domain: Box, plane: tuple[int, int] = (0, 1)) -> None:
+    """Give the axes names, units and bounds of two states of a domain."""
+    for axis, i in zip("xy", plane):
+        limits = (domain.lower[i], domain.upper[i])
+        label = quantity(domain.names[i], domain.units[i])
+        ax.set(**{f"{axis}lim": limits, f"{axis}label": label})
+
+
+def plot_trajectory(trajectory: Trajectory, axes: Any) -> Any:
+    """Draw the states and the controls of trajectories against time, one Axes for each.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        One trajectory, or many: these are drawn over each other.
+    axes : n + m Axes
+        Where to draw: the states first, then the controls.
+    """
+    states, controls = trajectory.states, trajectory.controls
+    n, m = states.shape[-1], controls.shape[-1]
+    if len(axes) != n + m:
+        raise ProblemError(f"`axes` must be {n + m} Axes; got {len(axes)}")
+    states = states.reshape(-1, len(trajectory.times), n)
+    controls = controls.reshape(-1, len(trajectory.times) - 1, m)
+    thin: dict[str, Any] = {
+        "linewidth": 1.2 if len(states) == 1 else 0.5,
+        "alpha": 1.0 if len(states) < 8 else 0.5,
+    }
+    for i, ax in enumerate(axes):
+        for states_of, controls_of in zip(states, controls):
+            if i < n:
+                ax.plot(trajectory.times, states_of[:, i], color=PALETTE[0], **thin)
+            else:
+                held = np.append(controls_of[:, i - n], np.nan)
+                ax.step(trajectory.times, held, where="post", color=PALETTE[5], **thin)
+        ax.set_ylabel(quantity(trajectory.names[i], trajectory.units[i]))
+        ax.set_xlim(trajectory.times[0], trajectory.times[-1])
+    axes[-1].set_xlabel("time [s]")
+    return axes
 
 
 def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
@@ -159,24 +228,49 @@ def save_policy_plot(
     at: Mapping[str, float] | None = None,
     outlines: bool = True,
 ) -> None:
-    """Write a picture of a policy as PNG, PDF or SVG, by the ending of `path`.
-
-    The same policy gives the same bytes; what was at `path` is replaced only by a whole picture.
-    """
-    kind = check_format(path)
-    import matplotlib
-
-    with matplotlib.rc_context({"svg.hashsalt": "capsyn"}):
+    """Write a picture of a policy as PNG, PDF or SVG; see `plot_policy` and `save_figure`."""
+    check_format(path)
+    with reproducible():
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(7, 4.5), layout="constrained")
         plot_policy(policy, plane, at, figure.add_subplot(), outlines)
-        metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
+        save_figure(figure, path)
 
-        def write(temporary: Path) -> None:
-            figure.savefig(temporary, format=kind, dpi=200, metadata=metadata[kind])
 
-        atomic_write(path, write)
+def save_trajectory_plot(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
+    """Write a picture of trajectories; see `plot_trajectory` and `save_figure`."""
+    check_format(path)
+    with reproducible():
+        from matplotlib.figure import Figure
+
+        count = len(trajectory.names)
+        figure = Figure(figsize=(7, 1 + 1.3 * count), layout="constrained")
+        plot_trajectory(trajectory, figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
+        figure.align_ylabels()
+        save_figure(figure, path)
+
+
+def reproducible() -> contextlib.AbstractContextManager[None]:
+    """Return a context in which the same drawing makes the same bytes."""
+    import matplotlib
+
+    return matplotlib.rc_context({"svg.hashsalt": "capsyn"})
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure as PNG, PDF or SVG, by the ending of `path`.
+
+    The same figure, made within `reproducible`, gives the same bytes; what was at `path` is
+    replaced only by a whole picture.
+    """
+    kind = check_format(path)
+    metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
+
+    def write(temporary: Path) -> None:
+        figure.savefig(temporary, format=kind, dpi=200, metadata=metadata[kind])
+
+    atomic_write(path, write)
 
 
 def check_format(path: str | os.PathLike[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import os
@@ -65,6 +66,9 @@ class Policy:
         Counts and shares of the synthesis, as plain data.
     timings : dict
         Seconds of the synthesis by part; not part of the policy's file.
+    evidence : dict
+        What `capsyn.verification` found, by kind, as plain data, and under ``"sha256"`` the content
+        that it is about; see `with_evidence`.
     """
 
     name: str
@@ -80,6 +84,7 @@ class Policy:
     model: Model | None = None
     statistics: dict[str, Any] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
+    evidence: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         def keep(name: str, value: Any) -> None:
@@ -208,6 +213,18 @@ class Policy:
         from capsyn.policy_file import load
 
         return load(path)
+
+    def with_evidence(self, **kinds: dict[str, Any]) -> Policy:
+        """Return the policy with evidence added, which its file will carry.
+
+        Evidence is what ``to_json()`` of a result of `capsyn.verification` gives, under its kind:
+        ``monte_carlo``, ``lyapunov`` or ``agreement``. That of another content is dropped.
+        """
+        from capsyn.policy_file import content_hash
+
+        content = content_hash(self)
+        known = self.evidence if self.evidence.get("sha256") == content else {}
+        return dataclasses.replace(self, evidence={**known, **kinds, "sha256": content})
 
     def __repr__(self) -> str:
         return (

@@ -41,6 +41,12 @@ STATISTICS: dict[str, tuple[type, ...]] = {
     "sample": (dict,),
 }
 """What statistics hold, if they hold it; there may be more."""
+EVIDENCE = {
+    "monte_carlo": ("trials", "successes", "low", "high", "confidence"),
+    "lyapunov": ("proved", "negative", "violated", "undecided"),
+    "agreement": ("states", "share", "low", "high", "confidence"),
+}
+"""Kinds of evidence, and the figures that each has at least."""
 ROLES = ("vertices", "centers", "others", "quarter")
 """What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
@@ -57,6 +63,8 @@ def save(policy: Policy, path: str | os.PathLike[str]) -> None:
         "policy": content,
         "sha256": _digest(content, arrays),
     }
+    if policy.evidence.get("sha256") == document["sha256"]:  # that of another content is dropped
+        document["evidence"] = policy.evidence
     metadata = {FORMAT: _canonical(document)}
     atomic_write(path, lambda temporary: _write(arrays, temporary, metadata))
 
@@ -189,6 +197,7 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
         settings=None if settings is None else _settings(settings),
         model=model,
         statistics=_statistics(content["statistics"]),
+        evidence=_evidence(document),
         **{key: content[key] for key in ("name", "default", "outside", "min_dwell", "horizon")},
     )
 
@@ -216,6 +225,23 @@ def _statistics(data: Any) -> dict[str, Any]:
     if sample and (not set(sample) >= set(SAMPLE) or not numbers):
         raise PolicyFormatError("its statistic 'sample' is of another kind")
     return data
+
+
+def _evidence(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the evidence in a document, if it is about its content and of the kinds known."""
+    evidence = document.get("evidence", {})
+    if not isinstance(evidence, dict):
+        raise PolicyFormatError("its evidence is no object")
+    if evidence and evidence.get("sha256") != document["sha256"]:
+        raise PolicyFormatError("its evidence is that of another policy")
+    for kind, figures in EVIDENCE.items():
+        found = evidence.get(kind)
+        if found is not None and not (
+            isinstance(found, dict)
+            and all(isinstance(found.get(name), (int, float)) for name in figures)
+        ):
+            raise PolicyFormatError(f"its evidence '{kind}' is of another kind")
+    return evidence
 
 
 def _target(data: Any) -> Target | None:

@@ -1,4 +1,4 @@
-"""Finds the problem that a text names: a built-in one, or one in the user's own files."""
+"""Finds what a text names: a built-in problem, or a problem or function in the user's files."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import sys
 import traceback
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from capsyn import problems
 from capsyn.errors import ProblemError
@@ -46,6 +47,25 @@ def find_problem(text: str) -> Problem:
         found = ", ".join(f"{place}:{key}" for key in held) or "none"
         raise ProblemError(f"'{place}' must hold a capsyn.Problem named '{name}'; found {found}")
     return problem
+
+
+def find_function(text: str, others: tuple[type, ...] = ()) -> Any:
+    """Return the function that ``path/to/file.py:name`` or ``package.module:name`` names.
+
+    What is there may also be one of `others`.
+
+    Raises
+    ------
+    ProblemError
+        There is none, or the file fails.
+    """
+    place, colon, name = text.rpartition(":")
+    if not colon or not name.isidentifier():
+        raise ProblemError(f"a function must be given as FILE.py:NAME; got '{text}'")
+    function = getattr(_load(place), name, None)
+    if not callable(function) and not isinstance(function, others):
+        raise ProblemError(f"'{place}' must hold a function named '{name}'")
+    return function
 
 
 def _load(place: str) -> ModuleType:

@@ -49,8 +49,8 @@ class Trajectory:
         The sample at which it ended.
     arrived : (...)
         When the target was reached first [s]; NaN where it was not.
-    names : tuple of str
-        Names of the states, then of the inputs.
+    names, units : tuples of str
+        Names and units of the states, then of the inputs.
     """
 
     times: np.ndarray
@@ -65,6 +65,7 @@ class Trajectory:
     last: np.ndarray
     arrived: np.ndarray
     names: tuple[str, ...]
+    units: tuple[str, ...]
 
     @property
     def cost(self) -> Any:
@@ -75,6 +76,24 @@ class Trajectory:
     def to_json(self) -> dict[str, Any]:
         """Return the trajectory as plain data; what is not a number is null."""
         return {name: _plain(value) for name, value in vars(self).items()}
+
+    def summary(self) -> list[dict[str, Any]]:
+        """Return how each trajectory went, as plain data."""
+        size, n = self.states.shape[-2:]
+        states, last = self.states.reshape(-1, size, n), np.ravel(self.last)
+        ends = np.arange(len(last))
+        columns = {
+            "initial": states[:, 0],
+            "final": states[ends, last],
+            "duration": self.times[last],
+            "ended": np.ravel(self.ended),
+            "arrived": np.ravel(self.arrived),
+            "switches": np.ravel(self.switches),
+            "outside": np.ravel(self.outside),
+            "cost": np.ravel(self.cost),
+        }
+        plain = {name: _plain(values) for name, values in columns.items()}
+        return [{name: values[k] for name, values in plain.items()} for k in ends]
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a .csv or .json file, by the ending of `path`, whole or not at all.
@@ -253,4 +272,5 @@ def simulate(
         last=shaped(trials["end"].copy()),
         arrived=shaped(np.where(arrived < 0, np.nan, arrived / experiment.rate)),
         names=(*experiment.plant.domain.names, *experiment.inputs),
+        units=(*experiment.plant.domain.units, *experiment.units),
     )

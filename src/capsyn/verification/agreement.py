@@ -24,6 +24,8 @@ from capsyn.verification.statistics import check_confidence, clopper_pearson
 
 KEPT = 10_000
 """Most disagreeing states, and most islands, that are kept; all are counted."""
+TOLD = 100
+"""Most of them that `Agreement.to_json` lists."""
 WAVE = 32
 """Chunks of states that are in memory at once."""
 
@@ -126,12 +128,14 @@ class Agreement:
         return self.agreeing / self.states
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures as plain data."""
+        """Return the figures as plain data, with the first `TOLD` states and islands."""
         data = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
         return data | {
             "symbols": list(self.symbols),
             "share": self.share,
-            "islands": [island.to_json() for island in self.islands],
+            "disagreeing_states": self.disagreeing_states[:TOLD].tolist(),
+            "disagreeing_symbols": self.disagreeing_symbols[:TOLD].tolist(),
+            "islands": [island.to_json() for island in self.islands[:TOLD]],
         }
 
 

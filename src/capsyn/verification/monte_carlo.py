@@ -14,8 +14,8 @@ from capsyn.errors import ProblemError
 from capsyn.experiment import per_state, set_up
 from capsyn.online import OnlineController
 from capsyn.policy import Outside, Policy
-from capsyn.ssac import BatchController, batch_controller
-from capsyn.targets import check_target, target_axes
+from capsyn.ssac import batch_controller
+from capsyn.targets import check_target, describe_target, target_axes
 from capsyn.validation import describe, finite_number, whole_number
 from capsyn.verification.statistics import check_confidence, clopper_pearson
 
@@ -46,6 +46,8 @@ class MonteCarlo:
     ----------
     seed : int
         Seed of everything that was drawn.
+    conditions : dict
+        What the trials had in common, as plain data.
     confidence, low, high : float
         Clopper-Pearson interval of the success rate.
     success : (T,) booleans
@@ -68,6 +70,7 @@ class MonteCarlo:
     """
 
     seed: int
+    conditions: dict[str, Any]
     confidence: float
     low: float
     high: float
@@ -108,6 +111,7 @@ class MonteCarlo:
             "low": self.low,
             "high": self.high,
             "seed": self.seed,
+            "conditions": self.conditions,
             "ended": {
                 name: int((self.ended == k).sum())
                 for k, name in enumerate(ENDINGS)
@@ -237,6 +241,8 @@ def monte_carlo(
         threads=threads,
     )
     domain, n = experiment.plant.domain, experiment.plant.n
+    target = experiment.target
+    assert target is not None
     states = _initial_states(initial, domain, trials, seed)
     push = np.zeros((trials, n))
     if disturbance is not None and not callable(disturbance):
@@ -255,10 +261,26 @@ def monte_carlo(
         success = arrived <= within * (1 + 1e-12)
     if hold:
         success &= (done["ended"] == TIME) & (done["away"] < samples - hold * rate - 1e-6)
+    costs = default_costs(controller, np.vstack([states, done["state"]]), backend)
     successes = int(success.sum())
     low, high = clopper_pearson(successes, trials, confidence)
     return MonteCarlo(
         seed,
+        {
+            "duration": duration,
+            "rate": rate,
+            "within": within,
+            "hold": hold,
+            "target": describe_target(target, domain),
+            "initial": describe_target(initial or domain, domain),
+            "min_dwell": experiment.loop.dwell / rate,
+            "substeps": experiment.loop.substeps,
+            "another_model": model is not None,
+            "noise": _told(noise),
+            "delay": _told(delay),
+            "disturbance": _told(disturbance),
+            "parameters": {name: _told(value) for name, value in (parameters or {}).items()},
+        },
         confidence,
         low,
         high,
@@ -270,7 +292,8 @@ def monte_carlo(
         arrived,
         done["switches"].copy(),
         done["outside"].copy(),
-        *_costs(controller, states, done["state"], backend),
+        costs[:trials],
+        costs[trials:],
         drawn,
     )
 
@@ -288,6 +311,13 @@ def _draw(
     return low + (high - low) * np.random.default_rng(seed).random((trials, size))
 
 
+def _told(value: Any) -> Any:
+    """Return a quantity of the trials as plain data."""
+    if isinstance(value, Uniform):
+        return {"low": _told(value.low), "high": _told(value.high)}
+    return "a function of time" if callable(value) else np.asarray(value).tolist()
+
+
 def _initial_states(initial: Any, domain: Box, trials: int, seed: int) -> np.ndarray:
     states = domain.sample(trials, [seed, 0])
     if initial is None:
@@ -299,25 +329,17 @@ def _initial_states(initial: Any, domain: Box, trials: int, seed: int) -> np.nda
     return states
 
 
-def _costs(
-    controller: Any, first: np.ndarray, last: np.ndarray, backend: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the costs of the default predictions from first and last states."""
-    solver: BatchController | None = None
+def default_costs(controller: Any, states: np.ndarray, backend: str = "auto") -> np.ndarray:
+    """Return the costs (B,) of the default predictions from states (B, n), eq. (3).
+
+    They are those of the controller's own model; NaN where it has none.
+    """
     if isinstance(controller, OnlineController):
-        solver = controller.numpy.chooser
-    elif isinstance(controller, Policy) and controller.model is not None:
+        return controller.numpy.chooser.solve(states).cost
+    if isinstance(controller, Policy) and controller.model is not None:
         horizon, settings = controller.horizon, controller.settings
         if horizon is not None and settings is not None:
-            solver = batch_controller(
-                controller.model,
-                controller.domain,
-                controller.alphabet.values,
-                controller.default,
-                horizon,
-                settings,
-                backend,
-            )
-    if solver is None:
-        return np.full(len(first), np.nan), np.full(len(last), np.nan)
-    return solver.solve(first).cost, solver.solve(last).cost
+            values, default = controller.alphabet.values, controller.default
+            own = (controller.model, controller.domain, values, default, horizon, settings)
+            return batch_controller(*own, backend).solve(states).cost
+    return np.full(len(states), np.nan)

@@ -1,0 +1,336 @@
+"""Commands that try a policy out: simulate, verify, reproduce."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from capsyn.cli_options import (
+    Backend,
+    Background,
+    Delay,
+    Disturbance,
+    File,
+    Json,
+    MinDwell,
+    ModelOption,
+    Noise,
+    Online,
+    Outside,
+    Parameters,
+    Rate,
+    Seed,
+    Target,
+    Threads,
+    assignments,
+    number,
+    number_list,
+    one_or_list,
+    region,
+)
+from capsyn.console import print_evidence, show
+from capsyn.errors import ProblemError
+
+if TYPE_CHECKING:
+    from capsyn.policy import Policy
+
+
+def simulate(
+    file: File,
+    x0: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X[,X..]", help="Initial state; may be repeated [default: random]."),
+    ] = None,
+    duration: Annotated[float, typer.Option(help="Seconds to simulate.")] = 20.0,
+    rate: Rate = None,
+    output: Annotated[
+        str | None,
+        typer.Option("--output", "-o", metavar="FILE", help=".csv, .json, .png, .pdf or .svg."),
+    ] = None,
+    target: Target = None,
+    tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None,
+    stop_at_target: Annotated[bool, typer.Option(help="End there.")] = False,
+    model: ModelOption = None,
+    parameter: Parameters = None,
+    disturbance: Disturbance = None,
+    noise: Noise = None,
+    delay: Delay = None,
+    min_dwell: MinDwell = None,
+    outside: Outside = None,
+    online: Online = None,
+    background: Background = False,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    threads: Threads = None,
+    as_json: Json = False,
+) -> None:
+    """Simulate the closed loop of a policy."""
+    import numpy as np
+
+    from capsyn.files import check_writable
+    from capsyn.plots import FORMATS, save_trajectory_plot
+    from capsyn.policy import Policy
+    from capsyn.simulation import check_trajectory_format
+    from capsyn.simulation import simulate as run
+
+    picture = output is not None and Path(output).suffix.lstrip(".").lower() in FORMATS
+    if output is not None:
+        if not picture:
+            check_trajectory_format(output)
+        check_writable(output)
+    policy = Policy.load(file)
+    states = [number_list("--x0", text) for text in x0] if x0 else policy.domain.sample(1, seed)
+    if len({len(state) for state in states} | {policy.domain.n}) > 1:
+        names = ", ".join(policy.domain.names)
+        raise ProblemError(f"--x0 must be {policy.domain.n} number(s) ({names}); got {x0}")
+    ranges = [
+        name
+        for name, text in (("--noise", noise), ("--delay", delay), ("--disturbance", disturbance))
+        if text and ":" in text
+    ]
+    if ranges:
+        raise ProblemError(f"{ranges[0]} must be one value here; ranges are for verify")
+    trajectory = run(
+        _controller(policy, online, background, backend),
+        np.array(states)[0] if len(states) == 1 else np.array(states),
+        duration,
+        rate,
+        model=_model(model),
+        parameters={
+            name: number(name, text)
+            for name, text in assignments("--parameter", parameter or []).items()
+        },
+        disturbance=None if disturbance is None else one_or_list("--disturbance", disturbance),
+        noise=None if noise is None else one_or_list("--noise", noise),
+        delay=0.0 if delay is None else number("--delay", delay),
+        min_dwell=min_dwell,
+        outside=outside,
+        target=_target(policy, target, tolerance),
+        stop_at_target=stop_at_target,
+        seed=seed,
+        backend=backend,
+        threads=threads,
+    )
+    if output is not None:
+        (save_trajectory_plot if picture else type(trajectory).save)(trajectory, output)
+    rows = trajectory.summary()
+
+    def told() -> None:
+        for row in rows:
+            typer.echo(_sentence(row, policy))
+        if output is not None:
+            typer.echo(f"wrote {output}")
+
+    show(as_json, rows if len(rows) > 1 else rows[0], told)
+
+
+def _sentence(row: dict[str, Any], policy: Policy) -> str:
+    def state(values: list[float | None]) -> str:
+        return "(" + ", ".join("nan" if v is None else f"{v:g}" for v in values) + ")"
+
+    reached = "" if row["arrived"] is None else f"; in the target first at {row['arrived']:g} s"
+    lost = f"; {row['outside']:,} samples outside the domain" if row["outside"] else ""
+    cost = "not finite" if row["cost"] is None else f"{row['cost']:.6g}"
+    return (
+        f"from {state(row['initial'])} to {state(row['final'])} in {row['duration']:g} s, ended: "
+        f"{row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
+    )
+
+
+def verify(
+    file: File,
+    monte_carlo: Annotated[
+        int | None, typer.Option(metavar="N", help="Trials from random initial states.")
+    ] = None,
+    duration: Annotated[float, typer.Option(help="Time limit of a trial [s].")] = 20.0,
+    rate: Rate = None,
+    initial: Annotated[
+        str | None,
+        typer.Option(metavar="SET", help="NAME=LOW:HIGH[,..] [default: the domain]."),
+    ] = None,
+    target: Target = None,
+    tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None,
+    within: Annotated[float | None, typer.Option(help="Time to arrive in [s].")] = None,
+    hold: Annotated[float, typer.Option(help="Time at the end to stay there [s].")] = 0.0,
+    model: ModelOption = None,
+    parameter: Parameters = None,
+    disturbance: Disturbance = None,
+    noise: Noise = None,
+    delay: Delay = None,
+    min_dwell: MinDwell = None,
+    outside: Outside = None,
+    online: Online = None,
+    background: Background = False,
+    lyapunov: Annotated[
+        str | None,
+        typer.Option(metavar="FILE.py:V", help="A function V of x whose decrease is proved."),
+    ] = None,
+    depth: Annotated[int, typer.Option(help="Bisections of a cell in the proof.")] = 12,
+    grid: Annotated[
+        str | None, typer.Option(metavar="H[,H..]", help="Spacing of a grid of signs of dV/dt.")
+    ] = None,
+    agreement: Annotated[
+        int | None, typer.Option(metavar="N", help="Random states to compare with sSAC.")
+    ] = None,
+    confidence: Annotated[float, typer.Option(help="Of the intervals.")] = 0.95,
+    require_success: Annotated[float | None, typer.Option(help="Least success rate.")] = None,
+    require_proved: Annotated[float | None, typer.Option(help="Least share proved.")] = None,
+    require_agreement: Annotated[float | None, typer.Option(help="Least agreement.")] = None,
+    save: Annotated[bool, typer.Option("--save", help="Keep the evidence in the file.")] = False,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    threads: Threads = None,
+    as_json: Json = False,
+) -> None:
+    """Give evidence for a policy; without a kind: Monte Carlo and agreement.
+
+    The exit status is 1 when a stated requirement is not met.
+    """
+    from capsyn.files import check_writable
+    from capsyn.policy import Policy
+
+    if save:
+        check_writable(file)
+    policy = Policy.load(file)
+    if monte_carlo is None and lyapunov is None and agreement is None:
+        monte_carlo = 1000 if policy.target is not None or target is not None else None
+        agreement = 100_000 if policy.settings is not None and policy.model is not None else None
+        if monte_carlo is None and agreement is None:
+            raise ProblemError("the policy has neither target nor model: nothing can be verified")
+    requirements = (
+        ("--require-success", require_success, "monte_carlo", monte_carlo, "success_rate"),
+        ("--require-proved", require_proved, "lyapunov", lyapunov, "proved"),
+        ("--require-agreement", require_agreement, "agreement", agreement, "share"),
+    )
+    for option, wanted, kind, asked, _ in requirements:
+        if wanted is not None and not 0 <= wanted <= 1:
+            raise ProblemError(f"{option} must be between 0 and 1; got {wanted:g}")
+        if wanted is not None and asked is None:
+            raise ProblemError(f"{option} needs --{kind.replace('_', '-')}")
+    if grid is not None and lyapunov is None:
+        raise ProblemError("--grid needs --lyapunov")
+    found: dict[str, Any] = {}
+    if monte_carlo is not None:
+        from capsyn.verification.monte_carlo import monte_carlo as try_out
+
+        found["monte_carlo"] = try_out(
+            _controller(policy, online, background, backend),
+            monte_carlo,
+            duration=duration,
+            rate=rate,
+            initial=None if initial is None else region("--initial", initial),
+            target=_target(policy, target, tolerance),
+            within=within,
+            hold=hold,
+            model=_model(model),
+            parameters={
+                name: _quantity(name, text)
+                for name, text in assignments("--parameter", parameter or []).items()
+            },
+            disturbance=_quantity("--disturbance", disturbance),
+            noise=_quantity("--noise", noise),
+            delay=_quantity("--delay", delay or "0"),
+            min_dwell=min_dwell,
+            outside=outside,
+            seed=seed,
+            confidence=confidence,
+            backend=backend,
+            threads=threads,
+        ).to_json()
+    if lyapunov is not None:
+        from capsyn.problem_finder import find_function
+        from capsyn.verification.lyapunov import lyapunov as prove
+        from capsyn.verification.lyapunov import lyapunov_grid
+
+        function = find_function(lyapunov)
+        found["lyapunov"] = prove(policy, function, depth=depth).to_json()
+        if grid is not None:
+            signs = lyapunov_grid(policy, function, one_or_list("--grid", grid))
+            found["lyapunov"]["grid"] = signs.to_json()
+    if agreement is not None:
+        from capsyn.verification.agreement import agreement as compare
+
+        found["agreement"] = compare(
+            policy, agreement, seed=seed, confidence=confidence, backend=backend, threads=threads
+        ).to_json()
+    missed = [
+        f"{option} {wanted:g} is not met: {found[kind][figure]:.6g}"
+        for option, wanted, kind, _, figure in requirements
+        if wanted is not None and found[kind][figure] < wanted
+    ]
+    if save:
+        policy.with_evidence(**found).save(file)
+    show(as_json, found | {"missed": missed}, lambda: print_evidence(found))
+    for sentence in missed:
+        typer.echo(sentence, err=True)
+    if missed:
+        raise typer.Exit(1)
+
+
+def reproduce(
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="DIR", help="A directory for the results.")
+    ],
+    trials: Annotated[int, typer.Option(help="Monte Carlo trials of each policy.")] = 1000,
+    threads: Threads = None,
+) -> None:
+    """Make the paper's policies, figures and numbers, with ours beside them."""
+    from capsyn.reproduction import reproduce as run
+
+    for path in run(output, trials=trials, threads=threads, tell=typer.echo):
+        typer.echo(f"wrote {path}")
+
+
+def _controller(policy: Policy, online: str | None, background: bool, backend: str) -> Any:
+    if online is None:
+        if background:
+            raise ProblemError("--background needs --online")
+        return policy
+    from capsyn.online import online_controller
+
+    return online_controller(
+        policy, online, default=policy if background else None, backend=backend
+    )
+
+
+def _model(text: str | None) -> Any:
+    if text is None:
+        return None
+    from capsyn.problem import Problem
+    from capsyn.problem_finder import find_function, find_problem
+
+    place, _, name = text.rpartition(":")
+    if name.isidentifier() and place:
+        found = find_function(text, (Problem,))
+        return found
+    return find_problem(text)
+
+
+def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
+    from capsyn.domain import Ball
+    from capsyn.problem_finder import find_function
+
+    if text is None:
+        ball = policy.target
+        if tolerance is None:
+            return ball
+        if not isinstance(ball, Ball):
+            raise ProblemError("--tolerance needs a target that is a ball: give --target, too")
+        return Ball(ball.center, tolerance, ball.names)
+    if ".py:" in text or ("=" not in text and ":" in text):
+        return find_function(text)
+    return region("--target", text, tolerance)
+
+
+def _quantity(name: str, text: str | None) -> Any:
+    """Return the numbers of a text, or the `Uniform` of LOW:HIGH."""
+    if text is None:
+        return None
+    low, colon, high = text.partition(":")
+    if not colon:
+        return one_or_list(name, text)
+    from capsyn.verification.monte_carlo import Uniform
+
+    return Uniform(one_or_list(name, low), one_or_list(name, high))
