@@ -8,6 +8,7 @@ import pytest
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 PROMISES = {
     "boat": ["after 40 s"],
+    "evidence": ["100.0% of the trials", "online sSAC around the policy: there after 10.05 s"],
     "pendulum": ["4314 solves, 1710 cells", "99.5"],
     "thermostat": ["default 0.0, horizon 5.0 s: 22.4", "default 0.6, horizon 5.0 s: 21.0"],
 }
@@ -18,7 +19,8 @@ def test_every_example_promises_something():
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_examples_run(path, capsys):
+def test_examples_run(path, capsys, monkeypatch):
+    monkeypatch.syspath_prepend(path.parent)
     runpy.run_path(str(path), run_name="__main__")
     out = capsys.readouterr().out
     assert all(words in out for words in PROMISES[path.stem]), out

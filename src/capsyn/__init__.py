@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from capsyn.simulation import simulate as simulate
     from capsyn.subdivision import subdivide as subdivide
     from capsyn.synthesis import synthesize as synthesize
+    from capsyn.verification.agreement import agreement as agreement
+    from capsyn.verification.lyapunov import lyapunov as lyapunov
+    from capsyn.verification.monte_carlo import Uniform as Uniform
+    from capsyn.verification.monte_carlo import monte_carlo as monte_carlo
 
 __version__ = "0.1.0"
 
@@ -27,10 +31,14 @@ _PUBLIC = {
     "Box": "domain",
     "CapsynError": "errors",
     "Policy": "policy",
-    "online_controller": "online",
     "Problem": "problem",
     "SsacSettings": "settings",
     "Trajectory": "simulation",
+    "Uniform": "verification.monte_carlo",
+    "agreement": "verification.agreement",
+    "lyapunov": "verification.lyapunov",
+    "monte_carlo": "verification.monte_carlo",
+    "online_controller": "online",
     "simulate": "simulation",
     "subdivide": "subdivision",
     "synthesize": "synthesis",
@@ -44,6 +52,10 @@ __all__ = [
     "Problem",
     "SsacSettings",
     "Trajectory",
+    "Uniform",
+    "agreement",
+    "lyapunov",
+    "monte_carlo",
     "online_controller",
     "simulate",
     "subdivide",

@@ -82,66 +82,75 @@ def _text(value: Any) -> str:
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def print_evidence(found: dict[str, Any]) -> None:
-    """Print what `capsyn verify` found, by kind."""
+def _line(name: str, value: str) -> None:
+    typer.echo(f"{name:<13}{value}")
 
-    def line(name: str, value: str) -> None:
-        typer.echo(f"{name:<13}{value}")
+
+def _headlines(found: dict[str, Any]) -> dict[str, str]:
+    """Return each kind of evidence in one sentence."""
 
     def share(data: dict[str, Any]) -> str:
         return f"({data['low']:.3%} to {data['high']:.3%} with {data['confidence']:.0%} confidence)"
 
+    lines = {}
+    if "monte_carlo" in found:
+        data = found["monte_carlo"]
+        lines["monte carlo"] = (
+            f"{data['successes']:,} of {data['trials']:,} trials succeed {share(data)}"
+        )
+    if "lyapunov" in found:
+        data = found["lyapunov"]
+        lines["lyapunov"] = (
+            f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
+            f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
+            f"{data['undecided']:.3%}"
+        )
+    if "agreement" in found:
+        data = found["agreement"]
+        lines["agreement"] = f"{data['share']:.3%} of {data['states']:,} states {share(data)}"
+    return lines
+
+
+def print_evidence(found: dict[str, Any]) -> None:
+    """Print what `capsyn verify` found, by kind."""
+    headlines = _headlines(found)
     if "monte_carlo" in found:
         data = found["monte_carlo"]
         conditions = data["conditions"]
-        line("monte carlo", f"{data['successes']:,} of {data['trials']:,} succeed {share(data)}")
+        _line("monte carlo", headlines["monte carlo"])
         stay = f", and stay the last {conditions['hold']:g} s" if conditions["hold"] else ""
-        line(
-            "",
-            f"from {conditions['initial']} to {conditions['target']} within "
-            f"{conditions['within']:g} s{stay}; {conditions['rate']:g} samples/s",
-        )
-        line("", "ended: " + ", ".join(f"{k} {v:,}" for k, v in data["ended"].items()))
+        _line("from", conditions["initial"])
+        _line("to", f"{conditions['target']}, within {conditions['within']:g} s{stay}")
+        _line("ended", ", ".join(f"{k} {v:,}" for k, v in data["ended"].items()))
         for key, name, unit in (
-            ("time_to_target", "time", " s"),
-            ("switches_per_second", "switches", " /s"),
-            ("cost_left", "cost left", " of the first"),
+            ("time_to_target", "time", "s"),
+            ("switches_per_second", "switches", "per second"),
+            ("cost_left", "cost left", "of the first"),
         ):
             if data[key]:
                 spread = ", ".join(f"{k} {v:.3g}" for k, v in data[key].items())
-                line(name, spread + unit)
+                _line(name, f"{spread} {unit}")
         if data["trials_outside_domain"]:
-            line("outside", f"{data['trials_outside_domain']:,} trials left the domain on the way")
+            _line("outside", f"{data['trials_outside_domain']:,} trials left the domain on the way")
         for state in data["failing_initial_states"][:5]:
-            line("failed from", "(" + ", ".join(f"{v:g}" for v in state) + ")")
+            _line("failed from", "(" + ", ".join(f"{v:g}" for v in state) + ")")
     if "lyapunov" in found:
         data = found["lyapunov"]
-        line(
-            "lyapunov",
-            f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
-            f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
-            f"{data['undecided']:.3%}",
-        )
-        line(
-            "",
-            f"{len(data['violated_cells']):,} cells with a state where V grows, "
-            f"{len(data['undecided_cells']):,} undecided",
-        )
+        violated, undecided = (len(data[f"{kind}_cells"]) for kind in ("violated", "undecided"))
+        _line("lyapunov", headlines["lyapunov"])
+        _line("cells", f"{violated:,} with a state where V grows, {undecided:,} more undecided")
         if "grid" in data:
             shares = data["grid"]["shares"].items()
-            line("grid", ", ".join(f"{name} {value:.3%}" for name, value in shares))
+            _line("grid", ", ".join(f"{name} {value:.3%}" for name, value in shares))
     if "agreement" in found:
-        data = found["agreement"]
-        line("agreement", f"{data['share']:.3%} of {data['states']:,} states {share(data)}")
-        line("", f"{data['island_cells']:,} cells whose test points missed something")
+        cells = found["agreement"]["island_cells"]
+        _line("agreement", headlines["agreement"])
+        _line("islands", f"{cells:,} cells hold something that all their test points missed")
 
 
 def print_report(data: dict[str, Any]) -> None:
     """Print what `capsyn.report.report` returns."""
-
-    def line(name: str, value: str) -> None:
-        typer.echo(f"{name:<13}{value}")
-
+    line = _line
     statistics = data["statistics"]
     line("policy", data["name"])
     for state in data["states"]:
@@ -200,5 +209,7 @@ def print_report(data: dict[str, Any]) -> None:
     if data["target"]:
         line("target", data["target"])
     line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
+    for name, sentence in _headlines(data["evidence"]).items():
+        line(name, sentence)
     for hint in data["hints"]:
         line("hint", hint)

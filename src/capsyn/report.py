@@ -48,6 +48,7 @@ def report(policy: Policy) -> dict[str, Any]:
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "statistics": policy.statistics,
+        "evidence": policy.evidence,
         "sha256": content_hash(policy),
         "hints": hints(policy),
     }
