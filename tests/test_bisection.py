@@ -98,6 +98,14 @@ def test_max_boxes_bounds_a_round_and_the_undecided_go_first():
     assert (few.cells == 2).sum() == 1, "no turn for what is proved"
 
 
+def test_large_boxes_go_before_small_ones():
+    def unknown(lower, upper, cells):
+        return np.full(len(cells), -1.0), np.full(len(cells), 1.0)
+
+    boxes = bisect(unknown, LOWER, UPPER, np.array([0.2, 0.5, 0.3]), 1, 4)
+    np.testing.assert_array_equal(np.bincount(boxes.cells), [1, 2, 2])
+
+
 def test_undefined_parts_are_undecided_and_cut_last():
     def root(lower, upper, cells):
         with np.errstate(invalid="ignore"):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 
 from capsyn.paper import RATE, Row, successes
@@ -73,18 +72,13 @@ def _bang_bang(states: np.ndarray) -> np.ndarray:
     return (energy * omega * np.cos(theta) > 0).astype(int)
 
 
-def energy_error(x: Any) -> Any:
-    """Return the Lyapunov function ``V = |E|`` of the paper [J]."""
-    return ca.fabs(cart_pendulum.energy(x))
-
-
 def prove(pendulums: Sequence[Policy]) -> tuple[Figure, list[Row]]:
     """Return Fig. 4b, the sign of dV/dt, and what is proved about it."""
     rows = []
     figure = new_figure(6.4, 3.6 * len(pendulums) / 2 + 1.8)
     axes = figure.subplots(len(pendulums), 1, sharex=True)
     for policy, ax in zip(pendulums, axes):
-        grid = lyapunov_grid(policy, energy_error, 0.01)
+        grid = lyapunov_grid(policy, cart_pendulum.energy_error, 0.01)
         x_axis, y_axis = grid.axes
         draw_derivative_signs(x_axis, y_axis, grid.signs, policy.domain, ax)
         for theta in (np.pi / 2, 3 * np.pi / 2):  # between the grid's points
@@ -102,7 +96,7 @@ def prove(pendulums: Sequence[Policy]) -> tuple[Figure, list[Row]]:
                 "the rest lies in finest cells that a switching surface crosses",
             )
         )
-        proof = lyapunov(policy, energy_error)
+        proof = lyapunov(policy, cart_pendulum.energy_error)
         rows.append(
             Row(
                 f"dV/dt proved by intervals, {policy.name}",

@@ -1,0 +1,135 @@
+"""dV/dt along the closed loop, as a program: in plain arithmetic and in intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.expansion import Expansion, expand
+from capsyn.intervals import Interval, evaluate_intervals
+from capsyn.operations import OPERATIONS
+from capsyn.policy import Policy
+from capsyn.program import Program
+from capsyn.program_builder import ProgramBuilder
+from capsyn.transcription import user_program
+from capsyn.validation import describe
+
+CHUNK = 4096
+"""Boxes that are evaluated at once: their values stay in the cache."""
+JUMPS = {"floor", "ceil", "sign", "copysign", "fmod", "remainder"}
+"""Operations that jump: a V that uses them has no derivative along the loop."""
+
+
+class LoopDerivative:
+    """The derivative ``grad V . f(x, u)`` under every symbol of a policy.
+
+    Parameters
+    ----------
+    policy : Policy
+        A policy with a model.
+    V : callable ``x -> scalar``
+        Function of a CasADi column.
+
+    Raises
+    ------
+    ProblemError
+        A policy without a model, or a V that has no derivative along its dynamics.
+    """
+
+    def __init__(self, policy: Policy, V: Callable[[Any], Any]) -> None:
+        n, m = policy.domain.n, policy.alphabet.m
+        if policy.model is None:
+            raise ProblemError(
+                f"`policy` must have a model to follow; '{policy.name}' was made without one"
+            )
+        if not callable(V):
+            raise ProblemError(f"`V` must be a function; got {describe(V)}")
+        program = user_program("V", V, (("x", n),), (("value", 1), ("gradient", n)))
+        _check(program, policy)
+        builder = ProgramBuilder()
+        x, u = ([builder.input() for _ in range(size)] for size in (n, m))
+        value, *gradient = builder.call(program, x)
+        xdot = builder.call(policy.model.dynamics, x, u)
+        derivative = builder.constant(0.0)
+        for slope, speed in zip(gradient, xdot):
+            derivative = builder.apply("add", derivative, builder.apply("mul", slope, speed))
+        ports = (("x", n), ("u", m))
+        # a factor 0 hides what is undefined, so everything that must be defined is an output
+        self._program = builder.build(
+            "derivative",
+            ports,
+            (("derivative", 1), ("others", 1 + 2 * n)),
+            [derivative, value, *gradient, *xdot],
+        )
+        self._expansion: Expansion = expand(
+            builder.build("derivative", ports, (("derivative", 1),), [derivative])
+        )
+        self._controls = np.vstack([policy.alphabet.values, policy.default])
+
+    def values(self, states: np.ndarray, symbols: np.ndarray) -> np.ndarray:
+        """Return dV/dt (B,) at states (B, n) under symbols (B,), NaN where it is undefined.
+
+        Symbols are indices; -1, as well as their number, is the default control.
+        """
+        derivative, others = self._program.evaluate(states.T, self._controls[symbols].T)
+        return np.where(np.isfinite(others).all(axis=0), derivative[0], np.nan)
+
+    def bounds(self, lower: np.ndarray, upper: np.ndarray, symbols: np.ndarray) -> Interval:
+        """Return bounds (B,) of dV/dt over boxes with corners (n, B), under symbols (B,).
+
+        At a kink of V they hold for the gradients on either side and all between. Both are NaN
+        where dV/dt, V or the dynamics may be undefined.
+        """
+        low, high = np.empty(len(symbols)), np.empty(len(symbols))
+        for start in range(0, len(symbols), CHUNK):
+            part = slice(start, start + CHUNK)
+            low[part], high[part] = self._bounds(lower[:, part], upper[:, part], symbols[part])
+        return low, high
+
+    def _bounds(self, lower: np.ndarray, upper: np.ndarray, symbols: np.ndarray) -> Interval:
+        control = self._controls[symbols].T
+        inputs = (lower, upper), (control, control)
+        (low, high), others = evaluate_intervals(self._program, *inputs)
+        undefined = np.isnan(low[0]) | np.isnan(others[0]).any(axis=0)
+        (closer,) = evaluate_intervals(
+            self._expansion.program, *inputs, inexact=self._expansion.inexact
+        )
+        # the expanded form may be defined where the program is not, and the other way round
+        return (
+            np.where(undefined, np.nan, np.fmax(low[0], closer[0][0])),
+            np.where(undefined, np.nan, np.fmin(high[0], closer[1][0])),
+        )
+
+
+def _check(program: Program, policy: Policy) -> None:
+    """Raise `ProblemError` unless V has a derivative along the loop."""
+    first = program.input_count
+    value, *gradient = program.results
+    followed, todo = set(), [value]
+    while todo:
+        k = todo.pop()
+        if k < first or k in followed:
+            continue
+        followed.add(k)
+        name, *operands = program.instructions[k - first]
+        if name in JUMPS or (name in OPERATIONS and OPERATIONS[name].boolean):
+            raise ProblemError(
+                f"`V` must be continuous; its operation '{name}' jumps (fabs, fmin, fmax and "
+                "if_else are allowed)"
+            )
+        if name != "const":
+            todo += operands[1:] if name == "select" else operands
+    if all(k >= first and program.instructions[k - first] == ("const", 0.0) for k in gradient):
+        raise ProblemError("`V` must depend on the state; its gradient is 0 everywhere")
+    states = policy.domain.sample(1024)
+    rows = np.concatenate(program.evaluate(states.T))
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=0))
+    if len(bad) > len(states) / 10:
+        state = ", ".join(f"{v:g}" for v in states[bad[0]])
+        raise ProblemError(
+            f"`V` must have a finite value and gradient inside the domain; at ({state}) and "
+            f"{len(bad) / len(states):.0%} of random states it has none"
+        )

@@ -1,0 +1,325 @@
+"""Lyapunov evidence: the sign of dV/dt along the closed loop, on a grid and proved cell by cell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.policy import Policy
+from capsyn.validation import describe, finite_number, is_list, whole_number
+from capsyn.verification.bisection import Boxes, bisect
+from capsyn.verification.loop_derivative import LoopDerivative
+
+MAX_STATES = 50_000_000
+"""Most states of a grid."""
+CHUNK = 100_000
+"""States of the grid that are evaluated at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class LyapunovCells:
+    """Cells of a policy that are not proved, in the order of the cell table.
+
+    Parameters
+    ----------
+    entries : (K,) ints
+        Their places in ``policy.cells.entries``.
+    levels, symbols : (K,) ints
+        Level of subdivision, and symbol; -1 is the default control.
+    boundary : (K,) booleans
+        Finest cells on a switching surface: their test points did not agree, or a cell across a
+        face has another symbol.
+    lower, upper : (K, n)
+        Bounds [state units].
+    states : (K, n)
+        Of a violated cell the worst state found [state units]; of an undecided one the middle of
+        the part with the largest upper bound.
+    values : (K,)
+        Of a violated cell dV/dt at that state [V / s]; of an undecided one that bound, NaN where
+        dV/dt may be undefined.
+    """
+
+    entries: np.ndarray
+    levels: np.ndarray
+    symbols: np.ndarray
+    boundary: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    states: np.ndarray
+    values: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """Return the cells as plain data."""
+        return [
+            {
+                "level": int(self.levels[k]),
+                "symbol": int(self.symbols[k]),
+                "boundary": bool(self.boundary[k]),
+                "lower": self.lower[k].tolist(),
+                "upper": self.upper[k].tolist(),
+                "state": self.states[k].tolist(),
+                "value": float(self.values[k]) if np.isfinite(self.values[k]) else None,
+            }
+            for k in range(len(self))
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class LyapunovProof:
+    """What interval arithmetic proves about dV/dt in the cells of a policy.
+
+    Parameters
+    ----------
+    depth, max_boxes : int
+        How it was asked for.
+    proved, negative : float
+        Shares of the domain's volume where dV/dt <= 0, and dV/dt < 0 (a part of it), is proved
+        for every state, faces included.
+    violated : float
+        Share where dV/dt > 0 is proved.
+    undecided : float
+        The rest.
+    cells, proved_cells, negative_cells : int
+        Cells in all, those wholly proved, and those where dV/dt < 0 is wholly proved.
+    violated_cells : LyapunovCells
+        Cells with a state where dV/dt > 0 beyond what rounding explains.
+    undecided_cells : LyapunovCells
+        The rest.
+    """
+
+    depth: int
+    max_boxes: int
+    proved: float
+    negative: float
+    violated: float
+    undecided: float
+    cells: int
+    proved_cells: int
+    negative_cells: int
+    violated_cells: LyapunovCells
+    undecided_cells: LyapunovCells
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the proof as plain data."""
+        return vars(self) | {
+            "violated_cells": self.violated_cells.to_json(),
+            "undecided_cells": self.undecided_cells.to_json(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class LyapunovGrid:
+    """The sign of dV/dt at the states of a grid; faces belong to cells as in the policy.
+
+    Parameters
+    ----------
+    axes : n arrays
+        Positions on each axis [state units], both ends included.
+    signs : (len(axes[0]), ..) int8
+        -1, 0 or 1; 2 where dV/dt is undefined.
+    tolerance : float
+        Up to here ``|dV/dt|`` counts as 0 [V / s].
+    """
+
+    axes: tuple[np.ndarray, ...]
+    signs: np.ndarray
+    tolerance: float
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of states that are negative, zero, positive and undefined."""
+        names = {"negative": -1, "zero": 0, "positive": 1, "undefined": 2}
+        return {name: int(np.count_nonzero(self.signs == sign)) for name, sign in names.items()}
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Shares of the states that are negative, zero, positive and undefined."""
+        return {name: count / self.signs.size for name, count in self.counts.items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as plain data, without the signs of single states."""
+        return {
+            "states": list(self.signs.shape),
+            "tolerance": self.tolerance,
+            "counts": self.counts,
+            "shares": self.shares,
+        }
+
+
+def lyapunov(
+    policy: Policy, V: Callable[[Any], Any], *, depth: int = 12, max_boxes: int = 100_000
+) -> LyapunovProof:
+    """Return what interval arithmetic proves about dV/dt in continuous time, cell by cell.
+
+    In every cell, faces included, the control is that of its symbol. Where V has a kink, as |E|
+    at E = 0, the gradients on either side and all between them count.
+
+    Parameters
+    ----------
+    policy : Policy
+        A policy with a model.
+    V : callable ``x -> scalar``
+        Function of a CasADi column, continuous and piecewise differentiable.
+    depth : int
+        Most times that a cell is bisected, each time along the axis that decides most.
+    max_boxes : int
+        Most parts of cells that are made in one round of bisections; those that get no turn count
+        as undecided.
+
+    Raises
+    ------
+    ProblemError
+        A policy without a model, or a V that has no derivative along its dynamics.
+    """
+    depth = whole_number("depth", depth, least=0)
+    max_boxes = whole_number("max_boxes", max_boxes, least=2)
+    loop = LoopDerivative(policy, V)
+    return _Cells(policy).prove(loop, depth, max_boxes)
+
+
+def lyapunov_grid(
+    policy: Policy, V: Callable[[Any], Any], spacing: Any, zero: float = 1e-9
+) -> LyapunovGrid:
+    """Return the sign of dV/dt, in plain arithmetic, at the states of a grid.
+
+    Parameters
+    ----------
+    policy, V
+        As in `lyapunov`.
+    spacing : float or (n,)
+        Largest distance of neighbouring states on each axis [state units].
+    zero : float
+        Up to this fraction of the largest ``|dV/dt|`` on the grid it counts as 0.
+
+    Raises
+    ------
+    ProblemError
+        As in `lyapunov`, or a grid of more than `MAX_STATES` states.
+    """
+    domain = policy.domain
+    spacings = spacing if is_list(spacing, domain.n) else (spacing,) * domain.n
+    spacings = [finite_number("spacing", value, above=0.0) for value in spacings]
+    zero = finite_number("zero", zero, least=0.0)
+    # 1e-9: a width that is a multiple of the spacing up to rounding gives no further state
+    steps = [
+        max(math.ceil(min(width / distance, 1e18) - 1e-9), 1)
+        for width, distance in zip(domain.widths.tolist(), spacings)
+    ]
+    shape = tuple(k + 1 for k in steps)
+    if math.prod(shape) > MAX_STATES:
+        raise ProblemError(
+            f"`spacing` must give at most {MAX_STATES} states; {describe(spacing)} gives "
+            f"{math.prod(shape)}"
+        )
+    loop = LoopDerivative(policy, V)
+    axes = tuple(domain.faces(i, np.arange(k + 1), k) for i, k in enumerate(steps))
+    values = np.empty(math.prod(shape))
+    for start in range(0, len(values), CHUNK):
+        part = np.arange(start, min(start + CHUNK, len(values)))
+        places = np.unravel_index(part, shape)
+        states = np.stack([axis[k] for axis, k in zip(axes, places)], axis=1)
+        values[part] = loop.values(states, policy(states, outside="nearest"))
+    sizes = np.abs(values)
+    finite = np.isfinite(values)
+    tolerance = zero * float(sizes.max(where=finite, initial=0.0))
+    signs = np.where(sizes <= tolerance, 0, np.where(finite, np.sign(values), 2)).astype(np.int8)
+    return LyapunovGrid(axes, signs.reshape(shape), tolerance)
+
+
+class _Cells:
+    """The leaf cells of a policy as arrays, and what is found in them."""
+
+    def __init__(self, policy: Policy) -> None:
+        tree = policy.cells
+        leaves = list(tree.leaves())
+        self.policy = policy
+        self.entries = np.concatenate([x.entries for x in leaves])
+        self.labels = np.concatenate([x.labels for x in leaves])
+        self.levels = np.concatenate([np.full(len(x.entries), x.level) for x in leaves])
+        self.steps = np.concatenate([x.lower for x in leaves])
+        ends = np.concatenate([x.lower + tree.sizes(x.level) for x in leaves])
+        self.lower, self.upper = (policy.domain.points(c, tree.counts) for c in (self.steps, ends))
+
+    def prove(self, loop: LoopDerivative, depth: int, max_boxes: int) -> LyapunovProof:
+        boxes = bisect(
+            lambda lower, upper, cells: loop.bounds(lower, upper, self.labels[cells]),
+            self.lower.T,
+            self.upper.T,
+            self.policy.cells.level_volumes()[self.levels],
+            depth,
+            max_boxes,
+        )
+        violated = self._violated(loop, boxes.take(~boxes.proved))
+        left = boxes.take(~boxes.proved & ~np.isin(boxes.cells, violated[0]))
+        worst = _largest(left.cells, np.where(np.isnan(left.high), np.inf, left.high))
+        undecided = left.cells[worst], left.middle.T[worst], left.high[worst]
+        count = len(self.entries)
+        return LyapunovProof(
+            depth=depth,
+            max_boxes=max_boxes,
+            proved=float(boxes.shares[boxes.proved].sum()),
+            negative=float(boxes.shares[boxes.negative].sum()),
+            violated=float(boxes.shares[boxes.violated].sum()),
+            undecided=float(boxes.shares[boxes.undecided].sum()),
+            cells=count,
+            proved_cells=count - len(np.unique(boxes.cells[~boxes.proved])),
+            negative_cells=count - len(np.unique(boxes.cells[~boxes.negative])),
+            violated_cells=self._describe(*violated),
+            undecided_cells=self._describe(*undecided),
+        )
+
+    def _violated(
+        self, loop: LoopDerivative, boxes: Boxes
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the cells in which the middle of a box has dV/dt > 0, that state and dV/dt."""
+        states, labels = boxes.middle.T, self.labels[boxes.cells]
+        # bounds at the state alone tell what rounding may explain
+        low, _ = loop.bounds(states.T, states.T, labels)
+        values = loop.values(states, labels)
+        tree = self.policy.cells
+        found = tree.find(self.policy.domain.locate(states, tree.counts))
+        kept = np.flatnonzero((low > 0) & (values > 0) & (found == self.entries[boxes.cells]))
+        kept = kept[_largest(boxes.cells[kept], values[kept])]
+        return boxes.cells[kept], states[kept], values[kept]
+
+    def _describe(self, cells: np.ndarray, states: np.ndarray, values: np.ndarray) -> LyapunovCells:
+        labels, finest = self.labels[cells], self.levels[cells] == self.policy.cells.max_level
+        return LyapunovCells(
+            entries=self.entries[cells],
+            levels=self.levels[cells],
+            symbols=np.where(labels == len(self.policy.alphabet), -1, labels),
+            boundary=finest & self._differing(cells),
+            lower=self.lower[cells],
+            upper=self.upper[cells],
+            states=states,
+            values=values,
+        )
+
+    def _differing(self, cells: np.ndarray) -> np.ndarray:
+        """Return which finest cells are mixed or have a neighbour with another symbol."""
+        tree = self.policy.cells
+        differing = np.isin(self.entries[cells], tree.mixed_cells)
+        for axis, count in enumerate(tree.counts):
+            for step in (-1, 1):
+                there = self.steps[cells]
+                there[:, axis] += step
+                if self.policy.domain.periodic[axis]:
+                    there[:, axis] %= count
+                there[:, axis] = np.clip(there[:, axis], 0, count - 1)
+                differing |= tree.labels(there) != self.labels[cells]
+        return differing
+
+
+def _largest(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the place of the largest value of every group, groups ascending."""
+    order = np.lexsort((-values, groups))
+    _, first = np.unique(groups[order], return_index=True)
+    return order[first]
