@@ -21,3 +21,14 @@ def test_links_and_pictures_exist():
     for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
         for link in re.findall(r"\]\((?!https?:)([^)#]+)\)", document.read_text()):
             assert (document.parent / link).exists(), f"{document.name}: {link}"
+
+
+def test_the_code_of_the_guide_to_evidence_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "evidence.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    names = {}
+    for code in blocks:
+        exec(compile(code, "evidence.md", "exec"), names)
+    assert len(blocks) == 3 and (tmp_path / "run.csv").exists()
+    assert names["result"].success_rate == 1.0 and names["action"].decrease > 0

@@ -224,8 +224,8 @@ def run(
         if draw and k < last and k % chunk == 0:
             drawn = draw(min(chunk, last - k))
         ended = _look(loop, trials, live, k)
-        if k < last:
-            see = ended == TIME
+        see = ended == TIME
+        if k < last and see.any():
             measured = trials["state"][live[see]]
             if draw:
                 measured = measured + drawn[live[see], k % chunk]

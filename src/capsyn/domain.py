@@ -227,8 +227,8 @@ class Ball:
 
     def sample(self, count: int, seed: int | Sequence[int] = 0) -> np.ndarray:
         """Return `count` points (count, n) drawn uniformly from the ball."""
-        generator = np.random.default_rng(seed)
-        normal = generator.standard_normal((count, self.n))
-        length = np.linalg.norm(normal, axis=1)
-        radius = self.radius * generator.random(count) ** (1 / self.n)
-        return self.center + normal * (radius / length)[:, None]
+        # streams of their own: the first points do not depend on how many there are
+        direction, distance = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
+        normal = direction.standard_normal((count, self.n))
+        radius = self.radius * distance.random(count) ** (1 / self.n)
+        return self.center + normal * (radius / np.linalg.norm(normal, axis=1))[:, None]

@@ -23,7 +23,7 @@ from capsyn.closed_loop import (
     run,
 )
 from capsyn.errors import ProblemError
-from capsyn.plant import Plant, choose_substeps, plant_of
+from capsyn.plant import MOST_SUBSTEPS, Plant, choose_substeps, plant_of
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.policy_loop import run_policy
 from capsyn.processors import processors
@@ -73,6 +73,8 @@ class Experiment:
     ) -> np.ndarray:
         """Return new trials; see `new_trials`."""
         push = np.zeros_like(states) if push is None else push
+        longest = self.loop.samples * self.loop.period  # whatever comes later never arrives
+        delays = np.minimum(delays, longest)
         return new_trials(states, self.plant.m, delays, parameters, push, self.loop.period)
 
 
@@ -108,7 +110,7 @@ def set_up(
         rate = 1 / settings.sample_time
     rate = finite_number("rate", rate, above=0.0)
     samples = duration * rate
-    if not 0.5 <= samples <= MOST_SAMPLES:
+    if not 0.5 < samples <= MOST_SAMPLES:
         raise ProblemError(
             f"`duration` times `rate` must be 1 to {MOST_SAMPLES:g} samples; got {samples:g}"
         )
@@ -141,8 +143,8 @@ def set_up(
     loop = Loop(
         period,
         samples,
-        whole_number("substeps", substeps, least=1),
-        math.ceil(dwell - 1e-9),
+        whole_number("substeps", substeps, least=1, most=MOST_SUBSTEPS),
+        math.ceil(min(dwell - 1e-9, samples)),
         target_program(target, plant.domain),
         stop_at_target,
         idle,
@@ -174,9 +176,8 @@ def per_state(name: str, value: Any, n: int, least: float | None = None) -> np.n
     array = numbers(name, value)
     array = np.full(n, array) if array.ndim == 0 else array
     if array.shape != (n,) or not np.isfinite(array).all():
-        raise ProblemError(
-            f"`{name}` must be a finite number or {n} of them, one per state; got {describe(value)}"
-        )
+        many = f" or {n} of them, one per state" if n > 1 else ""
+        raise ProblemError(f"`{name}` must be a finite number{many}; got {describe(value)}")
     if least is not None and (array < least).any():
         raise ProblemError(f"`{name}` must be >= {least:g}; got {describe(value)}")
     return array

@@ -95,6 +95,7 @@ class OnlineController:
     background: Callable[[float], Any] | Policy | None
     horizon: float
     settings: SsacSettings
+    min_dwell: float
     target: Target | None
     kernel: ActionKernel | None
     numpy: NumpyActions
@@ -148,13 +149,13 @@ class OnlineController:
     def decide(self, time: float, measured: np.ndarray) -> Command:
         """Return the command over a sample: default control, action, default control."""
         found = self.actions(measured, time)
-        acts = found.duration > 0
-        start = np.where(acts, found.start, np.inf)
-        ends = np.stack([start, start + found.duration, np.full(len(start), np.inf)], axis=1)
+        start = np.where(found.duration > 0, found.start, np.inf)
+        stop, now = start + found.duration, start <= 0
+        first = np.where(now[:, None], found.control, found.base)
         return Command(
-            np.stack([found.base, found.control, found.base], axis=1),
-            ends,
-            np.where(start <= 0, found.symbol, found.base_symbol),
+            np.stack([first, found.control, found.base], axis=1),
+            np.stack([np.where(now, stop, start), stop, np.full(len(start), np.inf)], axis=1),
+            np.where(now, found.symbol, found.base_symbol),
             np.full(len(start), TIME),
             np.zeros(len(start), dtype=bool),
         )
@@ -267,6 +268,9 @@ def online_controller(
     settings = source.settings if settings is None else settings
     if horizon is None or settings is None:
         raise ProblemError("`horizon` and `settings` must be given for a policy without them")
+    if not isinstance(settings, SsacSettings):
+        raise ProblemError(f"`settings` must be a capsyn.SsacSettings; got {describe(settings)}")
+    settings.efforts(source.alphabet.values)
     alphabet, constant, background = source.alphabet, source.default, None
     if isinstance(default, Policy):
         if (default.domain.n, default.alphabet.m) != (source.domain.n, alphabet.m):
@@ -280,10 +284,10 @@ def online_controller(
         alphabet.control("default", default(0.0))
     elif default is not None:
         constant = alphabet.control("default", default)
+    sac = sac_program(model, alphabet, settings, limits) if method == "sac" else None
     chooser = batch_controller(
         model, source.domain, alphabet.values, constant, horizon, settings, backend
     )
-    sac = sac_program(model, alphabet, chooser.settings, limits) if method == "sac" else None
     kernel = None
     if backend != "numpy":
         try:
@@ -301,6 +305,7 @@ def online_controller(
         background,
         horizon,
         chooser.settings,
+        source.min_dwell,
         target,
         kernel,
         NumpyActions(model, alphabet.values, horizon, chooser.settings, chooser, sac),

@@ -136,7 +136,7 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))
         inputs += (("p", len(parameters)),) if parameters else ()
-        dynamics = user_program("dynamics", function, inputs, (("xdot", plant.n),))
+        dynamics = user_program("model", function, inputs, (("xdot", plant.n),))
         plant = dataclasses.replace(plant, dynamics=dynamics, parameters=tuple(parameters))
     elif parameters:
         raise ProblemError(

@@ -111,8 +111,8 @@ def _run_compiled(
             own = trials[start:stop]
             kernel(own, first, samples, arguments, draw and draw(samples), pushes, views)
 
-    size = -(-len(trials) // threads)
-    size = -(-size // SIMULATION_LANES) * SIMULATION_LANES
+    blocks = -(-len(trials) // SIMULATION_LANES)
+    size = max(1, -(-blocks // threads)) * SIMULATION_LANES
     parts = [(k, min(k + size, len(trials))) for k in range(0, len(trials), size)]
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(part, parts))

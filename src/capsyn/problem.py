@@ -191,7 +191,8 @@ def expression(
         raise ProblemError(
             f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
         ) from error
-    wanted = f"{size} component(s), one per state" if name == "dynamics" else "a scalar"
+    rates = name in ("dynamics", "model")
+    wanted = f"{size} component(s), one per state" if rates else "a scalar"
     try:
         with _numpy_functions():
             column = value

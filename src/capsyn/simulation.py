@@ -144,9 +144,9 @@ def check_trajectory_format(path: str | os.PathLike[str]) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         if value.dtype.kind == "f" and not np.isfinite(value).all():
-            array = value.astype(object)
-            array[~np.isfinite(value)] = None
-            value = array
+            finite = np.isfinite(value)
+            value = np.array(value, dtype=object)
+            value[~finite] = None
         return value.tolist()
     return value
 
@@ -216,6 +216,9 @@ def simulate(
     ProblemError
         An argument that cannot be used.
     """
+    delay = finite_number("delay", delay, least=0.0)
+    seed = whole_number("seed", seed, least=0)
+    x0 = numbers("x0", x0)
     names = tuple(parameters or ())
     values = np.array(
         [finite_number(f"parameters {name}", value) for name, value in (parameters or {}).items()]
@@ -237,20 +240,19 @@ def simulate(
         threads=threads,
     )
     n, m = experiment.plant.n, experiment.plant.m
-    x0 = numbers("x0", x0)
     if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
         raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")
     states = x0.reshape(-1, n)
     count, samples = len(states), experiment.loop.samples
     trials = experiment.trials(
         states,
-        delays=np.full(count, finite_number("delay", delay, least=0.0)),
+        delays=np.full(count, delay),
         parameters=np.tile(values, (count, 1)),
     )
     noisy = None
     if noise is not None:
         deviations = np.tile(per_state("noise", noise, n, least=0.0), (count, 1))
-        noisy = Noise(deviations, [(whole_number("seed", seed, least=0), k) for k in range(count)])
+        noisy = Noise(deviations, [(seed, k) for k in range(count)])
     record = new_record(count, samples, n, m)
     experiment.run(trials, noisy, record)
 

@@ -50,7 +50,7 @@ def target_axes(target: Ball | Box, domain: Box, name: str = "target") -> list[i
     size = target.n
     if set(names) <= set(domain.names) and names:
         return [domain.names.index(axis) for axis in names]
-    if size != domain.n:
+    if size != domain.n or (isinstance(target, Ball) and names):  # a box always has names
         raise ProblemError(
             f"`{name}` must have {domain.n} dimension(s), or name some of the states "
             f"{', '.join(domain.names)}; got {size}"

@@ -206,13 +206,13 @@ int capsyn_action(const int64_t count, const double *restrict states, const opti
             if (u == NULL) {
                 int outside;
                 int64_t label = nearest_label(&o.cells, &m, path[k].x[0], &outside);
-                if (outside && o.outside >= 0)
+                if ((outside || label == NOT_FINITE) && o.outside >= 0)
                     label = o.outside;
-                if (label == NOT_FINITE)
+                else if (label == NOT_FINITE)
                     label = o.lost;
                 u = o.table + label * INPUTS;
                 if (k == 0)
-                    a->base_symbol = label;
+                    a->base_symbol = label == o.lost ? -1 : label;
             }
             for (int i = 0; i < INPUTS; ++i)
                 path[k].u[i][0] = u[i];

@@ -171,8 +171,8 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
             for (int i = 0; i < PARAMETERS; ++i)
                 b.parameters[i][lane] = from->parameters[i];
 #endif
-            late_time[lane] = from->rest;
             now_time[lane] = l.period - from->rest;
+            late_time[lane] = l.period - now_time[lane]; /* the sum is the period, rounded or not */
             any_late |= from->rest > 0;
         }
         for (int64_t k = first; k < first + samples + (first + samples == l.last); ++k) {

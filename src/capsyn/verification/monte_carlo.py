@@ -206,7 +206,7 @@ def monte_carlo(
     """
     trials = whole_number("trials", trials, least=1, most=MOST_TRIALS)
     seed = whole_number("seed", seed, least=0)
-    check_confidence(confidence)
+    confidence = check_confidence(confidence)
     duration = finite_number("duration", duration, above=0.0)
     within = duration if within is None else finite_number("within", within, above=0.0)
     hold = finite_number("hold", hold, least=0.0)
