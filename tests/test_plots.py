@@ -10,8 +10,16 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import capsyn
+from capsyn import Problem, problems, simulate, synthesize
 from capsyn.errors import ProblemError
-from capsyn.plots import PALETTE, plot_policy, save_policy_plot, symbol_colors
+from capsyn.plots import (
+    PALETTE,
+    plot_policy,
+    plot_trajectory,
+    save_policy_plot,
+    save_trajectory_plot,
+    symbol_colors,
+)
 
 
 def policy_of(n, symbols=2, level=2):
@@ -87,3 +95,37 @@ def test_a_failing_save_keeps_the_old_picture(tmp_path):
     with pytest.raises(ProblemError):
         save_policy_plot(policy_of(2), path, plane=(0, 7))
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_trajectories_are_drawn_by_state_and_control():
+    policy = policy_of(2, symbols=3)
+    problem = Problem(
+        name="drift",
+        dynamics=lambda x, u: [0.1, -0.2],
+        domain=policy.domain,
+        alphabet=policy.alphabet,
+        default=policy.default,
+        horizon=1.0,
+        running_cost=lambda x: x[0] ** 2,
+    )
+    for x0 in ([0.0, 0.0], [[0.0, 0.0], [0.5, -0.5]]):
+        run = simulate(policy, x0, 1.0, 10.0, model=problem)
+        axes = plot_trajectory(run, Figure().subplots(2 + policy.alphabet.m))
+        lines = [ax.get_lines() for ax in axes]
+        assert all(len(drawn) == np.ndim(x0) for drawn in lines)
+        states, controls = run.states.reshape(-1, 11, 2), run.controls.reshape(-1, 10, 1)
+        for k in range(np.ndim(x0)):
+            assert np.array_equal(lines[0][k].get_ydata(), states[k, :, 0])
+            assert np.array_equal(lines[2][k].get_ydata()[:-1], controls[k, :, 0])
+        assert axes[0].get_ylabel() == "a [m]" and axes[-1].get_xlabel() == "time [s]"
+    with pytest.raises(ProblemError, match="`axes` must be 3 Axes"):
+        plot_trajectory(run, Figure().subplots(2))
+
+
+def test_a_picture_of_a_trajectory_is_the_same_bytes_each_time(tmp_path):
+    run = simulate(synthesize(problems.get("double-tank-b"), max_level=1), [0.2, 0.3], 0.1, 100.0)
+    for name in ("one.svg", "two.svg"):
+        save_trajectory_plot(run, tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+    with pytest.raises(ProblemError, match="a picture must end in"):
+        save_trajectory_plot(run, tmp_path / "one.gif")

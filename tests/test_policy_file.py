@@ -24,6 +24,7 @@ from capsyn.files import atomic_write, check_writable
 from capsyn.model import Model, model_ports
 from capsyn.policy_file import VERSION, content_hash
 from capsyn.program import Program
+from capsyn.targets import target_program
 from trees import GRIDS, random_policy, random_tree
 
 KEY = "capsyn-policy"
@@ -66,6 +67,9 @@ def full(**changes):
     return dataclasses.replace(made, **changes)
 
 
+TRIALS = {"trials": 10, "successes": 9, "low": 0.5, "high": 1, "confidence": 0.95, "more": [None]}
+
+
 def assert_equal(one, other):
     """Assert that two policies are equal in every field but the timings."""
     for field in dataclasses.fields(Policy):
@@ -85,7 +89,10 @@ def assert_equal(one, other):
 SOME = {
     "full": full(),
     "box target, nearest": full(target=Box([0, 0], [1, 1], names=["a", "b"]), outside="nearest"),
+    "ball about one state": full(target=Ball([0.2], 0.3, names=["ω"])),
+    "target a condition": full(target=target_program(Ball([0.1, 0.2], 0.3), full().domain)),
     "default outside": full(outside=-1),
+    "with evidence": full().with_evidence(monte_carlo=TRIALS),
     "absolute sensitivity": full(settings=SsacSettings(alpha_d=-1.5, rule="steepest")),
     "bare": full(
         outside="error",
@@ -551,6 +558,15 @@ TAMPERED = {
         "ValueError",
     ),
     "target a list": (at("target")([1]), "AttributeError"),
+    "target of a malformed program": (at("target")({"program": {}}), "program"),
+    "target of another program": (
+        lambda d, a: d["policy"].update(target={"program": d["policy"]["model"]["dynamics"]}),
+        "`target` must be a program of 2 state",
+    ),
+    "target named otherwise": (
+        at("target")({"ball": {"center": [0, 0], "radius": 1, "names": ["a", "b"]}}),
+        "`target` must have 2 dimension",
+    ),
     "settings with more": (
         lambda d, a: d["policy"]["settings"].update(speed=1),
         "settings are not those",
@@ -883,3 +899,58 @@ def test_check_writable_refuses_a_read_only_directory(tmp_path):
             check_writable(tmp_path / "p.cap")
     finally:
         tmp_path.chmod(0o700)
+
+
+def test_evidence_is_outside_the_checksum(tmp_path):
+    plain, tried = full(), full().with_evidence(monte_carlo=TRIALS)
+    for name, policy in (("plain", plain), ("tried", tried)):
+        policy.save(tmp_path / name)
+    (one, _), (other, _) = read(tmp_path / "plain"), read(tmp_path / "tried")
+    assert one["sha256"] == other["sha256"] == tried.evidence["sha256"]
+    assert "evidence" not in one and other["evidence"]["monte_carlo"] == TRIALS
+
+
+def test_evidence_gathers_and_is_dropped_when_the_policy_changes(tmp_path):
+    agreement = {"states": 5, "share": 1.0, "low": 0.4, "high": 1.0, "confidence": 0.95}
+    policy = full().with_evidence(monte_carlo=TRIALS).with_evidence(agreement=agreement)
+    assert set(policy.evidence) == {"sha256", "monte_carlo", "agreement"}
+    changed = dataclasses.replace(policy, min_dwell=0.5)
+    changed.save(tmp_path / "changed")
+    assert Policy.load(tmp_path / "changed").evidence == {}
+    assert set(changed.with_evidence(monte_carlo=TRIALS).evidence) == {"sha256", "monte_carlo"}
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        {"luck": TRIALS},
+        {"monte_carlo": {}},
+        {"monte_carlo": 5},
+        {"monte_carlo": TRIALS | {"low": np.nan}},
+        {"monte_carlo": TRIALS | {"more": np.zeros(2)}},
+        {"agreement": TRIALS},
+    ],
+)
+def test_what_is_no_evidence_is_refused(kinds):
+    with pytest.raises(ProblemError, match=f"`{next(iter(kinds))}` must be what to_json"):
+        full().with_evidence(**kinds)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "message"),
+    [
+        ([1], "evidence is no object"),
+        ({"monte_carlo": TRIALS}, "evidence is that of another policy"),
+        ({"monte_carlo": TRIALS, "sha256": "0" * 64}, "evidence is that of another policy"),
+        ("luck", "evidence 'luck' is of another kind"),
+        ("monte_carlo", "evidence 'monte_carlo' is of another kind"),
+    ],
+)
+def test_evidence_of_another_kind_is_refused(file, evidence, message):
+    def change(document, arrays):
+        document["evidence"] = evidence
+        if isinstance(evidence, str):
+            document["evidence"] = {evidence: {"trials": "many"}, "sha256": document["sha256"]}
+
+    rewrite(file, change)
+    refuse(file, message)

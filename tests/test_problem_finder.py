@@ -6,7 +6,7 @@ import pytest
 
 from capsyn import Problem
 from capsyn.errors import ProblemError
-from capsyn.problem_finder import find_problem
+from capsyn.problem_finder import find_function, find_problem
 
 OWN = """
 import capsyn
@@ -80,3 +80,17 @@ def test_what_a_file_prints_goes_to_stderr_and_dataclasses_work(tmp_path, capsys
     assert find_problem(str(tmp_path / "chatty.py")).name == "first"
     out, err = capsys.readouterr()
     assert out == "" and "hello" in err
+
+
+def test_functions_are_found_by_file_or_module(tmp_path):
+    (tmp_path / "v.py").write_text("def V(x):\n    return x[0] ** 2\nnumber = 3\n")
+    assert find_function(f"{tmp_path / 'v.py'}:V")([3]) == 9
+    assert find_function("math:sqrt")(4) == 2
+    for text, reason in (
+        (f"{tmp_path / 'v.py'}:W", "must hold a function named 'W'"),
+        (f"{tmp_path / 'v.py'}:number", "must hold a function named 'number'"),
+        (f"{tmp_path / 'v.py'}", "a function must be given as FILE.py:NAME"),
+        (f"{tmp_path / 'w.py'}:V", "there is no file"),
+    ):
+        with pytest.raises(ProblemError, match=reason):
+            find_function(text)

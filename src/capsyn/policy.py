@@ -219,12 +219,15 @@ class Policy:
 
         Evidence is what ``to_json()`` of a result of `capsyn.verification` gives, under its kind:
         ``monte_carlo``, ``lyapunov`` or ``agreement``. That of another content is dropped.
-        """
-        from capsyn.policy_file import content_hash
 
-        content = content_hash(self)
-        known = self.evidence if self.evidence.get("sha256") == content else {}
-        return dataclasses.replace(self, evidence={**known, **kinds, "sha256": content})
+        Raises
+        ------
+        ProblemError
+            Another kind, or something that is not such plain data.
+        """
+        from capsyn.policy_file import add_evidence
+
+        return dataclasses.replace(self, evidence=add_evidence(self, kinds))
 
     def __repr__(self) -> str:
         return (

@@ -21,6 +21,7 @@ from capsyn.policy import Policy
 from capsyn.program import Program
 from capsyn.settings import SsacSettings
 from capsyn.targets import Target
+from capsyn.validation import describe
 
 FORMAT = "capsyn-policy"
 VERSION = 1
@@ -234,14 +235,36 @@ def _evidence(document: dict[str, Any]) -> dict[str, Any]:
         raise PolicyFormatError("its evidence is no object")
     if evidence and evidence.get("sha256") != document["sha256"]:
         raise PolicyFormatError("its evidence is that of another policy")
-    for kind, figures in EVIDENCE.items():
-        found = evidence.get(kind)
-        if found is not None and not (
-            isinstance(found, dict)
-            and all(isinstance(found.get(name), (int, float)) for name in figures)
-        ):
+    for kind in set(evidence) - {"sha256"}:
+        if not _is_evidence(kind, evidence[kind]):
             raise PolicyFormatError(f"its evidence '{kind}' is of another kind")
     return evidence
+
+
+def _is_evidence(kind: str, found: Any) -> bool:
+    """Return whether plain data has the figures of a kind of evidence."""
+    return (
+        kind in EVIDENCE
+        and isinstance(found, dict)
+        and all(isinstance(found.get(name), (int, float)) for name in EVIDENCE[kind])
+    )
+
+
+def add_evidence(policy: Policy, kinds: dict[str, Any]) -> dict[str, Any]:
+    """Return the evidence of a policy with some kinds added; see `Policy.with_evidence`."""
+    for kind, found in kinds.items():
+        try:
+            _canonical(found)
+        except (TypeError, ValueError):
+            found = None
+        if not _is_evidence(kind, found):
+            raise ProblemError(
+                f"`{kind}` must be what to_json() of evidence of a kind ({', '.join(EVIDENCE)}) "
+                f"gives; got {describe(found)}"
+            )
+    content = content_hash(policy)
+    known = policy.evidence if policy.evidence.get("sha256") == content else {}
+    return {**known, **kinds, "sha256": content}
 
 
 def _target(data: Any) -> Target | None:
