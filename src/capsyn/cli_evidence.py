@@ -30,7 +30,7 @@ from capsyn.cli_options import (
     one_or_list,
     region,
 )
-from capsyn.console import print_evidence, show
+from capsyn.console import print_evidence, show, working
 from capsyn.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -92,27 +92,28 @@ def simulate(
     ]
     if ranges:
         raise ProblemError(f"{ranges[0]} must be one value here; ranges are for verify")
-    trajectory = run(
-        _controller(policy, online, background, backend),
-        np.array(states)[0] if len(states) == 1 else np.array(states),
-        duration,
-        rate,
-        model=_model(model),
-        parameters={
-            name: number(name, text)
-            for name, text in assignments("--parameter", parameter or []).items()
-        },
-        disturbance=None if disturbance is None else one_or_list("--disturbance", disturbance),
-        noise=None if noise is None else one_or_list("--noise", noise),
-        delay=0.0 if delay is None else number("--delay", delay),
-        min_dwell=min_dwell,
-        outside=outside,
-        target=_target(policy, target, tolerance),
-        stop_at_target=stop_at_target,
-        seed=seed,
-        backend=backend,
-        threads=threads,
-    )
+    with working("simulating"):
+        trajectory = run(
+            _controller(policy, online, background, backend),
+            np.array(states)[0] if len(states) == 1 else np.array(states),
+            duration,
+            rate,
+            model=_model(model),
+            parameters={
+                name: number(name, text)
+                for name, text in assignments("--parameter", parameter or []).items()
+            },
+            disturbance=None if disturbance is None else one_or_list("--disturbance", disturbance),
+            noise=None if noise is None else one_or_list("--noise", noise),
+            delay=0.0 if delay is None else number("--delay", delay),
+            min_dwell=min_dwell,
+            outside=outside,
+            target=_target(policy, target, tolerance),
+            stop_at_target=stop_at_target,
+            seed=seed,
+            backend=backend,
+            threads=threads,
+        )
     if output is not None:
         (save_trajectory_plot if picture else type(trajectory).save)(trajectory, output)
     rows = trajectory.summary()
@@ -212,49 +213,58 @@ def verify(
     if grid is not None and lyapunov is None:
         raise ProblemError("--grid needs --lyapunov")
     found: dict[str, Any] = {}
-    if monte_carlo is not None:
-        from capsyn.verification.monte_carlo import monte_carlo as try_out
+    with working("loading") as tell:
+        if monte_carlo is not None:
+            tell("Monte Carlo")
+            from capsyn.verification.monte_carlo import monte_carlo as try_out
 
-        found["monte_carlo"] = try_out(
-            _controller(policy, online, background, backend),
-            monte_carlo,
-            duration=duration,
-            rate=rate,
-            initial=None if initial is None else region("--initial", initial),
-            target=_target(policy, target, tolerance),
-            within=within,
-            hold=hold,
-            model=_model(model),
-            parameters={
-                name: _quantity(name, text)
-                for name, text in assignments("--parameter", parameter or []).items()
-            },
-            disturbance=_quantity("--disturbance", disturbance),
-            noise=_quantity("--noise", noise),
-            delay=_quantity("--delay", delay or "0"),
-            min_dwell=min_dwell,
-            outside=outside,
-            seed=seed,
-            confidence=confidence,
-            backend=backend,
-            threads=threads,
-        ).to_json()
-    if lyapunov is not None:
-        from capsyn.problem_finder import find_function
-        from capsyn.verification.lyapunov import lyapunov as prove
-        from capsyn.verification.lyapunov import lyapunov_grid
+            found["monte_carlo"] = try_out(
+                _controller(policy, online, background, backend),
+                monte_carlo,
+                duration=duration,
+                rate=rate,
+                initial=None if initial is None else region("--initial", initial),
+                target=_target(policy, target, tolerance),
+                within=within,
+                hold=hold,
+                model=_model(model),
+                parameters={
+                    name: _quantity(name, text)
+                    for name, text in assignments("--parameter", parameter or []).items()
+                },
+                disturbance=_quantity("--disturbance", disturbance),
+                noise=_quantity("--noise", noise),
+                delay=_quantity("--delay", delay or "0"),
+                min_dwell=min_dwell,
+                outside=outside,
+                seed=seed,
+                confidence=confidence,
+                backend=backend,
+                threads=threads,
+            ).to_json()
+        if lyapunov is not None:
+            tell("proving dV/dt <= 0")
+            from capsyn.problem_finder import find_function
+            from capsyn.verification.lyapunov import lyapunov as prove
+            from capsyn.verification.lyapunov import lyapunov_grid
 
-        function = find_function(lyapunov)
-        found["lyapunov"] = prove(policy, function, depth=depth).to_json()
-        if grid is not None:
-            signs = lyapunov_grid(policy, function, one_or_list("--grid", grid))
-            found["lyapunov"]["grid"] = signs.to_json()
-    if agreement is not None:
-        from capsyn.verification.agreement import agreement as compare
+            function = find_function(lyapunov)
+            found["lyapunov"] = prove(policy, function, depth=depth).to_json()
+            if grid is not None:
+                signs = lyapunov_grid(policy, function, one_or_list("--grid", grid))
+                found["lyapunov"]["grid"] = signs.to_json()
+        if agreement is not None:
+            tell("comparing with sSAC")
+            from capsyn.verification.agreement import agreement as compare
 
-        found["agreement"] = compare(
-            policy, agreement, seed=seed, confidence=confidence, backend=backend, threads=threads
-        ).to_json()
+            found["agreement"] = compare(
+                policy,
+                agreement,
+                seed=seed,
+                confidence=confidence,
+                backend=backend,
+                threads=threads,
+            ).to_json()
     missed = [
         f"{option} {wanted:g} is not met: {found[kind][figure]:.6g}"
         for option, wanted, kind, _, figure in requirements
@@ -279,7 +289,9 @@ def reproduce(
     """Make the paper's policies, figures and numbers, with ours beside them."""
     from capsyn.reproduction import reproduce as run
 
-    for path in run(output, trials=trials, threads=threads, tell=typer.echo):
+    with working("starting") as tell:
+        paths = run(output, trials=trials, threads=threads, tell=tell)
+    for path in paths:
         typer.echo(f"wrote {path}")
 
 

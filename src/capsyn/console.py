@@ -61,6 +61,22 @@ def progress_bars() -> Iterator[Callable[[Progress], None] | None]:
         yield progress
 
 
+@contextlib.contextmanager
+def working(text: str) -> Iterator[Callable[[str], None]]:
+    """Say on a terminal what is being done, and for how long; yield what changes the text."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task(text, total=None)
+        yield lambda text: bars.update(task, description=text)
+
+
 def print_table(rows: list[dict[str, Any]]) -> None:
     """Print rows of the same keys as a table."""
     from rich import box
@@ -136,7 +152,7 @@ def print_evidence(found: dict[str, Any]) -> None:
             _line("failed from", "(" + ", ".join(f"{v:g}" for v in state) + ")")
     if "lyapunov" in found:
         data = found["lyapunov"]
-        violated, undecided = (len(data[f"{kind}_cells"]) for kind in ("violated", "undecided"))
+        violated, undecided = data["violated_cell_count"], data["undecided_cell_count"]
         _line("lyapunov", headlines["lyapunov"])
         _line("cells", f"{violated:,} with a state where V grows, {undecided:,} more undecided")
         if "grid" in data:

@@ -63,10 +63,10 @@ def reproduce(
         policy.save(files[-1])
 
     with reproducible():
-        tell("policies and their counts ...")
+        tell("policies and their counts")
         rows = _counts(threads)
         pendulums = [synthesize(problems.get(f"cart-pendulum{end}")) for end in ("", "-4")]
-        tell("pendulum: figures 3 and 4, Lyapunov, swing-up ...")
+        tell("pendulum: figures 3 and 4, Lyapunov, swing-up")
         for policy, name in zip(pendulums, ("cart-pendulum", "cart-pendulum-4")):
             keep_policy(policy, name)
         keep_figure("figure-3", paper_pendulum.figure_3(pendulums[0]))
@@ -78,7 +78,7 @@ def reproduce(
         figure, found = paper_pendulum.swing_up(pendulums, trials, threads)
         keep_figure("dwell-time", figure)
         rows += found
-        tell("tanks: figures 5 and 6, Monte Carlo ...")
+        tell("tanks: figures 5 and 6, Monte Carlo")
         keep_figure("figure-5", paper_tanks.figure_5())
         for letter, readings in paper_tanks.READINGS.items():
             for reading in readings:

@@ -20,12 +20,10 @@ from capsyn.policy import Policy
 from capsyn.processors import processors
 from capsyn.ssac import batch_controller
 from capsyn.validation import describe, one_of, whole_number
-from capsyn.verification.statistics import check_confidence, clopper_pearson
+from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
 KEPT = 10_000
 """Most disagreeing states, and most islands, that are kept; all are counted."""
-TOLD = 100
-"""Most of them that `Agreement.to_json` lists."""
 WAVE = 32
 """Chunks of states that are in memory at once."""
 

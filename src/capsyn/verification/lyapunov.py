@@ -14,6 +14,7 @@ from capsyn.policy import Policy
 from capsyn.validation import describe, finite_number, is_list, whole_number
 from capsyn.verification.bisection import Boxes, bisect
 from capsyn.verification.loop_derivative import LoopDerivative
+from capsyn.verification.statistics import TOLD
 
 MAX_STATES = 50_000_000
 """Most states of a grid."""
@@ -57,7 +58,7 @@ class LyapunovCells:
         return len(self.entries)
 
     def to_json(self) -> list[dict[str, Any]]:
-        """Return the cells as plain data."""
+        """Return the first `TOLD` cells as plain data."""
         return [
             {
                 "level": int(self.levels[k]),
@@ -68,7 +69,7 @@ class LyapunovCells:
                 "state": self.states[k].tolist(),
                 "value": float(self.values[k]) if np.isfinite(self.values[k]) else None,
             }
-            for k in range(len(self))
+            for k in range(min(len(self), TOLD))
         ]
 
 
@@ -110,7 +111,9 @@ class LyapunovProof:
     def to_json(self) -> dict[str, Any]:
         """Return the proof as plain data."""
         return vars(self) | {
+            "violated_cell_count": len(self.violated_cells),
             "violated_cells": self.violated_cells.to_json(),
+            "undecided_cell_count": len(self.undecided_cells),
             "undecided_cells": self.undecided_cells.to_json(),
         }
 

@@ -17,11 +17,9 @@ from capsyn.policy import Outside, Policy
 from capsyn.ssac import batch_controller
 from capsyn.targets import check_target, describe_target, target_axes
 from capsyn.validation import describe, finite_number, whole_number
-from capsyn.verification.statistics import check_confidence, clopper_pearson
+from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
 MOST_TRIALS = 10**8
-TOLD = 100
-"""Most failing initial states that `MonteCarlo.to_json` lists."""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from capsyn.errors import ProblemError
 from capsyn.validation import finite_number, whole_number
 
+TOLD = 100
+"""Most states or cells that the ``to_json`` of evidence lists."""
+
 
 def clopper_pearson(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
     """Return the exact (Clopper-Pearson) interval (low, high) of a share, from counts.
