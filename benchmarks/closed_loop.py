@@ -9,6 +9,7 @@ import numpy as np
 
 from capsyn import online_controller, problems, synthesize
 from capsyn.experiment import set_up
+from capsyn.plant import plant_of
 from capsyn.problems import cart_pendulum
 from capsyn.reproduction import reproduce
 from capsyn.verification.lyapunov import lyapunov
@@ -29,7 +30,7 @@ def median_of(run, rounds):
 
 def closed_loops(policy, rounds, **options):
     """Return the seconds of 1,000 trials of 15 s at 1 kHz, from start to end."""
-    experiment = set_up(policy, SECONDS, RATE, **options)
+    experiment = set_up(policy, plant_of(policy), SECONDS, RATE, **options)
     states = policy.domain.sample(TRIALS, 0)
 
     def run():

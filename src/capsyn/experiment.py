@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,7 @@ from capsyn.closed_loop import (
     run,
 )
 from capsyn.errors import ProblemError
-from capsyn.plant import MOST_SUBSTEPS, Plant, choose_substeps, plant_of
+from capsyn.plant import MOST_SUBSTEPS, Plant, choose_substeps
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.policy_loop import run_policy
 from capsyn.processors import processors
@@ -80,11 +80,10 @@ class Experiment:
 
 def set_up(
     controller: Any,
+    plant: Plant,
     duration: float,
     rate: float | None,
     *,
-    model: Any = None,
-    parameters: Sequence[str] = (),
     typical: Any = None,
     disturbance: Any = None,
     min_dwell: float | None = None,
@@ -95,7 +94,7 @@ def set_up(
     backend: str = "auto",
     threads: int | None = None,
 ) -> Experiment:
-    """Return the experiment that the arguments of `simulate` describe.
+    """Return the experiment on a plant that the arguments of `simulate` describe.
 
     Parameters
     ----------
@@ -116,12 +115,6 @@ def set_up(
         )
     one_of("backend", backend, ["auto", "c", "numpy"])
     threads = processors(threads)
-    if not callable(controller):
-        raise ProblemError(
-            "`controller` must be a Policy, an OnlineController or a function of time and states; "
-            f"got {describe(controller)}"
-        )
-    plant = plant_of(controller, model, parameters)
     n, m = plant.n, plant.m
     if min_dwell is None:
         min_dwell = getattr(controller, "min_dwell", 0.0)
@@ -136,36 +129,38 @@ def set_up(
     idle = getattr(controller, "default", np.zeros(m))
     alphabet = getattr(controller, "alphabet", None)
     period, samples = 1 / rate, round(samples)
-    if substeps is None:
+    inputs = tuple(f"u{i + 1}" for i in range(m)) if alphabet is None else alphabet.inputs
+    units = ("",) * m if alphabet is None else alphabet.units
+    if isinstance(controller, Policy):
+        outside = check_outside(
+            controller.outside if outside is None else outside, controller.alphabet
+        )
+    elif outside is not None:
+        raise ProblemError("`outside` must be given for policies only")
+    pushes = _pushes(disturbance, n, period, samples)
+    if substeps is not None:
+        substeps = whole_number("substeps", substeps, least=1, most=MOST_SUBSTEPS)
+    else:
         controls = idle[None, :] if alphabet is None else np.vstack([alphabet.values, idle])
         values = np.zeros((0, 1)) if typical is None else typical
         substeps = choose_substeps(plant, controls, values, period)
     loop = Loop(
         period,
         samples,
-        whole_number("substeps", substeps, least=1, most=MOST_SUBSTEPS),
+        substeps,
         math.ceil(min(dwell - 1e-9, samples)),
         target_program(target, plant.domain),
         stop_at_target,
         idle,
-        _pushes(disturbance, n, period, samples),
+        pushes,
     )
-    inputs = tuple(f"u{i + 1}" for i in range(m)) if alphabet is None else alphabet.inputs
-    units = ("",) * m if alphabet is None else alphabet.units
-    if isinstance(controller, Policy):
-        rule = check_outside(
-            controller.outside if outside is None else outside, controller.alphabet
-        )
 
-        def start(trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
-            run_policy(controller, rule, plant, loop, trials, noise, record, backend, threads)
-
-    else:
-        if outside is not None:
-            raise ProblemError("`outside` must be given for policies only")
-        decide = getattr(controller, "decide", None) or _function_decide(controller, m)
-
-        def start(trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
+    def start(trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
+        if isinstance(controller, Policy):
+            assert outside is not None
+            run_policy(controller, outside, plant, loop, trials, noise, record, backend, threads)
+        else:
+            decide = getattr(controller, "decide", None) or _function_decide(controller, m)
             run(decide, plant, loop, trials, noise, record)
 
     return Experiment(plant, loop, inputs, units, rate, target, start)

@@ -120,6 +120,11 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
     ProblemError
         There is no model, or its dimensions do not fit the controller.
     """
+    if not callable(controller):
+        raise ProblemError(
+            "`controller` must be a Policy, an OnlineController or a function of time and states; "
+            f"got {describe(controller)}"
+        )
     function = model if callable(model) and not isinstance(model, Policy) else None
     source = controller if model is None or function else model
     programs = transcribe(source) if isinstance(source, Problem) else getattr(source, "model", None)

@@ -16,6 +16,7 @@ from capsyn.closed_loop import ENDINGS, Noise, new_record
 from capsyn.errors import ProblemError
 from capsyn.experiment import per_state, set_up
 from capsyn.files import atomic_write
+from capsyn.plant import plant_of
 from capsyn.policy import Outside
 from capsyn.validation import describe, finite_number, numbers, whole_number
 
@@ -223,12 +224,21 @@ def simulate(
     values = np.array(
         [finite_number(f"parameters {name}", value) for name, value in (parameters or {}).items()]
     )
+    plant = plant_of(controller, model, names)
+    n, m = plant.n, plant.m
+    if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
+        raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")
+    states = x0.reshape(-1, n)
+    count = len(states)
+    noisy = None
+    if noise is not None:
+        deviations = np.tile(per_state("noise", noise, n, least=0.0), (count, 1))
+        noisy = Noise(deviations, [(seed, k) for k in range(count)])
     experiment = set_up(
         controller,
+        plant,
         duration,
         rate,
-        model=model,
-        parameters=names,
         typical=values[:, None],
         disturbance=disturbance,
         min_dwell=min_dwell,
@@ -239,27 +249,15 @@ def simulate(
         backend=backend,
         threads=threads,
     )
-    n, m = experiment.plant.n, experiment.plant.m
-    if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
-        raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")
-    states = x0.reshape(-1, n)
-    count, samples = len(states), experiment.loop.samples
-    trials = experiment.trials(
-        states,
-        delays=np.full(count, delay),
-        parameters=np.tile(values, (count, 1)),
-    )
-    noisy = None
-    if noise is not None:
-        deviations = np.tile(per_state("noise", noise, n, least=0.0), (count, 1))
-        noisy = Noise(deviations, [(seed, k) for k in range(count)])
+    samples = experiment.loop.samples
+    trials = experiment.trials(states, np.full(count, delay), np.tile(values, (count, 1)))
     record = new_record(count, samples, n, m)
     experiment.run(trials, noisy, record)
 
     def shaped(values: np.ndarray) -> Any:
         return values.reshape((*x0.shape[:-1], *values.shape[1:]))[()]
 
-    terminal = experiment.plant.terminal_cost.evaluate(trials["state"].T)[0][0]
+    terminal = plant.terminal_cost.evaluate(trials["state"].T)[0][0]
     arrived = trials["arrived"]
     return Trajectory(
         times=np.arange(samples + 1) / experiment.rate,
@@ -273,6 +271,6 @@ def simulate(
         ended=shaped(np.array(ENDINGS)[trials["ended"]]),
         last=shaped(trials["end"].copy()),
         arrived=shaped(np.where(arrived < 0, np.nan, arrived / experiment.rate)),
-        names=(*experiment.plant.domain.names, *experiment.inputs),
-        units=(*experiment.plant.domain.units, *experiment.units),
+        names=(*plant.domain.names, *experiment.inputs),
+        units=(*plant.domain.units, *experiment.units),
     )

@@ -13,6 +13,7 @@ from capsyn.domain import Ball, Box
 from capsyn.errors import ProblemError
 from capsyn.experiment import per_state, set_up
 from capsyn.online import OnlineController
+from capsyn.plant import plant_of
 from capsyn.policy import Outside, Policy
 from capsyn.ssac import batch_controller
 from capsyn.targets import check_target, describe_target, target_axes
@@ -222,12 +223,22 @@ def monte_carlo(
         for k, (name, value) in enumerate((parameters or {}).items())
     }
     values = np.array(list(drawn.values())).reshape(len(drawn), trials)
+    plant = plant_of(controller, model, tuple(drawn))
+    domain, n = plant.domain, plant.n
+    states = _initial_states(initial, domain, trials, seed)
+    push = np.zeros((trials, n))
+    if disturbance is not None and not callable(disturbance):
+        push = _draw("disturbance", disturbance, trials, n, [seed, 2])
+    delays = _draw("delay", delay, trials, 1, [seed, 3], least=0.0)[:, 0]
+    noisy = None
+    if noise is not None:
+        deviations = _draw("noise", noise, trials, n, [seed, 4], least=0.0)
+        noisy = Noise(deviations, [(seed, 5, k) for k in range(trials)])
     experiment = set_up(
         controller,
+        plant,
         duration,
         rate,
-        model=model,
-        parameters=tuple(drawn),
         typical=values,
         disturbance=disturbance if callable(disturbance) else None,
         min_dwell=min_dwell,
@@ -238,18 +249,8 @@ def monte_carlo(
         backend=backend,
         threads=threads,
     )
-    domain, n = experiment.plant.domain, experiment.plant.n
     target = experiment.target
     assert target is not None
-    states = _initial_states(initial, domain, trials, seed)
-    push = np.zeros((trials, n))
-    if disturbance is not None and not callable(disturbance):
-        push = _draw("disturbance", disturbance, trials, n, [seed, 2])
-    delays = _draw("delay", delay, trials, 1, [seed, 3], least=0.0)[:, 0]
-    noisy = None
-    if noise is not None:
-        deviations = _draw("noise", noise, trials, n, [seed, 4], least=0.0)
-        noisy = Noise(deviations, [(seed, 5, k) for k in range(trials)])
     done = experiment.trials(states, delays, values.T, push)
     experiment.run(done, noisy, None)
 
