@@ -254,7 +254,8 @@ def _look(loop: Loop, trials: np.ndarray, live: np.ndarray, k: int) -> np.ndarra
     """Do what needs the state alone at sample k; return why each live trial ends, or `TIME`."""
     states = trials["state"][live]
     ended = np.where(np.isfinite(states).all(axis=1), TIME, NOT_FINITE)
-    inside = (loop.inside.evaluate(states.T)[0][0] != 0) & (ended == TIME)
+    condition = loop.inside.evaluate(states.T)[0][0]
+    inside = (condition != 0) & np.isfinite(condition) & (ended == TIME)
     trials["arrived"][live[inside & (trials["arrived"][live] < 0)]] = k
     trials["away"][live[~inside]] = k
     if loop.stop_at_target:

@@ -56,7 +56,7 @@ class Box:
             raise ProblemError(
                 f"`lower` and `upper` must have one entry per state; got {n} and {len(upper)}"
             )
-        names = texts("names", self.names, n, [f"x{i + 1}" for i in range(n)])
+        names = texts("names", self.names, n, self.unnamed(n))
         distinct("names", names)
         for name, low, high in zip(names, lower, upper):
             if not low < high:
@@ -80,6 +80,11 @@ class Box:
             "periodic": tuple(bool(p) for p in periodic),
         }.items():
             object.__setattr__(self, key, value)
+
+    @staticmethod
+    def unnamed(n: int) -> tuple[str, ...]:
+        """Return the names of `n` states where none are given."""
+        return tuple(f"x{i + 1}" for i in range(n))
 
     @property
     def n(self) -> int:

@@ -23,14 +23,23 @@ from capsyn.closed_loop import (
     run,
 )
 from capsyn.errors import ProblemError
+from capsyn.online import OnlineController
 from capsyn.plant import MOST_SUBSTEPS, Plant, choose_substeps
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.policy_loop import run_policy
 from capsyn.processors import processors
 from capsyn.program import Program
-from capsyn.targets import INSIDE, Target, check_target, target_program
-from capsyn.transcription import user_program
-from capsyn.validation import describe, finite_number, numbers, one_of, whole_number
+from capsyn.propositions import available_memory
+from capsyn.targets import Target, check_target, target_program
+from capsyn.transcription import target_condition
+from capsyn.validation import (
+    describe,
+    finite_number,
+    numbers,
+    one_line,
+    one_of,
+    whole_number,
+)
 
 MOST_SAMPLES = 10**9
 """Most samples of a trial."""
@@ -73,6 +82,8 @@ class Experiment:
     ) -> np.ndarray:
         """Return new trials; see `new_trials`."""
         push = np.zeros_like(states) if push is None else push
+        queue = 16 * self.plant.m * (float(delays.max(initial=0)) * self.rate + 2)
+        check_memory(len(states) * min(queue, 32 * self.loop.samples), "`delay` times `rate`")
         longest = self.loop.samples * self.loop.period  # whatever comes later never arrives
         delays = np.minimum(delays, longest)
         return new_trials(states, self.plant.m, delays, parameters, push, self.loop.period)
@@ -102,8 +113,9 @@ def set_up(
         Parameters for choosing the steps of the integration.
     """
     duration = finite_number("duration", duration, above=0.0)
+    own = controller if isinstance(controller, (Policy, OnlineController)) else None
     if rate is None:
-        settings = getattr(controller, "settings", None)
+        settings = own.settings if own else None
         if settings is None:
             raise ProblemError("`rate` must be given for a controller without settings")
         rate = 1 / settings.sample_time
@@ -117,20 +129,18 @@ def set_up(
     threads = processors(threads)
     n, m = plant.n, plant.m
     if min_dwell is None:
-        min_dwell = getattr(controller, "min_dwell", 0.0)
+        min_dwell = own.min_dwell if own else 0.0
     dwell = finite_number("min_dwell", min_dwell, least=0.0) * rate
     if target is None:
-        target = getattr(controller, "target", None)
+        target = own.target if own else plant.target
     elif callable(target) and not isinstance(target, Program):
-        target = user_program("target", target, (("x", n),), INSIDE)
+        target = target_condition(target, n)
     check_target(target, plant.domain)
     if stop_at_target and target is None:
         raise ProblemError("`target` must be given to stop at it; the policy has none")
-    idle = getattr(controller, "default", np.zeros(m))
-    alphabet = getattr(controller, "alphabet", None)
+    idle = own.default if own else plant.default
+    alphabet = own.alphabet if own else plant.alphabet
     period, samples = 1 / rate, round(samples)
-    inputs = tuple(f"u{i + 1}" for i in range(m)) if alphabet is None else alphabet.inputs
-    units = ("",) * m if alphabet is None else alphabet.units
     if isinstance(controller, Policy):
         outside = check_outside(
             controller.outside if outside is None else outside, controller.alphabet
@@ -141,7 +151,7 @@ def set_up(
     if substeps is not None:
         substeps = whole_number("substeps", substeps, least=1, most=MOST_SUBSTEPS)
     else:
-        controls = idle[None, :] if alphabet is None else np.vstack([alphabet.values, idle])
+        controls = np.vstack([alphabet.values, idle])
         values = np.zeros((0, 1)) if typical is None else typical
         substeps = choose_substeps(plant, controls, values, period)
     loop = Loop(
@@ -160,10 +170,21 @@ def set_up(
             assert outside is not None
             run_policy(controller, outside, plant, loop, trials, noise, record, backend, threads)
         else:
-            decide = getattr(controller, "decide", None) or _function_decide(controller, m)
+            online = isinstance(controller, OnlineController)
+            decide = controller.decide if online else _function_decide(controller, m)
             run(decide, plant, loop, trials, noise, record)
 
-    return Experiment(plant, loop, inputs, units, rate, target, start)
+    return Experiment(plant, loop, alphabet.inputs, alphabet.units, rate, target, start)
+
+
+def check_memory(needed: float, what: str) -> None:
+    """Raise `ProblemError` where something asks for more bytes than there are."""
+    available = available_memory()
+    if available is not None and needed > available:
+        raise ProblemError(
+            f"{what} is too large: {needed / 1e9:.3g} GB are needed, {available / 1e9:.3g} GB are "
+            "available"
+        )
 
 
 def per_state(name: str, value: Any, n: int, least: float | None = None) -> np.ndarray:
@@ -183,15 +204,27 @@ def _pushes(disturbance: Any, n: int, period: float, samples: int) -> np.ndarray
         return None
     if not callable(disturbance):
         return np.tile(per_state("disturbance", disturbance, n), (samples, 1))
-    values = [per_state("disturbance", disturbance(k * period), n) for k in range(samples)]
+    values = [
+        per_state("disturbance", called("disturbance", disturbance, k * period), n)
+        for k in range(samples)
+    ]
     return np.array(values)
+
+
+def called(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return what a user's function gives; what it raises becomes one line that names it."""
+    try:
+        return function(*arguments)
+    except Exception as error:  # a user's function may raise anything
+        reason = one_line(f"{type(error).__name__}: {error}")
+        raise ProblemError(f"`{name}` failed: {reason}") from error
 
 
 def _function_decide(function: Callable[..., Any], m: int) -> Decide:
     """Return the decision of a function ``(time, states (B, n)) -> controls (B, m)``."""
 
     def decide(time: float, measured: np.ndarray) -> Command:
-        controls = numbers("controller", function(time, measured))
+        controls = numbers("controller", called("controller", function, time, measured))
         wanted = (len(measured), m)
         if controls.shape != wanted:
             raise ProblemError(

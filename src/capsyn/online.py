@@ -113,11 +113,12 @@ class OnlineController:
         if states.ndim == 0 or states.shape[-1] != n:
             raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")
         flat, shape = states.reshape(-1, n), states.shape[:-1]
+        signal = None if isinstance(self.background, Policy) else self.background
         steps = self.steps
         schedules = np.empty((len(flat), steps + 1, m)) if schedule else None
         if self.kernel is not None:
             options = self._options
-            if callable(self.background) and not isinstance(self.background, Policy):
+            if signal is not None:
                 feed = self._feed(time)
                 options.feed = feed.ctypes.data
             found = self.kernel(flat, options, schedules)
@@ -125,6 +126,10 @@ class OnlineController:
             policy = self.background if isinstance(self.background, Policy) else None
             found = self.numpy(flat, policy or self._feed(time), schedules)
 
+        if signal is not None:  # now, not in the middle of the first step
+            found["base"] = self.alphabet.control("default", signal(time))
+            idle = found["duration"] == 0
+            found["control"][idle] = found["base"][idle]
         found = found.reshape(shape)[()]
         return Actions(
             symbol=found["symbol"],

@@ -10,13 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.alphabet import Alphabet
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.model import Model
 from capsyn.policy import Policy
 from capsyn.problem import Problem
 from capsyn.program import Ports, Program
-from capsyn.transcription import transcribe, user_program
+from capsyn.targets import Target
+from capsyn.transcription import transcribe, transcribe_target, user_program
 from capsyn.validation import describe
 
 SAMPLES = 256
@@ -39,6 +41,12 @@ class Plant:
         Cost of the state where it ends.
     domain : Box
         Names and units of its states.
+    alphabet : Alphabet
+        Names and units of its inputs, and the controls that steps are chosen for.
+    default : (m,)
+        Default control, until a first one arrives [input units].
+    target : Ball, Box or Program, optional
+        What arriving means.
     parameters : tuple of str
         Names of the components of `p`.
     """
@@ -47,6 +55,9 @@ class Plant:
     running_cost: Program
     terminal_cost: Program
     domain: Box
+    alphabet: Alphabet
+    default: np.ndarray
+    target: Target | None
     parameters: tuple[str, ...] = ()
 
     @property
@@ -137,11 +148,26 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
         raise ProblemError(
             "`model` must be a Problem, or a Policy with a model, for a controller without one"
         )
-    plant = Plant(programs.dynamics, programs.running_cost, programs.terminal_cost, source.domain)
+    target = transcribe_target(source) if isinstance(source, Problem) else source.target
+    plant = Plant(
+        programs.dynamics,
+        programs.running_cost,
+        programs.terminal_cost,
+        source.domain,
+        source.alphabet,
+        source.default,
+        target,
+    )
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))
         inputs += (("p", len(parameters)),) if parameters else ()
         dynamics = user_program("model", function, inputs, (("xdot", plant.n),))
+        used = dynamics.used_inputs()
+        for k, name in enumerate(parameters):
+            if plant.n + plant.m + k not in used:
+                raise ProblemError(
+                    f"`parameters` must all be used by the model; p[{k}] ('{name}') is not"
+                )
         plant = dataclasses.replace(plant, dynamics=dynamics, parameters=tuple(parameters))
     elif parameters:
         raise ProblemError(
@@ -162,7 +188,7 @@ def choose_substeps(
 ) -> int:
     """Return the fewest Runge-Kutta steps per sample whose error is at most `ACCURACY`.
 
-    The error is the 99th percentile, over seeded states of the domain under every control
+    The error is the 95th percentile, over seeded states of the domain under every control
     (N, m), with parameters (P, K) in turn, of the difference that twice the steps make after one
     period [s]. Where it stops falling (a switch in the dynamics), the best steps so far are taken.
     """
@@ -188,7 +214,7 @@ def choose_substeps(
         finite = np.isfinite(errors)
         errors[~finite] = np.inf
         errors = errors[finite | np.isfinite(fine).all(axis=0)]
-        error = float(np.percentile(errors, 99)) if errors.size else np.inf
+        error = float(np.percentile(errors, 95)) if errors.size else np.inf
         if error <= ACCURACY * period:
             return substeps
         stalled = 0 if error < 0.7 * least or error > 0.1 else stalled + 1

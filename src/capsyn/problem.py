@@ -163,7 +163,6 @@ _MEANINGS = (
     ("Out of bounds", "an index is out of range"),
     ("out of bounds", "an index is out of range"),
     ("SX_get", "CasADi vectors are indexed by numbers: use x[0]"),
-    ("positional argument", "dynamics is a function of x and u, costs of x alone"),
 )
 """What beginners' mistakes make CasADi and Python say, and what it means."""
 
@@ -185,6 +184,10 @@ def expression(
         reason = one_line(str(error)) or type(error).__name__
         reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
         reason = next((text for words, text in _MEANINGS if words in reason), reason)
+        if "positional argument" in reason:
+            reason = f"it must be a function of {' and '.join('xup'[: len(arguments)])}" + (
+                ", and of p where there are `parameters`" if name == "model" else ""
+            )
         shapes = ", ".join(
             f"{symbol}: {argument.numel()}" for symbol, argument in zip("xup", arguments)
         )

@@ -69,6 +69,14 @@ class Program:
                 dying[i].append(value)
         return dying
 
+    def used_inputs(self) -> set[int]:
+        """Return the numbers of the input components that instructions or results use."""
+        used = set(self.results)
+        for name, *operands in self.instructions:
+            if name != "const":
+                used.update(operands)
+        return {k for k in used if k < self.input_count}
+
     def evaluate(self, *inputs: Any, dtype: Any = np.float64) -> list[np.ndarray]:
         """Return the outputs for inputs with the component first.
 

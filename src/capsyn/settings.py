@@ -102,7 +102,7 @@ class SsacSettings:
             keep("steps", whole_number("steps", self.steps, least=1, most=MAX_STEPS))
         one_of("application_time", self.application_time, ["now", "search"])
         keep(
-            "max_backtracks", whole_number("max_backtracks", self.max_backtracks, least=0, most=60)
+            "max_backtracks", whole_number("max_backtracks", self.max_backtracks, least=0, most=20)
         )
         for name in ("tolerance", "initial_duration", "sample_time"):
             keep(name, finite_number(name, getattr(self, name), above=0.0))

@@ -14,7 +14,7 @@ import numpy as np
 
 from capsyn.closed_loop import ENDINGS, Noise, new_record
 from capsyn.errors import ProblemError
-from capsyn.experiment import per_state, set_up
+from capsyn.experiment import check_memory, per_state, set_up
 from capsyn.files import atomic_write
 from capsyn.plant import plant_of
 from capsyn.policy import Outside
@@ -220,6 +220,8 @@ def simulate(
     delay = finite_number("delay", delay, least=0.0)
     seed = whole_number("seed", seed, least=0)
     x0 = numbers("x0", x0)
+    if parameters is not None and not isinstance(parameters, Mapping):
+        raise ProblemError(f"`parameters` must be a mapping of names; got {describe(parameters)}")
     names = tuple(parameters or ())
     values = np.array(
         [finite_number(f"parameters {name}", value) for name, value in (parameters or {}).items()]
@@ -233,7 +235,7 @@ def simulate(
     noisy = None
     if noise is not None:
         deviations = np.tile(per_state("noise", noise, n, least=0.0), (count, 1))
-        noisy = Noise(deviations, [(seed, k) for k in range(count)])
+        noisy = Noise(deviations, [(seed, k + 1) for k in range(count)])
     experiment = set_up(
         controller,
         plant,
@@ -251,6 +253,7 @@ def simulate(
     )
     samples = experiment.loop.samples
     trials = experiment.trials(states, np.full(count, delay), np.tile(values, (count, 1)))
+    check_memory(8.0 * count * samples * (n + m + 2), "`duration` times `rate`")
     record = new_record(count, samples, n, m)
     experiment.run(trials, noisy, record)
 

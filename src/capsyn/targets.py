@@ -10,7 +10,7 @@ from capsyn.domain import Ball, Box
 from capsyn.errors import ProblemError
 from capsyn.program import Program
 from capsyn.program_builder import ProgramBuilder
-from capsyn.validation import describe
+from capsyn.validation import describe, finite_number
 
 Target = Ball | Box | Program
 """A set of states; of a program ``x -> inside``, those where it is not 0."""
@@ -44,19 +44,33 @@ def check_target(target: Any, domain: Box, name: str = "target") -> None:
 def target_axes(target: Ball | Box, domain: Box, name: str = "target") -> list[int]:
     """Return the axes of the domain that a ball or box is about.
 
-    They are those that its names say, or all of them in order where it names none of them.
+    They are those that its names say; all of them in order for a ball without names, and for a box
+    whose names are those that boxes have unless told.
     """
     names = target.names or ()
-    size = target.n
-    if set(names) <= set(domain.names) and names:
+    if names and set(names) <= set(domain.names):
         return [domain.names.index(axis) for axis in names]
-    if size != domain.n or (isinstance(target, Ball) and names):  # a box always has names
+    unnamed = not names or (isinstance(target, Box) and names == Box.unnamed(target.n))
+    if not unnamed:
+        wrong = next(axis for axis in names if axis not in domain.names)
+        raise ProblemError(
+            f"`{name}` must name states among {', '.join(domain.names)}; got '{wrong}'"
+        )
+    if target.n != domain.n:
         raise ProblemError(
             f"`{name}` must have {domain.n} dimension(s), or name some of the states "
-            f"{', '.join(domain.names)}; got {size}"
-            + (f" named {', '.join(names)}" if names else "")
+            f"{', '.join(domain.names)}; got {target.n}"
         )
     return list(range(domain.n))
+
+
+def with_tolerance(target: Any, tolerance: float | None) -> Any:
+    """Return a target with another radius where one is given; `ProblemError` if it is no ball."""
+    if tolerance is None:
+        return target
+    if not isinstance(target, Ball):
+        raise ProblemError("`tolerance` must be given with a target that is a ball only")
+    return Ball(target.center, finite_number("tolerance", tolerance, above=0.0), target.names)
 
 
 def describe_target(target: Target, domain: Box) -> str:
@@ -76,7 +90,8 @@ def describe_target(target: Target, domain: Box) -> str:
 def target_program(target: Target | None, domain: Box) -> Program:
     """Return the program ``x -> inside`` of a target, 1 inside and 0 outside; None has no inside.
 
-    On periodic axes the distance to a ball's centre, or to a box's middle, is the shorter one.
+    On periodic axes the distance to a ball's centre is the shorter one, and a box comes again every
+    period.
     """
     if isinstance(target, Program):
         return target
@@ -84,26 +99,25 @@ def target_program(target: Target | None, domain: Box) -> Program:
     x = [builder.input() for _ in range(domain.n)]
     apply, constant = builder.apply, builder.constant
 
-    def offset(i: int, center: float) -> int:
-        off = apply("sub", x[i], constant(center))
-        width = constant(domain.widths[i])
-        return apply("remainder", off, width) if domain.periodic[i] else off
-
     result = constant(0.0)
     if isinstance(target, Ball):
         distance = constant(0.0)
         for i, center in zip(target_axes(target, domain), target.center):
-            off = offset(i, center)
+            off = apply("sub", x[i], constant(center))
+            if domain.periodic[i]:
+                off = apply("remainder", off, constant(domain.widths[i]))
             distance = apply("add", distance, apply("mul", off, off))
-        result = apply("le", distance, constant(target.radius**2))
+        result = apply("le", distance, constant(target.radius * target.radius))
     elif isinstance(target, Box):
         result = constant(1.0)
         for i, low, high in zip(target_axes(target, domain), target.lower, target.upper):
-            if domain.periodic[i]:
-                off = apply("fabs", offset(i, (low + high) / 2))
-                within = apply("le", off, constant((high - low) / 2))
-            else:
-                above, below = (constant(low), x[i]), (x[i], constant(high))
-                within = apply("and", apply("le", *above), apply("le", *below))
+            lower, upper = constant(low), constant(high)
+            within = apply("and", apply("le", lower, x[i]), apply("le", x[i], upper))
+            if domain.periodic[i]:  # or some periods away
+                off, width = apply("sub", x[i], lower), constant(domain.widths[i])
+                turns = apply("floor", apply("div", off, width))
+                rest = apply("sub", off, apply("mul", width, turns))
+                near = apply("le", rest, apply("sub", upper, lower))
+                within = apply("or", within, near)
             result = apply("and", result, within)
     return builder.build("target", (("x", domain.n),), INSIDE, [result])

@@ -11,6 +11,7 @@ import numpy as np
 from capsyn.domain import Ball, Box
 from capsyn.errors import ProblemError
 from capsyn.model import Model, model_ports
+from capsyn.operations import OPERATIONS
 from capsyn.problem import Problem, casadi_function, expression
 from capsyn.program import Ports, Program
 from capsyn.program_builder import ProgramBuilder
@@ -169,7 +170,23 @@ def transcribe_target(problem: Problem) -> Target | None:
     target = problem.target
     if target is None or isinstance(target, (Ball, Box)):
         return target
-    return user_program("target", target, (("x", problem.domain.n),), INSIDE)
+    return target_condition(target, problem.domain.n)
+
+
+def target_condition(function: Callable[[Any], Any], n: int) -> Program:
+    """Return the program of a target that a user's function of `n` states decides.
+
+    Raises
+    ------
+    ProblemError
+        The function fails, or what it returns is no condition.
+    """
+    program = user_program("target", function, (("x", n),), INSIDE)
+    result = program.results[0] - program.input_count
+    name = program.instructions[result][0] if result >= 0 else ""
+    if name not in OPERATIONS or not OPERATIONS[name].boolean:
+        raise ProblemError("`target` must return a condition on the state, such as x[0] < 0.1")
+    return program
 
 
 def runge_kutta_step(

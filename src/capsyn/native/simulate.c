@@ -187,7 +187,7 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
                 one->cost = b.cost[lane];
                 const double *own_noise =
                     noise ? noise + ((start + lane) * samples + (k - first)) * STATES : NULL;
-                sample(one, &l, &m, k, k < l.last ? own_noise : NULL, target[0][lane] != 0);
+                sample(one, &l, &m, k, k < l.last ? own_noise : NULL, target[0][lane] != 0 && isfinite(target[0][lane]));
                 if (states)
                     for (int i = 0; i < STATES; ++i)
                         states[((start + lane) * (l.last + 1) + k) * STATES + i] = one->state[i];

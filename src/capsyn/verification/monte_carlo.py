@@ -16,7 +16,7 @@ from capsyn.online import OnlineController
 from capsyn.plant import plant_of
 from capsyn.policy import Outside, Policy
 from capsyn.ssac import batch_controller
-from capsyn.targets import check_target, describe_target, target_axes
+from capsyn.targets import check_target, describe_target, target_axes, with_tolerance
 from capsyn.validation import describe, finite_number, whole_number
 from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
@@ -211,20 +211,23 @@ def monte_carlo(
     hold = finite_number("hold", hold, least=0.0)
     if hold > duration:
         raise ProblemError(f"`hold` must be at most the duration {duration:g}; got {hold:g}")
-    target = getattr(controller, "target", None) if target is None else target
-    if target is None:
-        raise ProblemError("`target` must be given: neither policy nor problem has one")
-    if tolerance is not None:
-        if not isinstance(target, Ball):
-            raise ProblemError("`tolerance` must be given with a target that is a Ball only")
-        target = Ball(target.center, finite_number("tolerance", tolerance, above=0.0), target.names)
+    if within > duration:
+        raise ProblemError(f"`within` must be at most the duration {duration:g}; got {within:g}")
+    if parameters is not None and not isinstance(parameters, Mapping):
+        raise ProblemError(f"`parameters` must be a mapping of names; got {describe(parameters)}")
     drawn = {
-        name: _draw(f"parameters {name}", value, trials, 1, [seed, 1, k])[:, 0]
+        name: _draw(f"parameters {name}", value, trials, 1, [seed, 1, k + 1])[:, 0]
         for k, (name, value) in enumerate((parameters or {}).items())
     }
     values = np.array(list(drawn.values())).reshape(len(drawn), trials)
     plant = plant_of(controller, model, tuple(drawn))
     domain, n = plant.domain, plant.n
+    if target is None:
+        own = isinstance(controller, (Policy, OnlineController))
+        target = controller.target if own else plant.target
+    if target is None:
+        raise ProblemError("`target` must be given: neither policy nor problem has one")
+    target = with_tolerance(target, tolerance)
     states = _initial_states(initial, domain, trials, seed)
     push = np.zeros((trials, n))
     if disturbance is not None and not callable(disturbance):
@@ -233,7 +236,7 @@ def monte_carlo(
     noisy = None
     if noise is not None:
         deviations = _draw("noise", noise, trials, n, [seed, 4], least=0.0)
-        noisy = Noise(deviations, [(seed, 5, k) for k in range(trials)])
+        noisy = Noise(deviations, [(seed, 5, k + 1) for k in range(trials)])
     experiment = set_up(
         controller,
         plant,
@@ -318,13 +321,13 @@ def _told(value: Any) -> Any:
 
 
 def _initial_states(initial: Any, domain: Box, trials: int, seed: int) -> np.ndarray:
-    states = domain.sample(trials, [seed, 0])
+    states = domain.sample(trials, [seed, 6])
     if initial is None:
         return states
     if not isinstance(initial, (Ball, Box)):
         raise ProblemError(f"`initial` must be a Ball or a Box; got {describe(initial)}")
     check_target(initial, domain, "initial")
-    states[:, target_axes(initial, domain)] = initial.sample(trials, [seed, 0, 1])
+    states[:, target_axes(initial, domain)] = initial.sample(trials, [seed, 7])
     return states
 
 
