@@ -28,6 +28,9 @@ def upright(x):
 def plant(x, u, p):
     return [x[1], (9.81 * ca.sin(x[0]) + p[0] * u[0] * ca.cos(x[0])) / 2]
 
+def plain(x):
+    return x[0]
+
 number = 3
 """
 
@@ -184,7 +187,7 @@ WRONG = [
     ("verify tank.cap --monte-carlo 5 --noise x", "`--noise` must be a number"),
     ("verify tank.cap --monte-carlo 5 --delay 2:1", "`delay` must have low <= high"),
     ("verify tank.cap --monte-carlo 5 --target x1=2:3", "`target` must meet the domain"),
-    ("verify tank.cap --monte-carlo 5 --target y=2:3", "`target` must have 2 dimension"),
+    ("verify tank.cap --monte-carlo 5 --target y=2:3", "--target must name states among x1, x2"),
     ("verify tank.cap --monte-carlo 5 --target x1=0.5", "--target must be NAME=LOW:HIGH"),
     ("verify tank.cap --monte-carlo 5 --target f.py:number", "must hold a function"),
     ("verify tank.cap --monte-carlo 5 --initial x1", "--initial must be NAME=VALUE"),
@@ -193,7 +196,18 @@ WRONG = [
     ("verify tank.cap --monte-carlo 5 --online mpc", "`method` must be one of"),
     ("verify tank.cap --monte-carlo 5 --background", "--background needs --online"),
     ("verify tank.cap --monte-carlo 5 --confidence 1", "`confidence` must be"),
-    ("verify pendulum.cap --monte-carlo 5 --tolerance 1", "--tolerance needs a target"),
+    (
+        "verify pendulum.cap --monte-carlo 5 --tolerance 1",
+        "`tolerance` must be given with a target that is a ball",
+    ),
+    ("verify tank.cap --monte-carlo 5 --target x1=2:3 --tolerance 1", "--target must be NAME=LOW"),
+    ("verify tank.cap --monte-carlo 5 --within 50", "`within` must be at most"),
+    ("verify tank.cap --monte-carlo 5 --noise 0:1:2", "--noise must be a value or a range"),
+    ("verify tank.cap --monte-carlo 5 --online ssac --save", "--save keeps evidence of the policy"),
+    ("verify tank.cap --agreement 5 --noise 1", "--noise needs --monte-carlo"),
+    ("verify tank.cap --agreement 5 --model f.py:plant", "--model needs --monte-carlo"),
+    ("verify tank.cap --agreement 5 --depth 3", "--depth needs --lyapunov"),
+    ("verify tank.cap --monte-carlo 5 --target f.py:plain", "`target` must return a condition"),
     ("verify pendulum.cap --lyapunov f.py:vector", "`V` must return a scalar"),
     ("verify pendulum.cap --lyapunov f.py", "a function must be given as FILE.py:NAME"),
     ("verify pendulum.cap --lyapunov none.py:V", "there is no file 'none.py'"),
@@ -208,9 +222,10 @@ WRONG = [
     ("simulate tank.cap --x0 1,nan", "`x0` must be finite"),
     ("simulate tank.cap --duration 0", "`duration` must be"),
     ("simulate tank.cap --duration 1e9 --rate 1e9", "`duration` times `rate`"),
-    ("simulate tank.cap -o t.xls", "must end in .csv or .json"),
+    ("simulate tank.cap -o t.xls", "the output must end in .csv, .json, .png"),
     ("simulate tank.cap -o none/t.csv", "cannot write the output"),
     ("simulate tank.cap --noise 0:1", "--noise must be one value"),
+    ("simulate tank.cap --seed -1", "`--seed` must be"),
     ("reproduce -o f.py", "cannot make the directory"),
     ("reproduce -o out --trials 0", "`trials` must be"),
 ]
@@ -228,12 +243,12 @@ def test_reproduce_writes_every_figure_and_a_table_of_the_numbers(run, folder):
     figures = "figure-3 figure-4a figure-4b figure-5 figure-6a figure-6b dwell-time".split()
     policies = "cart-pendulum cart-pendulum-4 double-tank-a double-tank-b".split()
     assert names == {
-        "README.md",
+        "results.md",
         *(f"{name}.{ending}" for name in figures for ending in ("pdf", "png")),
         *(f"{name}.cap" for name in policies),
     }
     assert all(f"wrote paper/{name}" in out for name in names)
-    table = (folder / "paper" / "README.md").read_text()
+    table = (folder / "paper" / "results.md").read_text()
     rows = [line for line in table.splitlines() if line.startswith("|")]
     assert all(row.replace("\\|", "").count("|") == 5 for row in rows)
     for paper in ("3,428", "8,981", "7,621", "17,125", "3,965", "9,474", "41,842", "166,546"):

@@ -345,9 +345,59 @@ def test_periodic_axes_have_neighbours_across_the_seam():
     )
     domain = Box([0.0], [4.0], periodic=[True])
     seam = dataclasses.replace(policy, domain=domain)
-    plain = lyapunov(policy, lambda x: x[0] ** 2).violated_cells
-    assert plain.boundary.tolist() == [False, True] and (plain.symbols == 0).all()
-    assert lyapunov(seam, lambda x: x[0] ** 2).violated_cells.boundary.tolist() == [True, True]
+
+    def V(x):
+        return 4 - (x[0] - 2) ** 2
+
+    assert lyapunov(policy, V).violated_cells.boundary.tolist() == [False, True, True, False]
+    assert lyapunov(seam, V).violated_cells.boundary.tolist() == [True] * 4
+
+
+@pytest.mark.parametrize(
+    ("V", "jump"),
+    [
+        (lambda x: ca.atan2(x[1], x[0]), "6.28"),
+        (lambda x: 10 * (x[0] < 0) + x[0], "10"),
+        (lambda x: ca.if_else(x[0] < x[1], x[0] + 10, x[0]), "10"),
+        (lambda x: ca.if_else(x[0] < 0, x[0] ** 2, 1e-3 + x[1] ** 2), ""),
+    ],
+)
+def test_a_V_that_jumps_is_refused(V, jump):
+    policy = loop(
+        lambda x, u: [-1.0, -1.0],
+        Box([-1.0] * 2, [1.0] * 2),
+        lambda x: np.zeros(len(x), int),
+        max_level=0,
+    )
+    with pytest.raises(ProblemError, match=rf"^`V` must be continuous; it jumps by {jump}"):
+        lyapunov(policy, V)
+
+
+def test_a_V_that_jumps_at_the_seam_of_an_angle_is_refused():
+    policy = loop(
+        lambda x, u: [-1.0], Box([0.0], [4.0]), lambda x: np.zeros(len(x), int), max_level=0
+    )
+    assert lyapunov(policy, lambda x: x[0]).proved == 1
+    seam = dataclasses.replace(policy, domain=Box([0.0], [4.0], periodic=[True]))
+    with pytest.raises(ProblemError, match=r"^`V` must be continuous; it jumps by 4 at \(0\)"):
+        lyapunov(seam, lambda x: x[0])
+    lyapunov(seam, lambda x: (x[0] - 2) ** 2)
+
+
+def test_kinks_steep_slopes_and_holes_are_no_jumps():
+    policy = loop(
+        lambda x, u: [-1.0, -1.0],
+        Box([-1.0] * 2, [1.0] * 2),
+        lambda x: np.zeros(len(x), int),
+        max_level=0,
+    )
+    for V in (
+        lambda x: ca.fmax(x[0], x[1]) ** 2,
+        lambda x: ca.sqrt(ca.fabs(x[0])),
+        lambda x: ca.if_else(x[0] < 0, -x[0], x[0] ** 2),
+        lambda x: ca.exp(30 * x[0]),
+    ):
+        lyapunov(policy, V, depth=2)
 
 
 def test_a_finest_cell_whose_test_points_disagree_is_a_boundary_cell():

@@ -128,7 +128,7 @@ def test_end_states():
     initial, final = np.random.default_rng(0).random((2, 20, 2))
     names = [("x1", "m"), ("x2", "")]
     ax = paper_figures.draw_end_states(initial, final, [0.4, 0.6], 0.1, names, axes())
-    first, circle, last = ax.lines
+    first, last, circle = ax.lines
     assert np.array_equal(first.get_xydata(), initial) and np.array_equal(last.get_xydata(), final)
     assert first.get_marker() != last.get_marker() and first.get_color() != last.get_color()
     np.testing.assert_allclose(np.linalg.norm(circle.get_xydata() - [0.4, 0.6], axis=1), 0.1)

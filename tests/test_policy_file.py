@@ -88,7 +88,9 @@ def assert_equal(one, other):
 
 SOME = {
     "full": full(),
-    "box target, nearest": full(target=Box([0, 0], [1, 1], names=["a", "b"]), outside="nearest"),
+    "box target, nearest": full(
+        target=Box([0, 0], [1, 1], names=["ω", "theta"]), outside="nearest"
+    ),
     "ball about one state": full(target=Ball([0.2], 0.3, names=["ω"])),
     "target a condition": full(target=target_program(Ball([0.1, 0.2], 0.3), full().domain)),
     "default outside": full(outside=-1),
@@ -565,7 +567,7 @@ TAMPERED = {
     ),
     "target named otherwise": (
         at("target")({"ball": {"center": [0, 0], "radius": 1, "names": ["a", "b"]}}),
-        "`target` must have 2 dimension",
+        "`target` must name states among",
     ),
     "settings with more": (
         lambda d, a: d["policy"]["settings"].update(speed=1),
@@ -911,7 +913,14 @@ def test_evidence_is_outside_the_checksum(tmp_path):
 
 
 def test_evidence_gathers_and_is_dropped_when_the_policy_changes(tmp_path):
-    agreement = {"states": 5, "share": 1.0, "low": 0.4, "high": 1.0, "confidence": 0.95}
+    agreement = {
+        "states": 5,
+        "agreeing": 5,
+        "share": 1.0,
+        "low": 0.4,
+        "high": 1.0,
+        "confidence": 0.95,
+    }
     policy = full().with_evidence(monte_carlo=TRIALS).with_evidence(agreement=agreement)
     assert set(policy.evidence) == {"sha256", "monte_carlo", "agreement"}
     changed = dataclasses.replace(policy, min_dwell=0.5)
@@ -929,6 +938,15 @@ def test_evidence_gathers_and_is_dropped_when_the_policy_changes(tmp_path):
         {"monte_carlo": TRIALS | {"low": np.nan}},
         {"monte_carlo": TRIALS | {"more": np.zeros(2)}},
         {"agreement": TRIALS},
+        {"monte_carlo": TRIALS | {"successes": 11}},
+        {"monte_carlo": TRIALS | {"successes": -1}},
+        {"monte_carlo": TRIALS | {"trials": 10.0}},
+        {"monte_carlo": TRIALS | {"high": 1.5}},
+        {"monte_carlo": TRIALS | {"low": 0.9, "high": 0.1}},
+        {"monte_carlo": TRIALS | {"more": "\x1b[31m"}},
+        {"monte_carlo": TRIALS | {"more": [{"\x07": 1}]}},
+        {"monte_carlo": TRIALS | {"more": 10**400}},
+        {"monte_carlo": TRIALS | {"conditions": []}},
     ],
 )
 def test_what_is_no_evidence_is_refused(kinds):

@@ -51,7 +51,7 @@ def simulate(
     ] = None,
     target: Target = None,
     tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None,
-    stop_at_target: Annotated[bool, typer.Option(help="End there.")] = False,
+    stop_at_target: Annotated[bool, typer.Option(help="End where the target is reached.")] = False,
     model: ModelOption = None,
     parameter: Parameters = None,
     disturbance: Disturbance = None,
@@ -72,14 +72,16 @@ def simulate(
     from capsyn.files import check_writable
     from capsyn.plots import FORMATS, save_trajectory_plot
     from capsyn.policy import Policy
-    from capsyn.simulation import check_trajectory_format
     from capsyn.simulation import simulate as run
+    from capsyn.validation import whole_number
 
-    picture = output is not None and Path(output).suffix.lstrip(".").lower() in FORMATS
+    kind = "" if output is None else Path(output).suffix.lstrip(".").lower()
     if output is not None:
-        if not picture:
-            check_trajectory_format(output)
+        if kind not in ("csv", "json", *FORMATS):
+            endings = ", ".join(f".{ending}" for ending in ("csv", "json", *FORMATS))
+            raise ProblemError(f"the output must end in {endings}; got '{output}'")
         check_writable(output)
+    seed = whole_number("--seed", seed, least=0)
     policy = Policy.load(file)
     states = [number_list("--x0", text) for text in x0] if x0 else policy.domain.sample(1, seed)
     if len({len(state) for state in states} | {policy.domain.n}) > 1:
@@ -115,7 +117,10 @@ def simulate(
             threads=threads,
         )
     if output is not None:
-        (save_trajectory_plot if picture else type(trajectory).save)(trajectory, output)
+        if kind in FORMATS:
+            save_trajectory_plot(trajectory, output)
+        else:
+            trajectory.save(output)
     rows = trajectory.summary()
 
     def told() -> None:
@@ -145,7 +150,9 @@ def verify(
     monte_carlo: Annotated[
         int | None, typer.Option(metavar="N", help="Trials from random initial states.")
     ] = None,
-    duration: Annotated[float, typer.Option(help="Time limit of a trial [s].")] = 20.0,
+    duration: Annotated[
+        float | None, typer.Option(help="Time limit of a trial [s] [default: 20].")
+    ] = None,
     rate: Rate = None,
     initial: Annotated[
         str | None,
@@ -154,7 +161,9 @@ def verify(
     target: Target = None,
     tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None,
     within: Annotated[float | None, typer.Option(help="Time to arrive in [s].")] = None,
-    hold: Annotated[float, typer.Option(help="Time at the end to stay there [s].")] = 0.0,
+    hold: Annotated[
+        float | None, typer.Option(help="Time at the end to stay there [s] [default: 0].")
+    ] = None,
     model: ModelOption = None,
     parameter: Parameters = None,
     disturbance: Disturbance = None,
@@ -168,7 +177,9 @@ def verify(
         str | None,
         typer.Option(metavar="FILE.py:V", help="A function V of x whose decrease is proved."),
     ] = None,
-    depth: Annotated[int, typer.Option(help="Bisections of a cell in the proof.")] = 12,
+    depth: Annotated[
+        int | None, typer.Option(help="Bisections of a cell in the proof [default: 12].")
+    ] = None,
     grid: Annotated[
         str | None, typer.Option(metavar="H[,H..]", help="Spacing of a grid of signs of dV/dt.")
     ] = None,
@@ -176,7 +187,7 @@ def verify(
         int | None, typer.Option(metavar="N", help="Random states to compare with sSAC.")
     ] = None,
     confidence: Annotated[float, typer.Option(help="Of the intervals.")] = 0.95,
-    require_success: Annotated[float | None, typer.Option(help="Least success rate.")] = None,
+    require_success: Annotated[float | None, typer.Option(help="Least share of successes.")] = None,
     require_proved: Annotated[float | None, typer.Option(help="Least share proved.")] = None,
     require_agreement: Annotated[float | None, typer.Option(help="Least agreement.")] = None,
     save: Annotated[bool, typer.Option("--save", help="Keep the evidence in the file.")] = False,
@@ -185,9 +196,10 @@ def verify(
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
-    """Give evidence for a policy; without a kind: Monte Carlo and agreement.
+    """Give evidence for a policy.
 
-    The exit status is 1 when a stated requirement is not met.
+    Without a kind: Monte Carlo and agreement, as far as the file allows. The exit status is 1 when
+    a stated requirement is not met.
     """
     from capsyn.files import check_writable
     from capsyn.policy import Policy
@@ -210,23 +222,44 @@ def verify(
             raise ProblemError(f"{option} must be between 0 and 1; got {wanted:g}")
         if wanted is not None and asked is None:
             raise ProblemError(f"{option} needs --{kind.replace('_', '-')}")
-    if grid is not None and lyapunov is None:
-        raise ProblemError("--grid needs --lyapunov")
+    for_trials = {
+        "--rate": rate,
+        "--initial": initial,
+        "--target": target,
+        "--tolerance": tolerance,
+        "--within": within,
+        "--hold": hold,
+        "--duration": duration,
+        "--model": model,
+        "--parameter": parameter,
+        "--disturbance": disturbance,
+        "--noise": noise,
+        "--delay": delay,
+        "--min-dwell": min_dwell,
+        "--outside": outside,
+        "--online": online,
+    }
+    _needs("--monte-carlo", monte_carlo, for_trials)
+    _needs("--lyapunov", lyapunov, {"--depth": depth, "--grid": grid})
+    if save and online is not None:
+        raise ProblemError("--save keeps evidence of the policy itself: not with --online")
     found: dict[str, Any] = {}
     with working("loading") as tell:
         if monte_carlo is not None:
-            tell("Monte Carlo")
             from capsyn.verification.monte_carlo import monte_carlo as try_out
 
+            tell("Monte Carlo")
             found["monte_carlo"] = try_out(
                 _controller(policy, online, background, backend),
                 monte_carlo,
-                duration=duration,
+                duration=20.0 if duration is None else duration,
                 rate=rate,
-                initial=None if initial is None else region("--initial", initial),
+                initial=None
+                if initial is None
+                else region("--initial", initial, policy.domain.names),
                 target=_target(policy, target, tolerance),
                 within=within,
-                hold=hold,
+                hold=hold or 0.0,
                 model=_model(model),
                 parameters={
                     name: _quantity(name, text)
@@ -244,19 +277,11 @@ def verify(
             ).to_json()
         if lyapunov is not None:
             tell("proving dV/dt <= 0")
-            from capsyn.problem_finder import find_function
-            from capsyn.verification.lyapunov import lyapunov as prove
-            from capsyn.verification.lyapunov import lyapunov_grid
-
-            function = find_function(lyapunov)
-            found["lyapunov"] = prove(policy, function, depth=depth).to_json()
-            if grid is not None:
-                signs = lyapunov_grid(policy, function, one_or_list("--grid", grid))
-                found["lyapunov"]["grid"] = signs.to_json()
+            found["lyapunov"] = _prove(policy, lyapunov, depth, grid)
         if agreement is not None:
-            tell("comparing with sSAC")
             from capsyn.verification.agreement import agreement as compare
 
+            tell("comparing with sSAC")
             found["agreement"] = compare(
                 policy,
                 agreement,
@@ -286,13 +311,32 @@ def reproduce(
     trials: Annotated[int, typer.Option(help="Monte Carlo trials of each policy.")] = 1000,
     threads: Threads = None,
 ) -> None:
-    """Make the paper's policies, figures and numbers, with ours beside them."""
+    """Make the paper's figures and numbers, and ours."""
     from capsyn.reproduction import reproduce as run
 
     with working("starting") as tell:
         paths = run(output, trials=trials, threads=threads, tell=tell)
     for path in paths:
         typer.echo(f"wrote {path}")
+
+
+def _needs(option: str, value: Any, others: dict[str, Any]) -> None:
+    """Raise `ProblemError` where options are given that need another one."""
+    for other, given in others.items():
+        if value is None and given:
+            raise ProblemError(f"{other} needs {option}")
+
+
+def _prove(policy: Policy, function: str, depth: int | None, grid: str | None) -> dict[str, Any]:
+    from capsyn.problem_finder import find_function
+    from capsyn.verification.lyapunov import lyapunov, lyapunov_grid
+
+    V = find_function(function)
+    found = lyapunov(policy, V, depth=12 if depth is None else depth).to_json()
+    found["function"] = function
+    if grid is not None:
+        found["grid"] = lyapunov_grid(policy, V, one_or_list("--grid", grid)).to_json()
+    return found
 
 
 def _controller(policy: Policy, online: str | None, background: bool, backend: str) -> Any:
@@ -310,30 +354,25 @@ def _controller(policy: Policy, online: str | None, background: bool, backend: s
 def _model(text: str | None) -> Any:
     if text is None:
         return None
+    from capsyn.policy import Policy
     from capsyn.problem import Problem
     from capsyn.problem_finder import find_function, find_problem
 
     place, _, name = text.rpartition(":")
     if name.isidentifier() and place:
-        found = find_function(text, (Problem,))
-        return found
-    return find_problem(text)
+        return find_function(text, (Problem,))
+    return Policy.load(text) if text.endswith(".cap") else find_problem(text)
 
 
 def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
-    from capsyn.domain import Ball
     from capsyn.problem_finder import find_function
+    from capsyn.targets import with_tolerance
 
     if text is None:
-        ball = policy.target
-        if tolerance is None:
-            return ball
-        if not isinstance(ball, Ball):
-            raise ProblemError("--tolerance needs a target that is a ball: give --target, too")
-        return Ball(ball.center, tolerance, ball.names)
+        return with_tolerance(policy.target, tolerance)
     if ".py:" in text or ("=" not in text and ":" in text):
-        return find_function(text)
-    return region("--target", text, tolerance)
+        return with_tolerance(find_function(text), tolerance)
+    return region("--target", text, policy.domain.names, tolerance)
 
 
 def _quantity(name: str, text: str | None) -> Any:
@@ -343,6 +382,8 @@ def _quantity(name: str, text: str | None) -> Any:
     low, colon, high = text.partition(":")
     if not colon:
         return one_or_list(name, text)
+    if ":" in high:
+        raise ProblemError(f"{name} must be a value or a range LOW:HIGH; got '{text}'")
     from capsyn.verification.monte_carlo import Uniform
 
     return Uniform(one_or_list(name, low), one_or_list(name, high))

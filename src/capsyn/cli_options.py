@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
@@ -11,7 +12,9 @@ from capsyn.errors import ProblemError
 
 Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A policy file.")]
-Rate = Annotated[float | None, typer.Option(help="Samples per second [default: 1000].")]
+Rate = Annotated[
+    float | None, typer.Option(help="Samples per second [default: by the policy's settings, 1000].")
+]
 ModelOption = Annotated[
     str | None,
     typer.Option(
@@ -24,23 +27,41 @@ ModelOption = Annotated[
 Parameters = Annotated[
     list[str] | None,
     typer.Option(
-        "--parameter", metavar="NAME=P[:P]", help="Component of p, or its range; may be repeated."
+        "--parameter",
+        metavar="NAME=P[:P]",
+        help="A component of p, in the order of p; verify takes a range, too. May be repeated.",
     ),
 ]
 Noise = Annotated[
     str | None,
     typer.Option(
-        metavar="S[,S..]", help="Standard deviation of the measured states, or its range LOW:HIGH."
+        metavar="S[,S..]",
+        help="Standard deviation of the measured states, of all or of each; verify takes a range "
+        "S[,S..]:S[,S..], too.",
     ),
 ]
 Disturbance = Annotated[
-    str | None, typer.Option(metavar="D,[D..]", help="Added to the rates, or its range LOW:HIGH.")
+    str | None,
+    typer.Option(
+        metavar="D[,D..]",
+        help="Added to the rates, of all states or of each; verify takes a range D[,D..]:D[,D..], "
+        "too.",
+    ),
 ]
 Delay = Annotated[
-    str | None, typer.Option(metavar="T", help="Input delay [s], or its range LOW:HIGH.")
+    str | None,
+    typer.Option(metavar="T", help="Input delay [s]; verify takes a range T:T, too."),
 ]
-MinDwell = Annotated[float | None, typer.Option(help="Least time between switches [s].")]
-Outside = Annotated[str | None, typer.Option(help="error, nearest, or a symbol's name or index.")]
+MinDwell = Annotated[
+    float | None,
+    typer.Option(help="Least time between switches [s] [default: the problem's or policy's]."),
+]
+Outside = Annotated[
+    str | None,
+    typer.Option(
+        help="error, nearest, or a symbol's name or index [default: the problem's or policy's]."
+    ),
+]
 Target = Annotated[
     str | None,
     typer.Option(
@@ -102,16 +123,21 @@ def assignments(name: str, items: list[str]) -> dict[str, str]:
     return found
 
 
-def region(name: str, text: str, tolerance: float | None = None) -> Ball | Box:
+def region(
+    name: str, text: str, known: Sequence[str], tolerance: float | None = None
+) -> Ball | Box:
     """Return the box of ``NAME=LOW:HIGH,..``, or the ball around ``NAME=VALUE,..``."""
     parts = assignments(name, text.split(","))
     names = list(parts)
+    for unknown in set(names) - set(known):
+        raise ProblemError(f"{name} must name states among {', '.join(known)}; got '{unknown}'")
     bounds = [[number(key, value) for value in parts[key].split(":")] for key in names]
-    if all(len(pair) == 2 for pair in bounds):
+    if all(len(pair) == 2 for pair in bounds) and tolerance is None:
         lower, upper = zip(*bounds)
         return Box(lower, upper, names=names)
     if all(len(pair) == 1 for pair in bounds) and tolerance is not None:
         return Ball([pair[0] for pair in bounds], tolerance, names=names)
     raise ProblemError(
-        f"{name} must be NAME=LOW:HIGH,.. or, with --tolerance, NAME=VALUE,..; got '{text}'"
+        f"{name} must be NAME=LOW:HIGH,.., or NAME=VALUE,.. with --tolerance; got '{text}'"
+        + (" with it" if tolerance is not None else "")
     )

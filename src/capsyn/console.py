@@ -103,58 +103,85 @@ def _line(name: str, value: str) -> None:
 
 
 def _headlines(found: dict[str, Any]) -> dict[str, str]:
-    """Return each kind of evidence in one sentence."""
+    """Return each kind of evidence in one sentence; it may come from a file."""
 
-    def share(data: dict[str, Any]) -> str:
+    def interval(data: dict[str, Any]) -> str:
         return f"({data['low']:.3%} to {data['high']:.3%} with {data['confidence']:.0%} confidence)"
 
     lines = {}
     if "monte_carlo" in found:
         data = found["monte_carlo"]
         lines["monte carlo"] = (
-            f"{data['successes']:,} of {data['trials']:,} trials succeed {share(data)}"
+            f"{data['successes']:,} of {data['trials']:,} trials succeed {interval(data)}"
         )
     if "lyapunov" in found:
         data = found["lyapunov"]
         lines["lyapunov"] = (
-            f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
-            f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
+            f"d{data.get('function', 'V')}/dt <= 0 proved on {data['proved']:.3%} of the volume "
+            f"(< 0 on {data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
             f"{data['undecided']:.3%}"
         )
     if "agreement" in found:
         data = found["agreement"]
-        lines["agreement"] = f"{data['share']:.3%} of {data['states']:,} states {share(data)}"
+        lines["agreement"] = f"{data['share']:.3%} of {data['states']:,} states {interval(data)}"
     return lines
+
+
+def _circumstances(conditions: dict[str, Any]) -> str:
+    """Return what was unusual about trials: all but 0, None and what the policy says itself."""
+    usual = {"controller", "duration", "within", "hold", "target", "initial", "substeps"}
+    parts = []
+    for name, value in conditions.items():
+        if name in usual or not value or value == "its own" or not isinstance(name, str):
+            continue
+        if isinstance(value, dict) and set(value) == {"low", "high"}:
+            value = f"{value['low']} to {value['high']}"
+        elif isinstance(value, dict):
+            value = _circumstances(value)
+        parts.append(f"{name.replace('_', ' ')} {value}")
+    return ", ".join(parts)
+
+
+def _print_monte_carlo(data: dict[str, Any], headline: str) -> None:
+    conditions = data["conditions"]
+    stay = f", and stay there the last {conditions['hold']:g} s" if conditions["hold"] else ""
+    _line("monte carlo", headline)
+    _line("from", conditions["initial"])
+    _line("to", f"{conditions['target']}, within {conditions['within']:g} s{stay}")
+    _line("by", f"{conditions['controller']}; {_circumstances(conditions)}")
+    how = {"time": "ran until the time limit", "target": "arrived"}
+    ends = (f"{count:,} {how.get(name, name)}" for name, count in data["ended"].items())
+    _line("ended", ", ".join(ends))
+    for key, name, unit in (
+        ("time_to_target", "time", "s until the target"),
+        ("switches_per_second", "switches", "per second"),
+        ("cost_left", "cost left", "of the cost J at the start"),
+    ):
+        if data[key]:
+            spread = ", ".join(f"{k} {v:.3g}" for k, v in data[key].items())
+            _line(name, f"{spread} {unit}")
+    if data["trials_outside_domain"]:
+        _line("outside", f"{data['trials_outside_domain']:,} trials left the domain on the way")
+    states, failed = data["failing_initial_states"], data["trials"] - data["successes"]
+    for state in states[:5]:
+        _line("failed from", "(" + ", ".join(f"{v:g}" for v in state) + ")")
+    if failed > 5:
+        _line("", f"and {failed - 5:,} more")
 
 
 def print_evidence(found: dict[str, Any]) -> None:
     """Print what `capsyn verify` found, by kind."""
     headlines = _headlines(found)
     if "monte_carlo" in found:
-        data = found["monte_carlo"]
-        conditions = data["conditions"]
-        _line("monte carlo", headlines["monte carlo"])
-        stay = f", and stay the last {conditions['hold']:g} s" if conditions["hold"] else ""
-        _line("from", conditions["initial"])
-        _line("to", f"{conditions['target']}, within {conditions['within']:g} s{stay}")
-        _line("ended", ", ".join(f"{k} {v:,}" for k, v in data["ended"].items()))
-        for key, name, unit in (
-            ("time_to_target", "time", "s"),
-            ("switches_per_second", "switches", "per second"),
-            ("cost_left", "cost left", "of the first"),
-        ):
-            if data[key]:
-                spread = ", ".join(f"{k} {v:.3g}" for k, v in data[key].items())
-                _line(name, f"{spread} {unit}")
-        if data["trials_outside_domain"]:
-            _line("outside", f"{data['trials_outside_domain']:,} trials left the domain on the way")
-        for state in data["failing_initial_states"][:5]:
-            _line("failed from", "(" + ", ".join(f"{v:g}" for v in state) + ")")
+        _print_monte_carlo(found["monte_carlo"], headlines["monte carlo"])
     if "lyapunov" in found:
         data = found["lyapunov"]
         violated, undecided = data["violated_cell_count"], data["undecided_cell_count"]
         _line("lyapunov", headlines["lyapunov"])
-        _line("cells", f"{violated:,} with a state where V grows, {undecided:,} more undecided")
+        _line("cells", f"{violated:,} with a state where it grows, {undecided:,} more undecided")
+        for cell in data["violated_cells"][:3]:
+            state = ", ".join(f"{v:g}" for v in cell["state"])
+            _line("grows at", f"({state}): {cell['value']:.3g} per second")
         if "grid" in data:
             shares = data["grid"]["shares"].items()
             _line("grid", ", ".join(f"{name} {value:.3%}" for name, value in shares))
@@ -225,7 +252,12 @@ def print_report(data: dict[str, Any]) -> None:
     if data["target"]:
         line("target", data["target"])
     line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
-    for name, sentence in _headlines(data["evidence"]).items():
+    evidence = data["evidence"]
+    for name, sentence in _headlines(evidence).items():
         line(name, sentence)
+    if "monte_carlo" in evidence:
+        conditions = evidence["monte_carlo"].get("conditions", {})
+        line("", ", ".join(f"{k} {conditions[k]}" for k in ("target", "within") if k in conditions))
+        line("", _circumstances(conditions))
     for hint in data["hints"]:
         line("hint", hint)

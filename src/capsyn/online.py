@@ -100,6 +100,11 @@ class OnlineController:
     kernel: ActionKernel | None
     numpy: NumpyActions
 
+    def __repr__(self) -> str:
+        kind = "policy" if isinstance(self.background, Policy) else "signal"
+        around = "" if self.background is None else f" around a {kind}"
+        return f"OnlineController('{self.method}'{around}, horizon {self.horizon:g} s)"
+
     def actions(self, states: Any, time: float = 0.0, schedule: bool = False) -> Actions:
         """Return the actions in states (..., n) at a time [s]; see `Actions`.
 

@@ -268,8 +268,8 @@ def draw_end_states(
     turn = np.linspace(0, 2 * np.pi, 181)
     circle = np.asarray(center)[:, None] + radius * np.stack([np.cos(turn), np.sin(turn)])
     ax.plot(*initial.T, "o", ms=3.5, mew=0, color=GREEN, label="initial")
-    ax.plot(*circle, color=INK, lw=1.2, label="target")
     ax.plot(*final.T, "x", ms=4, mew=0.9, color=RED, label="final")
+    ax.plot(*circle, color=INK, lw=1.4, label="target")
     (x_name, x_unit), (y_name, y_unit) = names_units
     ax.set(xlabel=quantity(x_name, x_unit), ylabel=quantity(y_name, y_unit), aspect="equal")
     ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)

@@ -27,7 +27,7 @@ from capsyn.verification.monte_carlo import monte_carlo
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DWELL_TIMES = (0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1, 0.2, 0.5)
+DWELL_TIMES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 
 
 def figure_3(policy: Policy) -> Figure:

@@ -28,23 +28,39 @@ SHOWN, TRACED = 500, 100
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read the paper's tanks: a problem, with what is changed about it."""
+    """One way to read the paper's tanks: a problem, with what is changed about it.
+
+    The `main` ones stand among the results, the others in a table of their own.
+    """
 
     problem: str
     settings: SsacSettings
     text: str
     default: tuple[float, ...] = (0.0, 0.0, 0.0)
     horizon: float = 0.5
+    main: bool = False
 
 
 READINGS = {
     "a": (
-        Reading("double-tank-a", GAMMA, "alpha_d = -5 J at every solve, as the paper prints"),
-        Reading("double-tank-a", SsacSettings(gamma=-10.0), "alpha_d = -10 J, the built-in"),
+        Reading(
+            "double-tank-a",
+            GAMMA,
+            "alpha_d = -5 J at every solve, as the paper prints",
+            main=True,
+        ),
+        Reading(
+            "double-tank-a", SsacSettings(gamma=-10.0), "alpha_d = -10 J, the built-in", main=True
+        ),
         Reading("double-tank-a", SsacSettings(alpha_d=-5.0), "alpha_d = -5, a constant"),
     ),
     "b": (
-        Reading("double-tank-b", SsacSettings(rule="steepest"), "steepest descent, the built-in"),
+        Reading(
+            "double-tank-b",
+            SsacSettings(rule="steepest"),
+            "steepest descent, the built-in",
+            main=True,
+        ),
         Reading("double-tank-b", GAMMA, "alpha_d = -5 J"),
         Reading(
             "double-tank-b",

@@ -190,12 +190,13 @@ def plot_trajectory(trajectory: Trajectory, axes: Any) -> Any:
         "alpha": 1.0 if len(states) < 8 else 0.5,
     }
     for i, ax in enumerate(axes):
-        for states_of, controls_of in zip(states, controls):
+        for k, (states_of, controls_of) in enumerate(zip(states, controls)):
+            thin["color"] = PALETTE[k % len(PALETTE)]
             if i < n:
-                ax.plot(trajectory.times, states_of[:, i], color=PALETTE[0], **thin)
+                ax.plot(trajectory.times, states_of[:, i], **thin)
             else:
                 held = np.append(controls_of[:, i - n], np.nan)
-                ax.step(trajectory.times, held, where="post", color=PALETTE[5], **thin)
+                ax.step(trajectory.times, held, where="post", **thin)
         ax.set_ylabel(quantity(trajectory.names[i], trajectory.units[i]))
         ax.set_xlim(trajectory.times[0], trajectory.times[-1])
     axes[-1].set_xlabel("time [s]")

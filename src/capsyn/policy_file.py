@@ -43,11 +43,11 @@ STATISTICS: dict[str, tuple[type, ...]] = {
 }
 """What statistics hold, if they hold it; there may be more."""
 EVIDENCE = {
-    "monte_carlo": ("trials", "successes", "low", "high", "confidence"),
-    "lyapunov": ("proved", "negative", "violated", "undecided"),
-    "agreement": ("states", "share", "low", "high", "confidence"),
+    "monte_carlo": (("trials", "successes"), ("low", "high", "confidence")),
+    "lyapunov": ((), ("proved", "negative", "violated", "undecided")),
+    "agreement": (("states", "agreeing"), ("share", "low", "high", "confidence")),
 }
-"""Kinds of evidence, and the figures that each has at least."""
+"""Kinds of evidence, and the counts and shares that each has at least."""
 ROLES = ("vertices", "centers", "others", "quarter")
 """What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
@@ -242,12 +242,30 @@ def _evidence(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _is_evidence(kind: str, found: Any) -> bool:
-    """Return whether plain data has the figures of a kind of evidence."""
+    """Return whether plain data has the figures of a kind of evidence, and they make sense."""
+    if kind not in EVIDENCE or not isinstance(found, dict) or not _is_clean(found):
+        return False
+    counts, shares = ([found.get(name) for name in names] for names in EVIDENCE[kind])
+    numbers = [count for count in counts if type(count) is int]
     return (
-        kind in EVIDENCE
-        and isinstance(found, dict)
-        and all(isinstance(found.get(name), (int, float)) for name in EVIDENCE[kind])
+        len(numbers) == len(counts)
+        and numbers == sorted(numbers, reverse=True)  # no more successes than trials
+        and min(numbers, default=0) >= 0
+        and all(isinstance(share, (int, float)) and 0 <= share <= 1 for share in shares)
+        and found.get("low", 0) <= found.get("high", 1)
+        and isinstance(found.get("conditions", {}), dict)
     )
+
+
+def _is_clean(value: Any) -> bool:
+    """Return whether plain data holds printable text and finite numbers only."""
+    if isinstance(value, dict):
+        return all(map(_is_clean, [*value, *value.values()]))
+    if isinstance(value, list):
+        return all(map(_is_clean, value))
+    if isinstance(value, str):
+        return value.isprintable()
+    return value is None or (isinstance(value, (int, float)) and abs(value) < 1e300)
 
 
 def add_evidence(policy: Policy, kinds: dict[str, Any]) -> dict[str, Any]:

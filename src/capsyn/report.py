@@ -60,9 +60,9 @@ def hints(policy: Policy) -> list[str]:
     shares = policy.volume_shares
     unused = [name for name, share in zip(policy.alphabet.names, shares) if not share]
     if unused:
-        found.append(
-            f"never used: {', '.join(unused)}; drop them, or look at gamma and control_weight"
-        )
+        steepest = policy.settings is not None and policy.settings.rule == "steepest"
+        weights = "control_weight" if steepest else "gamma and control_weight"
+        found.append(f"never used: {', '.join(unused)}; drop them, or look at {weights}")
     if policy.mixed_share > 0.1:
         found.append(
             f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from capsyn import paper_pendulum, paper_tanks, problems
+from capsyn import __version__, paper_pendulum, paper_tanks, problems
 from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
 from capsyn.paper import CASES, Row, synthesize_case
@@ -65,6 +65,7 @@ def reproduce(
     with reproducible():
         tell("policies and their counts")
         rows = _counts(threads)
+        others: list[Row] = []
         pendulums = [synthesize(problems.get(f"cart-pendulum{end}")) for end in ("", "-4")]
         tell("pendulum: figures 3 and 4, Lyapunov, swing-up")
         for policy, name in zip(pendulums, ("cart-pendulum", "cart-pendulum-4")):
@@ -83,14 +84,15 @@ def reproduce(
         for letter, readings in paper_tanks.READINGS.items():
             for reading in readings:
                 policy, result = paper_tanks.try_tank(reading, trials, threads)
-                rows.append(paper_tanks.success_row(letter, reading, result))
+                row = paper_tanks.success_row(letter, reading, result)
+                (rows if reading.main else others).append(row)
                 if reading is readings[0]:
                     figure = paper_tanks.figure_6(policy, result, threads)
                     keep_figure(f"figure-6{letter}", figure)
                     keep_policy(policy, f"double-tank-{letter}")
                     rows.append(paper_tanks.cost_row(letter, result))
-        files.append(place / "README.md")
-        text = _table(rows, trials)
+        files.append(place / "results.md")
+        text = _document(rows, others, trials)
         atomic_write(files[-1], lambda temporary: _write(temporary, text))
     return files
 
@@ -121,7 +123,8 @@ def _counts(threads: int | None) -> list[Row]:
         )
     for tank, paper in (("double-tank-a", 17125 / 7621), ("double-tank-b", 9474 / 3965)):
         ours = counts[tank, 5] / counts[tank, 4]
-        rows.append(Row(f"solves, {tank}, level 5 over 4", f"{paper:.2f}", f"{ours:.2f}"))
+        note = "the ratio of the counts above"
+        rows.append(Row(f"solves, {tank}, level 5 over 4", f"{paper:.2f}", f"{ours:.2f}", note))
     return rows
 
 
@@ -129,20 +132,26 @@ def _worst_cases() -> str:
     return " / ".join(f"{worst_case_solves((9, 9), (2, 2), level):,}" for level in (4, 5))
 
 
-def _table(rows: Sequence[Row], trials: int) -> str:
+def _table(rows: Sequence[Row]) -> list[str]:
+    lines = ["", "| what | paper | capsyn | reading, reason of a difference |", "|---|---|---|---|"]
+    for row in rows:
+        cells = (row.what, row.paper, row.ours, row.note)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return lines
+
+
+def _document(rows: Sequence[Row], others: Sequence[Row], trials: int) -> str:
     lines = [
         "# The paper's results beside capsyn's",
         "",
         "A. Mavrommati and T. D. Murphey, *Automatic Synthesis of Control Alphabet Policies*. Made "
-        f"by `capsyn reproduce` with {trials:,} Monte Carlo trials of each policy, seed 0; "
-        "intervals are Clopper-Pearson, 95 %.",
+        f"by `capsyn reproduce`, version {__version__}, with {trials:,} Monte Carlo trials of each "
+        "policy, seed 0; intervals are Clopper-Pearson, 95 %.",
+        *_table(rows),
         "",
-        "| what | paper | capsyn | reading, reason of a difference |",
-        "|---|---|---|---|",
+        "Other readings of the text, to show what the success of the paper rules out:",
+        *_table(others),
     ]
-    for row in rows:
-        cells = (row.what, row.paper, row.ours, row.note)
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     figures = {
         "figure-3": "Fig. 3: layers of the two-symbol policy, and its finite state machine",
         "figure-4a": "Fig. 4a: the four-symbol policy, and its finite state machine",

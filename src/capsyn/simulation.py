@@ -32,8 +32,8 @@ class Trajectory:
     states : (..., K + 1, n)
         States [state units]; NaN after the end.
     symbols : (..., K)
-        Symbol that held over each sample; -1 the default control, -2 none (after the end, or of a
-        controller that gives controls).
+        Symbol that held over each sample; -1 the default control, -2 none (after the end, or of
+        controls that are no symbols).
     controls : (..., K, m)
         Control at the start of each sample, as the controller gave it [input units].
     costs : (..., K + 1)
@@ -73,6 +73,13 @@ class Trajectory:
         """Cost of eq. (3) over each trajectory, until it ended."""
         last = np.asarray(self.last)[..., None]
         return np.take_along_axis(self.costs, last, axis=-1)[..., 0] + self.terminal_cost
+
+    def __repr__(self) -> str:
+        many = f"{np.size(self.last)} of " if self.states.ndim > 2 else ""
+        return (
+            f"Trajectory({many}{len(self.times) - 1} samples, {self.times[-1]:g} s, ended: "
+            f"{', '.join(sorted(set(np.ravel(self.ended).tolist())))})"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return the trajectory as plain data; what is not a number is null."""

@@ -125,6 +125,12 @@ class Agreement:
         """Share of the states, an estimate of that of the volume, where the policy agrees."""
         return self.agreeing / self.states
 
+    def __repr__(self) -> str:
+        return (
+            f"Agreement({self.agreeing} of {self.states} states, {self.low:.3%} to "
+            f"{self.high:.3%}, {self.island_cells} islands)"
+        )
+
     def to_json(self) -> dict[str, Any]:
         """Return the figures as plain data, with the first `TOLD` states and islands."""
         data = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}

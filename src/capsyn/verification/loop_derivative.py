@@ -19,6 +19,10 @@ from capsyn.validation import describe
 
 CHUNK = 4096
 """Boxes that are evaluated at once: their values stay in the cache."""
+PAIRS, HALVINGS = 1024, 45
+"""Pairs of random states between which a jump of V is looked for, and how closely."""
+JUMP = 1e-5
+"""Least jump of V, relative to its greatest value, that is taken for one."""
 JUMPS = {"floor", "ceil", "sign", "copysign", "fmod", "remainder"}
 """Operations that jump: a V that uses them has no derivative along the loop."""
 
@@ -40,6 +44,8 @@ class LoopDerivative:
     """
 
     def __init__(self, policy: Policy, V: Callable[[Any], Any]) -> None:
+        if not isinstance(policy, Policy):
+            raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
         n, m = policy.domain.n, policy.alphabet.m
         if policy.model is None:
             raise ProblemError(
@@ -133,3 +139,37 @@ def _check(program: Program, policy: Policy) -> None:
             f"`V` must have a finite value and gradient inside the domain; at ({state}) and "
             f"{len(bad) / len(states):.0%} of random states it has none"
         )
+    _check_continuity(program, policy)
+
+
+def _check_continuity(program: Program, policy: Policy) -> None:
+    """Raise `ProblemError` where V jumps: between random states, or at the seam of an angle.
+
+    Halving the way between two states, towards the greater change of V, ends at a jump if there is
+    one on the way.
+    """
+    domain = policy.domain
+
+    def value(states: np.ndarray) -> np.ndarray:
+        return program.evaluate(states.T)[0][0]
+
+    start, end = domain.sample(PAIRS, [1]), domain.sample(PAIRS, [2])
+    first, last = value(start), value(end)
+    values = np.abs(np.concatenate([first, last]))
+    usual = values[np.isfinite(values)].max(initial=0.0)
+    for _ in range(HALVINGS):
+        middle = (start + end) / 2
+        between = value(middle)
+        near = (np.abs(between - first) >= np.abs(last - between))[:, None]
+        start, end = np.where(near, start, middle), np.where(near, middle, end)
+        first, last = value(start), value(end)
+    jump = np.abs(last - first)
+    for axis in np.flatnonzero(domain.periodic):
+        seam = domain.sample(PAIRS, [3])
+        low, high = seam.copy(), seam.copy()
+        low[:, axis], high[:, axis] = domain.lower[axis], domain.upper[axis]
+        start, jump = np.vstack([start, low]), np.append(jump, np.abs(value(low) - value(high)))
+    worst = int(np.argmax(np.where(np.isfinite(jump), jump, 0.0)))
+    if jump[worst] > JUMP * usual:
+        state = ", ".join(f"{v:g}" for v in start[worst])
+        raise ProblemError(f"`V` must be continuous; it jumps by {jump[worst]:.3g} at ({state})")

@@ -11,7 +11,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.policy import Policy
-from capsyn.validation import describe, finite_number, is_list, whole_number
+from capsyn.validation import describe, finite_number, is_list, one_line, whole_number
 from capsyn.verification.bisection import Boxes, bisect
 from capsyn.verification.loop_derivative import LoopDerivative
 from capsyn.verification.statistics import TOLD
@@ -79,6 +79,8 @@ class LyapunovProof:
 
     Parameters
     ----------
+    function : str
+        Name of V.
     depth, max_boxes : int
         How it was asked for.
     proved, negative : float
@@ -96,6 +98,7 @@ class LyapunovProof:
         The rest.
     """
 
+    function: str
     depth: int
     max_boxes: int
     proved: float
@@ -107,6 +110,12 @@ class LyapunovProof:
     negative_cells: int
     violated_cells: LyapunovCells
     undecided_cells: LyapunovCells
+
+    def __repr__(self) -> str:
+        return (
+            f"LyapunovProof('{self.function}', dV/dt <= 0 proved on {self.proved:.3%} of the "
+            f"volume, violated on {self.violated:.3%}, undecided {self.undecided:.3%})"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return the proof as plain data."""
@@ -163,7 +172,8 @@ def lyapunov(
     """Return what interval arithmetic proves about dV/dt in continuous time, cell by cell.
 
     In every cell, faces included, the control is that of its symbol. Where V has a kink, as |E|
-    at E = 0, the gradients on either side and all between them count.
+    at E = 0, the gradients on either side and all between them count. That V is positive, and that
+    it does not jump but where random pairs of states would show it, is up to whoever made it.
 
     Parameters
     ----------
@@ -185,7 +195,8 @@ def lyapunov(
     depth = whole_number("depth", depth, least=0)
     max_boxes = whole_number("max_boxes", max_boxes, least=2)
     loop = LoopDerivative(policy, V)
-    return _Cells(policy).prove(loop, depth, max_boxes)
+    function = one_line(getattr(V, "__name__", "V"))
+    return _Cells(policy).prove(loop, function, depth, max_boxes)
 
 
 def lyapunov_grid(
@@ -251,7 +262,9 @@ class _Cells:
         ends = np.concatenate([x.lower + tree.sizes(x.level) for x in leaves])
         self.lower, self.upper = (policy.domain.points(c, tree.counts) for c in (self.steps, ends))
 
-    def prove(self, loop: LoopDerivative, depth: int, max_boxes: int) -> LyapunovProof:
+    def prove(
+        self, loop: LoopDerivative, function: str, depth: int, max_boxes: int
+    ) -> LyapunovProof:
         boxes = bisect(
             lambda lower, upper, cells: loop.bounds(lower, upper, self.labels[cells]),
             self.lower.T,
@@ -266,6 +279,7 @@ class _Cells:
         undecided = left.cells[worst], left.middle.T[worst], left.high[worst]
         count = len(self.entries)
         return LyapunovProof(
+            function=function,
             depth=depth,
             max_boxes=max_boxes,
             proved=float(boxes.shares[boxes.proved].sum()),

@@ -14,10 +14,10 @@ from capsyn.errors import ProblemError
 from capsyn.experiment import per_state, set_up
 from capsyn.online import OnlineController
 from capsyn.plant import plant_of
-from capsyn.policy import Outside, Policy
+from capsyn.policy import Outside, Policy, check_outside
 from capsyn.ssac import batch_controller
 from capsyn.targets import check_target, describe_target, target_axes, with_tolerance
-from capsyn.validation import describe, finite_number, whole_number
+from capsyn.validation import describe, finite_number, one_line, whole_number
 from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
 MOST_TRIALS = 10**8
@@ -95,8 +95,14 @@ class MonteCarlo:
         """Initial states (F, n) of the trials that failed."""
         return self.initial[~self.success]
 
+    def __repr__(self) -> str:
+        return (
+            f"MonteCarlo({int(self.success.sum())} of {len(self.success)} trials succeed, "
+            f"{self.low:.3%} to {self.high:.3%} with {self.confidence:.0%} confidence)"
+        )
+
     def to_json(self) -> dict[str, Any]:
-        """Return the figures as plain data."""
+        """Return the figures as plain data, with the first `TOLD` failing initial states."""
         moved = self.times > 0
         known = np.isfinite(self.initial_cost) & np.isfinite(self.final_cost)
         fallen = self.final_cost[known] < self.initial_cost[known]
@@ -277,7 +283,9 @@ def monte_carlo(
             "initial": describe_target(initial or domain, domain),
             "min_dwell": experiment.loop.dwell / rate,
             "substeps": experiment.loop.substeps,
-            "another_model": model is not None,
+            "controller": _controller_name(controller),
+            "model": "its own" if model is None else _name(model),
+            "outside": _outside_name(controller, outside),
             "noise": _told(noise),
             "delay": _told(delay),
             "disturbance": _told(disturbance),
@@ -311,6 +319,25 @@ def _draw(
     if (high < low).any():
         raise ProblemError(f"`{name}` must have low <= high; got {describe(value)}")
     return low + (high - low) * np.random.default_rng(seed).random((trials, size))
+
+
+def _name(value: Any) -> str:
+    """Return the name of a problem, a policy or a function."""
+    return one_line(str(getattr(value, "name", getattr(value, "__name__", "a function"))))
+
+
+def _controller_name(controller: Any) -> str:
+    if isinstance(controller, Policy):
+        return f"policy {controller.name}"
+    return repr(controller) if isinstance(controller, OnlineController) else _name(controller)
+
+
+def _outside_name(controller: Any, outside: Outside | None) -> str | None:
+    """Return the out-of-domain rule that held."""
+    if not isinstance(controller, Policy):
+        return None
+    rule = controller.outside if outside is None else check_outside(outside, controller.alphabet)
+    return rule if isinstance(rule, str) else controller.symbol_name(rule)
 
 
 def _told(value: Any) -> Any:
