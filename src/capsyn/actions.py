@@ -114,7 +114,8 @@ class NumpyActions:
         """Return controls (m, B), gradients (B,) and symbols (B,) at one time, eq. (8)."""
         count = len(cost)
         if self.sac is not None:
-            alpha = self.settings.gamma * cost
+            with np.errstate(over="ignore", invalid="ignore"):
+                alpha = self.settings.gamma * cost
             if self.settings.alpha_d is not None:
                 alpha = np.full(count, self.settings.alpha_d)
             control, gradient = self.sac.evaluate(x, u, rho, alpha[None, :])

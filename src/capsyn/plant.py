@@ -211,10 +211,11 @@ def choose_substeps(
         fine = end(2 * substeps)
         with np.errstate(invalid="ignore"):
             errors = np.abs(fine - coarse).max(axis=0)
-        finite = np.isfinite(errors)
-        errors[~finite] = np.inf
-        errors = errors[finite | np.isfinite(fine).all(axis=0)]
-        error = float(np.percentile(errors, 95)) if errors.size else np.inf
+            finite = np.isfinite(errors)
+            errors[~finite] = np.inf
+            errors = errors[finite | np.isfinite(fine).all(axis=0)]
+            error = float(np.percentile(errors, 95)) if errors.size else np.inf
+        error = np.inf if np.isnan(error) else error  # of several infinite ones
         if error <= ACCURACY * period:
             return substeps
         stalled = 0 if error < 0.7 * least or error > 0.1 else stalled + 1
