@@ -69,12 +69,37 @@ def test_box_refusals(arguments, options, message):
         ([0.0], 0.0, "`radius` must be a finite number > 0; got 0.0"),
         ([0.0], INF, "`radius` must be a finite number > 0; got inf"),
         ([0.0], "wide", "`radius` must be a number > 0; got 'wide'"),
+        ([], 1.0, "`center` must have one entry per state; got none"),
     ],
 )
 def test_ball_refusals(center, radius, message):
     with pytest.raises(ProblemError) as caught:
         Ball(center, radius)
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["a"], "`names` must be 2 printable string(s); got ['a']"),
+        ("ab", "`names` must be 2 printable string(s); got 'ab'"),
+        (["a", 1], "`names` must be 2 printable string(s); got ['a', 1]"),
+        (["a", "a"], "`names` must be non-empty and distinct; got ('a', 'a')"),
+        (["a", ""], "`names` must be non-empty and distinct; got ('a', '')"),
+    ],
+)
+def test_names_of_a_ball_are_checked(names, message):
+    with pytest.raises(ProblemError) as caught:
+        Ball([0, 0], 1, names=names)
+    assert str(caught.value) == message
+
+
+def test_names_of_a_ball_are_part_of_it():
+    ball = Ball([0, 1], 2, names=["a", "b"])
+    assert ball.names == ("a", "b") and ball.n == 2 and Ball([0, 1], 2).names is None
+    assert ball == Ball([0, 1], 2, names=("a", "b"))
+    assert ball != Ball([0, 1], 2) != Ball([0, 1], 2, names=["b", "a"]) != ball
+    assert "names" not in Ball([0, 1], 2).to_json()
 
 
 def test_box_defaults_and_widths():
@@ -115,6 +140,7 @@ def test_box_equality_needs_every_field():
     [
         Box([0, -1 / 3], [2 * math.pi, 1e290], ["θ", "v"], ["rad", "m/s"], [True, False]),
         Ball([0.1, -1e-300], 1 / 3),
+        Ball([0.1, -1e-300], 1 / 3, names=["θ", "v"]),
     ],
 )
 def test_json_and_pickle_round_trips_are_equality(region):
@@ -292,3 +318,26 @@ def test_samples_are_seeded_and_inside():
     assert np.array_equal(states, box.sample(1000, seed=1))
     assert not np.array_equal(states, box.sample(1000, seed=2))
     assert np.allclose(states.mean(axis=0), [0, 7], atol=0.2)
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_samples_of_a_ball_are_even_in_it(n):
+    center = np.arange(n) + 0.5
+    ball = Ball(center, 2.0)
+    points = ball.sample(4000, seed=3)
+    off = np.linalg.norm(points - center, axis=1)
+    assert points.shape == (4000, n) and (off <= 2.0).all()
+    np.testing.assert_allclose(points.mean(axis=0), center, atol=0.1)
+    # the share within a radius goes with its n-th power
+    for radius in (0.8, 1.5, 1.9):
+        assert (off <= radius).mean() == pytest.approx((radius / 2) ** n, abs=0.03)
+
+
+@pytest.mark.parametrize("region", [Ball([0, 1, 2], 3), Box([0, 0, 0], [1, 2, 3])])
+@pytest.mark.parametrize("seed", [0, 7, [3, 0], [3, 0, 1]])
+def test_the_first_samples_do_not_depend_on_how_many_there_are(region, seed):
+    many = region.sample(100, seed)
+    assert np.array_equal(region.sample(100, seed), many)
+    for count in (0, 1, 37):
+        assert np.array_equal(region.sample(count, seed), many[:count])
+    assert not np.isin(region.sample(100, [3, 5]), many).any()

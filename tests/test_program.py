@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from capsyn.errors import PolicyFormatError
 from capsyn.operations import OPERATIONS
-from capsyn.program import MAX_INSTRUCTIONS, Program
+from capsyn.program import MAX_INSTRUCTIONS, Program, is_affine
 from capsyn.program_builder import ProgramBuilder, bind
 from capsyn.transcription import program_from_casadi
 from lanes import run_lanes
@@ -367,3 +367,76 @@ def test_random_expressions_keep_their_casadi_value(tree):
         well_conditioned = np.abs(nudged - wanted) <= 1e-10 * (1 + np.abs(wanted))
     good = np.isfinite(wanted) & well_conditioned
     np.testing.assert_allclose(actual[0][good], wanted[good], rtol=1e-9, atol=1e-9)
+
+
+AFFINE = {
+    "linear": lambda x, u: 3 * u[0] - u[1],
+    "times states": lambda x, u: ca.sin(x[0]) * u[0] + x[1] ** 2 * u[1] + ca.exp(x[0]),
+    "over states": lambda x, u: (u[0] + x[0]) / (1 + x[1] ** 2),
+    "without": lambda x, u: ca.sqrt(x[0]) + x[1],
+    "constant": lambda x, u: 2.5,
+    "switched by states": lambda x, u: ca.if_else(x[0] > 0, u[0] * x[1], -u[1]),
+    "negated": lambda x, u: -(u[0] - x[0]),
+}
+NOT_AFFINE = {
+    "product": lambda x, u: u[0] * u[1],
+    "square": lambda x, u: u[0] ** 2,
+    "cube less a cube": lambda x, u: u[0] * u[0] * u[0] - x[0],
+    "function": lambda x, u: ca.sin(u[0]),
+    "denominator": lambda x, u: x[0] / (u[0] + 2),
+    "saturated": lambda x, u: ca.fmin(u[0], 1),
+    "switched by the input": lambda x, u: ca.if_else(u[0] > 0, x[0], x[1]),
+    "size": lambda x, u: ca.fabs(u[0]),
+    "exponent": lambda x, u: (1 + x[0] ** 2) ** u[0],
+    "product in a branch": lambda x, u: ca.if_else(x[0] > 0, u[0] * u[1], 0),
+}
+
+
+def of_states_and_inputs(expression):
+    x, u = ca.SX.sym("x", 2), ca.SX.sym("u", 2)
+    # one affine component beside: every result counts
+    column = ca.densify(ca.vertcat(x[0] + u[1], ca.SX(expression(x, u))))
+    ports = (("x", 2), ("u", 2)), (("y", 2),)
+    return program_from_casadi("f", ca.Function("f", [x, u], [column]), *ports)
+
+
+@pytest.mark.parametrize("name", [*AFFINE, *NOT_AFFINE])
+def test_programs_tell_whether_they_are_affine_in_an_input(name):
+    program = of_states_and_inputs((AFFINE | NOT_AFFINE)[name])
+    assert is_affine(program, "u") == (name in AFFINE)
+    if name in AFFINE:  # and then the second difference vanishes
+        rng = np.random.default_rng(0)
+        x, u, du = rng.uniform(0.1, 1, (3, 2, 50))
+        (a,), (b,), (c,) = (program.evaluate(x, u + k * du) for k in (-1, 0, 1))
+        np.testing.assert_allclose(a - 2 * b + c, 0, atol=1e-12)
+
+
+def test_a_program_is_affine_in_one_input_and_not_in_another():
+    program = of_states_and_inputs(lambda x, u: x[0] ** 2 * u[0])
+    assert is_affine(program, "u") and not is_affine(program, "x")
+
+
+def test_a_call_gives_the_results_of_the_other_program():
+    inner = of_states_and_inputs(lambda x, u: ca.sin(x[0]) * u[0] + 2.5)
+    builder = ProgramBuilder()
+    a, b, c = (builder.input() for _ in range(3))
+    once = builder.call(inner, [a, b], [c, builder.constant(2.0)])
+    twice = builder.call(inner, once, [builder.apply("add", a, b), c])
+    program = builder.build("outer", (("z", 3),), (("y", 4),), [*once, *twice])
+    z = np.random.default_rng(1).normal(size=(3, 20))
+    (found,) = program.evaluate(z)
+    (first,) = inner.evaluate(z[:2], np.stack([z[2], np.full(20, 2.0)]))
+    (second,) = inner.evaluate(first, np.stack([z[0] + z[1], z[2]]))
+    assert np.array_equal(found, np.vstack([first, second]))
+
+
+def test_a_call_folds_constants_and_shares_what_is_equal():
+    inner = of_states_and_inputs(lambda x, u: ca.sin(x[0]) * u[0] + 2.5)
+    builder = ProgramBuilder()
+    a = builder.input()
+    zero, one = builder.constant(0.0), builder.constant(1.0)
+    results = builder.call(inner, [a, a], [zero, one])
+    assert builder.call(inner, [a, a], [zero, one]) == results
+    program = builder.build("outer", (("z", 1),), (("y", 2),), results)
+    assert not any(name == "sin" for name, *_ in program.instructions)
+    assert program.evaluate(np.array([3.0]))[0].tolist() == [4.0, 2.5]

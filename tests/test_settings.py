@@ -15,6 +15,8 @@ SOME = [
     SsacSettings(alpha_d=-3.0, steps=24, tolerance=1e-3),
     SsacSettings(control_weight=0.25),
     SsacSettings(control_weight=[[2.0, 0.5], [0.5, 1.0]]),
+    SsacSettings(application_time="search", initial_duration=0.3, shrink=0.7, max_backtracks=0),
+    SsacSettings(descent=0.0, sample_time=0.02),
 ]
 
 REFUSED = [
@@ -62,6 +64,21 @@ REFUSED = [
         f"`steps` must be a whole number >= 1 and <= {MAX_STEPS}; got {MAX_STEPS + 1}",
     ),
     ({"tolerance": 0.0}, "`tolerance` must be a finite number > 0; got 0.0"),
+    (
+        {"application_time": "later"},
+        "`application_time` must be one of 'now', 'search'; got 'later'",
+    ),
+    ({"initial_duration": 0}, "`initial_duration` must be a finite number > 0; got 0"),
+    ({"sample_time": -0.1}, "`sample_time` must be a finite number > 0; got -0.1"),
+    ({"sample_time": float("inf")}, "`sample_time` must be a finite number > 0; got inf"),
+    ({"max_backtracks": -1}, "`max_backtracks` must be a whole number >= 0 and <= 20; got -1"),
+    ({"max_backtracks": 21}, "`max_backtracks` must be a whole number >= 0 and <= 20; got 21"),
+    ({"max_backtracks": 4.0}, "`max_backtracks` must be a whole number >= 0 and <= 20; got 4.0"),
+    ({"shrink": 0}, "`shrink` must be between 0 and 1; got 0"),
+    ({"shrink": 1}, "`shrink` must be between 0 and 1; got 1"),
+    ({"shrink": -0.5}, "`shrink` must be a finite number >= 0; got -0.5"),
+    ({"descent": 1.0}, "`descent` must be between 0 and 1; got 1"),
+    ({"descent": -0.01}, "`descent` must be a finite number >= 0; got -0.01"),
 ]
 
 

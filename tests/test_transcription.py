@@ -17,7 +17,7 @@ from capsyn.native.source import declarations, hand_written
 from capsyn.operations import OPERATIONS
 from capsyn.program import Program
 from capsyn.ssac import bind_default, make_solver
-from capsyn.transcription import program_from_casadi, transcribe
+from capsyn.transcription import program_from_casadi, transcribe, user_program
 from lanes import run_lanes
 
 CASADI = {
@@ -272,3 +272,42 @@ def test_single_precision_lanes_never_compute_in_double(tmp_path):
         text=True,
     )
     assert run.returncode == 0, run.stderr
+
+
+def test_a_users_function_is_a_program_of_its_columns():
+    ports = (("x", 2), ("u", 1), ("p", 2)), (("xdot", 2),)
+    program = user_program(
+        "model", lambda x, u, p: [x[1] * p[0], np.sin(x[0]) + u[0] * p[1]], *ports
+    )
+    x, u, p = np.random.default_rng(0).normal(size=(3, 2, 9))
+    (found,) = program.evaluate(x, u[:1], p)
+    np.testing.assert_allclose(found, [x[1] * p[0], np.sin(x[0]) + u[0] * p[1]], rtol=1e-14)
+    assert (program.inputs, program.outputs) == ports
+
+
+def test_a_users_scalar_comes_with_its_gradient_where_it_is_asked_for():
+    ports = (("x", 3),), (("value", 1), ("gradient", 3))
+    program = user_program("value", lambda x: x[0] ** 2 * ca.cos(x[2]) + x[1], *ports)
+    x = np.random.default_rng(0).normal(size=(3, 9))
+    value, gradient = program.evaluate(x)
+    np.testing.assert_allclose(value[0], x[0] ** 2 * np.cos(x[2]) + x[1])
+    wanted = [2 * x[0] * np.cos(x[2]), np.ones(9), -(x[0] ** 2) * np.sin(x[2])]
+    np.testing.assert_allclose(gradient, wanted, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda x: [x, x], "`target` must return a scalar; got shape (4, 1)"),
+        (lambda x: "far", "`target` must return a scalar; got 'far'"),
+        (lambda x: x[7], "`target` failed on symbols with sizes (x: 2): an index is out of range"),
+        (lambda x: x[0] if x[0] > 0 else 1, "`target` failed on symbols with sizes (x: 2): a symb"),
+        (lambda x: ca.SX.sym("secret"), "`target` must use only its arguments; it uses the unde"),
+        (lambda x: x[0] * float("nan"), "`target` contains the constant NaN"),
+        (lambda x, u: x[0], "`target` failed on symbols with sizes (x: 2): "),
+    ],
+)
+def test_a_users_function_that_cannot_be_used_is_named(function, message):
+    with pytest.raises(ProblemError) as caught:
+        user_program("target", function, (("x", 2),), (("inside", 1),))
+    assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
