@@ -130,7 +130,7 @@ def test_actions_are_those_of_the_reference(case):
             return default.control(x) if inside else default.default
         return np.atleast_1d(default)
 
-    states = states_of(problem, 6, 4)  # none where symbols tie
+    states = states_of(problem, 6, 2)  # none where symbols tie
     found = controller.actions(states, schedule=True, **at)
     limits = options.get("limits")
     limits = limits and tuple(np.array(limit, dtype=float) for limit in limits)
@@ -184,6 +184,16 @@ def test_the_schedule_is_whole_for_any_number_of_steps(steps):
     close(one, two)
     assert one.schedule.shape == (100, steps + 1, 1)
     assert one.application_time.max() == pytest.approx(1.2) or steps > 8
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("case", ["search", "to the default", "feedforward", "policy, error"])
+def test_the_control_is_that_of_the_symbol_also_where_it_does_not_act(case, backend):
+    problem, controller, at = build(case, backend)
+    found = controller.actions(states_of(problem, 300), **at)
+    chosen = found.symbol >= 0
+    assert (chosen & (found.duration == 0)).any()
+    assert np.array_equal(found.control[chosen], problem.alphabet.values[found.symbol[chosen]])
 
 
 @pytest.mark.parametrize("rule", list(BACKGROUNDS))
