@@ -117,9 +117,9 @@ def _headlines(found: dict[str, Any]) -> dict[str, str]:
     if "lyapunov" in found:
         data = found["lyapunov"]
         lines["lyapunov"] = (
-            f"d{data.get('function', 'V')}/dt <= 0 proved on {data['proved']:.3%} of the volume "
-            f"(< 0 on {data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
-            f"{data['undecided']:.3%}"
+            f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
+            f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
+            f"{data['undecided']:.3%}, for V = {data.get('function', '?')}"
         )
     if "agreement" in found:
         data = found["agreement"]
