@@ -133,7 +133,7 @@ class OnlineController:
 
         if signal is not None:  # now, not in the middle of the first step
             found["base"] = self.alphabet.control("default", signal(time))
-            idle = found["duration"] == 0
+            idle = found["symbol"] == -1
             found["control"][idle] = found["base"][idle]
         found = found.reshape(shape)[()]
         return Actions(
