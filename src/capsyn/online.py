@@ -13,6 +13,7 @@ symbols are recorded along the prediction and frozen as a signal.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import warnings
 from collections.abc import Callable
@@ -36,6 +37,9 @@ from capsyn.ssac import TIE, batch_controller
 from capsyn.targets import Target
 from capsyn.transcription import transcribe, transcribe_target
 from capsyn.validation import describe, finite_number, numbers, one_of
+
+POLICY_STEPS = 100
+"""Least steps of a prediction under a policy, whose symbols may change at every step."""
 
 Default = np.ndarray | Callable[[float], Any] | Policy
 
@@ -244,7 +248,8 @@ def online_controller(
         h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h`` for ``f = g(x) + h(x) u`` [1]_,
         saturated.
     default : (m,), callable ``time -> (m,)`` or Policy, optional
-        Default control of the prediction, which also acts where nothing is better.
+        Default control of the prediction, which also acts where nothing is better. Under a policy
+        the prediction has `POLICY_STEPS` steps at least, unless `settings` say how many.
     horizon : float, optional
         Prediction horizon T [s].
     settings : SsacSettings, optional
@@ -275,6 +280,7 @@ def online_controller(
             f"`source` must be a Problem or a Policy with a model; got {describe(source)}"
         )
     horizon = source.horizon if horizon is None else finite_number("horizon", horizon, above=0.0)
+    said = source.settings if settings is None and isinstance(source, Problem) else settings
     settings = source.settings if settings is None else settings
     if horizon is None or settings is None:
         raise ProblemError("`horizon` and `settings` must be given for a policy without them")
@@ -298,6 +304,10 @@ def online_controller(
     chooser = batch_controller(
         model, source.domain, alphabet.values, constant, horizon, settings, backend
     )
+    chosen = chooser.settings
+    assert chosen.steps is not None
+    if isinstance(background, Policy) and (said is None or said.steps is None):
+        chosen = dataclasses.replace(chosen, steps=max(chosen.steps, POLICY_STEPS))
     kernel = None
     if backend != "numpy":
         try:
@@ -314,9 +324,9 @@ def online_controller(
         constant,
         background,
         horizon,
-        chooser.settings,
+        chosen,
         source.min_dwell,
         target,
         kernel,
-        NumpyActions(model, alphabet.values, horizon, chooser.settings, chooser, sac),
+        NumpyActions(model, alphabet.values, horizon, chosen, chooser, sac),
     )
