@@ -18,7 +18,7 @@ from capsyn.native.source import declarations, hand_written
 from capsyn.program import Program
 
 LANES = 64
-SIMULATION_LANES = 32
+SIMULATION_LANES = 8
 ACTION_LANES = 8
 OUTSIDE, NOT_FINITE = -2, -3
 """What `LookupKernel` writes for states outside the domain, or not finite."""
