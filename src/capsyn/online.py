@@ -129,12 +129,12 @@ class OnlineController:
             options = self._options
             if signal is not None:
                 feed = self._feed(time)
+                options = ActionOptions.from_buffer_copy(options)  # other threads have their own
                 options.feed = feed.ctypes.data
             found = self.kernel(flat, options, schedules)
         else:
             policy = self.background if isinstance(self.background, Policy) else None
             found = self.numpy(flat, policy or self._feed(time), schedules)
-
         if signal is not None:  # now, not in the middle of the first step
             found["base"] = self.alphabet.control("default", signal(time))
             idle = found["symbol"] == -1
