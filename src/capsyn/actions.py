@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsyn.closed_loop import NONE
 from capsyn.masks import preferred
 from capsyn.model import Model
 from capsyn.native.kernels import action_type
@@ -16,8 +17,6 @@ from capsyn.ssac import BatchController, Solution, relative_rounding
 
 EXPONENT = 1.6
 """Of the cost of waiting, ``(t - t0)^1.6``, in the search of the application time."""
-NO_SYMBOL = -2
-"""The symbol of a continuous control."""
 ROUNDING = relative_rounding(float)
 
 
@@ -71,7 +70,7 @@ class NumpyActions:
         for k in range(steps):
             if isinstance(signal, Policy):
                 labels = predicted_labels(signal, x.T)
-                u = np.vstack([signal.alphabet.values, signal.default])[labels].T
+                u = signal.controls[labels].T
                 if k == 0:
                     found["base_symbol"] = np.where(labels == len(signal.alphabet), -1, labels)
             else:
@@ -119,7 +118,7 @@ class NumpyActions:
             if self.settings.alpha_d is not None:
                 alpha = np.full(count, self.settings.alpha_d)
             control, gradient = self.sac.evaluate(x, u, rho, alpha[None, :])
-            return control, gradient[0], np.full(count, NO_SYMBOL)
+            return control, gradient[0], np.full(count, NONE)
         gradients, scales = self.model.insertion.evaluate(x, u, rho, cost[None, :], [ROUNDING])
         masks = self.chooser.possible(Solution(cost, gradients.T, scales.T))
         symbol = preferred(masks, self.chooser.preference)

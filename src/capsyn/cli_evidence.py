@@ -125,14 +125,14 @@ def simulate(
 
     def told() -> None:
         for row in rows:
-            typer.echo(_sentence(row, policy))
+            typer.echo(_sentence(row))
         if output is not None:
             typer.echo(f"wrote {output}")
 
     show(as_json, rows if len(rows) > 1 else rows[0], told)
 
 
-def _sentence(row: dict[str, Any], policy: Policy) -> str:
+def _sentence(row: dict[str, Any]) -> str:
     def state(values: list[float | None]) -> str:
         return "(" + ", ".join("nan" if v is None else f"{v:g}" for v in values) + ")"
 
@@ -238,6 +238,7 @@ def verify(
         "--min-dwell": min_dwell,
         "--outside": outside,
         "--online": online,
+        "--background": background,
     }
     _needs("--monte-carlo", monte_carlo, for_trials)
     _needs("--lyapunov", lyapunov, {"--depth": depth, "--grid": grid})

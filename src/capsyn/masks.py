@@ -48,21 +48,24 @@ def checked_masks(label: Label, n_symbols: int) -> Label:
     return masks
 
 
-def masks_of_symbols(label: Label, n_symbols: int) -> Label:
-    """Return a labelling function that gives masks from one that gives symbols."""
+def masks_of_symbols(label: Label, n_symbols: int, name: str = "label") -> Label:
+    """Return a labelling function that gives masks from one that gives symbols.
+
+    Errors call it `name`.
+    """
 
     def masks(states: np.ndarray) -> np.ndarray:
         symbols = np.asarray(label(states))
         if symbols.shape != (len(states),) or not np.issubdtype(symbols.dtype, np.integer):
             raise ProblemError(
-                f"`label` must return ({len(states)},) integers; got "
+                f"`{name}` must return ({len(states)},) integers; got "
                 f"{symbols.dtype} of shape {symbols.shape}"
             )
         wrong = (symbols < -1) | (symbols >= n_symbols)
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])
             raise ProblemError(
-                f"`label` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
+                f"`{name}` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
                 f"at state {states[i].tolist()}"
             )
         bits = np.where(symbols < 0, n_symbols, symbols).astype(np.uint64)

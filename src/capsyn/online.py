@@ -198,7 +198,7 @@ class OnlineController:
         }
         if isinstance(policy, Policy):
             outside, lost = outside_label(policy), len(policy.alphabet)
-            arrays["table"] = np.vstack([policy.alphabet.values, policy.default])
+            arrays["table"] = policy.controls
             cells = TreeArguments.of(policy.domain, policy.cells)
         else:
             outside, lost, cells = -1, -1, TreeArguments()

@@ -168,8 +168,12 @@ class Policy:
 
     def control(self, states: Any, outside: Outside | None = None) -> np.ndarray:
         """Return the control vectors (..., m) [input units] of states (..., n)."""
-        table = np.vstack([self.alphabet.values, self.default])
-        return table[self(states, outside)]
+        return self.controls[self(states, outside)]
+
+    @functools.cached_property
+    def controls(self) -> np.ndarray:
+        """Control vectors (N + 1, m) of the symbols, the default control last [input units]."""
+        return np.vstack([self.alphabet.values, self.default])
 
     def symbol_name(self, symbol: int) -> str:
         """Return the name of a symbol index; -1 is ``default``."""

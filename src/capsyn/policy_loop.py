@@ -45,7 +45,6 @@ def run_policy(
     threads: int,
 ) -> None:
     """Run trials under a policy, in place, compiled where there is a compiler."""
-    decide = policy_decide(policy, outside)
     if backend != "numpy":
         try:
             queue = trials.dtype["queue"].shape[0]
@@ -57,12 +56,12 @@ def run_policy(
         else:
             _run_compiled(kernel, policy, outside, loop, trials, noise, record, threads)
             return
-    run(decide, plant, loop, trials, noise, record)
+    run(policy_decide(policy, outside), plant, loop, trials, noise, record)
 
 
 def policy_decide(policy: Policy, outside: Outside) -> Decide:
     """Return the decision of a policy under an out-of-domain rule."""
-    table = np.vstack([policy.alphabet.values, policy.default])
+    table = policy.controls
 
     def decide(time: float, measured: np.ndarray) -> Command:
         finite = np.isfinite(measured).all(axis=1)
@@ -90,7 +89,7 @@ def _run_compiled(
     threads: int,
 ) -> None:
     n, symbols = policy.domain.n, len(policy.alphabet)
-    table = np.vstack([policy.alphabet.values, policy.default])
+    table = policy.controls
     tree = TreeArguments.of(policy.domain, policy.cells)
     rule = -1 if isinstance(outside, str) else outside % (symbols + 1)
     error = outside == "error"

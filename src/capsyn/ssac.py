@@ -14,6 +14,7 @@ from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
 from capsyn.masks import preferred
 from capsyn.model import Model
+from capsyn.policy import Policy
 from capsyn.program_builder import bind
 from capsyn.settings import SsacSettings
 from capsyn.validation import describe
@@ -196,6 +197,21 @@ def batch_controller(
     efforts = settings.efforts(np.vstack([values, default]))
     preference = tuple(int(k) for k in np.argsort(efforts, kind="stable"))
     return BatchController(solver, used, horizon, efforts[:-1], settings, preference)
+
+
+def policy_controller(policy: Policy, backend: str = "auto") -> BatchController | None:
+    """Return the controller that a policy came from, or None where it does not carry it."""
+    if policy.model is None or policy.horizon is None or policy.settings is None:
+        return None
+    return batch_controller(
+        policy.model,
+        policy.domain,
+        policy.alphabet.values,
+        policy.default,
+        policy.horizon,
+        policy.settings,
+        backend,
+    )
 
 
 def bind_default(model: Model, default: np.ndarray) -> Model:

@@ -15,10 +15,10 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.lattice_points import CHUNK
-from capsyn.masks import Label, preferred, several
+from capsyn.masks import Label, masks_of_symbols, preferred, several
 from capsyn.policy import Policy
 from capsyn.processors import processors
-from capsyn.ssac import batch_controller
+from capsyn.ssac import policy_controller
 from capsyn.validation import describe, one_of, whole_number
 from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
@@ -220,41 +220,16 @@ def _label(
     """Return the controller as a function that gives masks, and its preference among ties."""
     n_symbols = len(policy.alphabet)
     if controller is None:
-        if policy.model is None or policy.horizon is None or policy.settings is None:
+        ssac = policy_controller(policy, backend)
+        if ssac is None:
             raise ProblemError(
                 "`policy` must carry its model, horizon and settings, or `controller` must be "
                 f"given; got {policy!r} without them"
             )
-        ssac = batch_controller(
-            policy.model,
-            policy.domain,
-            policy.alphabet.values,
-            policy.default,
-            policy.horizon,
-            policy.settings,
-            backend,
-        )
         return ssac.masks, ssac.preference
     if not callable(controller):
         raise ProblemError(f"`controller` must be a function; got {describe(controller)}")
-    given: Controller = controller
-
-    def masks(states: np.ndarray) -> np.ndarray:
-        symbols = np.asarray(given(states))
-        if symbols.shape != (len(states),) or symbols.dtype.kind not in "iu":
-            raise ProblemError(
-                f"`controller` must return ({len(states)},) integers; got {symbols.dtype} of "
-                f"shape {symbols.shape}"
-            )
-        wrong = (symbols < -1) | (symbols >= n_symbols)
-        if wrong.any():
-            i = int(np.argmax(wrong))
-            raise ProblemError(
-                f"`controller` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
-                f"at state {states[i].tolist()}"
-            )
-        return np.uint64(1) << np.where(symbols < 0, n_symbols, symbols).astype(np.uint64)
-
+    masks = masks_of_symbols(controller, n_symbols, "controller")
     return masks, tuple(range(n_symbols + 1))
 
 

@@ -73,7 +73,7 @@ class LoopDerivative:
         self._expansion: Expansion = expand(
             builder.build("derivative", ports, (("derivative", 1),), [derivative])
         )
-        self._controls = np.vstack([policy.alphabet.values, policy.default])
+        self._controls = policy.controls
 
     def values(self, states: np.ndarray, symbols: np.ndarray) -> np.ndarray:
         """Return dV/dt (B,) at states (B, n) under symbols (B,), NaN where it is undefined.
@@ -114,20 +114,16 @@ def _check(program: Program, policy: Policy) -> None:
     """Raise `ProblemError` unless V has a derivative along the loop."""
     first = program.input_count
     value, *gradient = program.results
-    followed, todo = set(), [value]
-    while todo:
-        k = todo.pop()
-        if k < first or k in followed:
+    needed = {value}
+    for k, (name, *operands) in reversed(list(enumerate(program.instructions, first))):
+        if k not in needed or name == "const":
             continue
-        followed.add(k)
-        name, *operands = program.instructions[k - first]
-        if name in JUMPS or (name in OPERATIONS and OPERATIONS[name].boolean):
+        if name in JUMPS or OPERATIONS[name].boolean:
             raise ProblemError(
                 f"`V` must be continuous; its operation '{name}' jumps (fabs, fmin, fmax and "
                 "if_else are allowed)"
             )
-        if name != "const":
-            todo += operands[1:] if name == "select" else operands
+        needed.update(operands[1:] if name == "select" else operands)
     if all(k >= first and program.instructions[k - first] == ("const", 0.0) for k in gradient):
         raise ProblemError("`V` must depend on the state; its gradient is 0 everywhere")
     states = policy.domain.sample(1024)

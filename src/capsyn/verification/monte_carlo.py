@@ -15,7 +15,7 @@ from capsyn.experiment import per_state, set_up
 from capsyn.online import OnlineController
 from capsyn.plant import plant_of
 from capsyn.policy import Outside, Policy, check_outside
-from capsyn.ssac import batch_controller
+from capsyn.ssac import policy_controller
 from capsyn.targets import check_target, describe_target, target_axes, with_tolerance
 from capsyn.validation import describe, finite_number, one_line, whole_number
 from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
@@ -363,12 +363,7 @@ def default_costs(controller: Any, states: np.ndarray, backend: str = "auto") ->
 
     They are those of the controller's own model; NaN where it has none.
     """
-    if isinstance(controller, OnlineController):
-        return controller.numpy.chooser.solve(states).cost
-    if isinstance(controller, Policy) and controller.model is not None:
-        horizon, settings = controller.horizon, controller.settings
-        if horizon is not None and settings is not None:
-            values, default = controller.alphabet.values, controller.default
-            own = (controller.model, controller.domain, values, default, horizon, settings)
-            return batch_controller(*own, backend).solve(states).cost
-    return np.full(len(states), np.nan)
+    solver = controller.numpy.chooser if isinstance(controller, OnlineController) else None
+    if isinstance(controller, Policy):
+        solver = policy_controller(controller, backend)
+    return np.full(len(states), np.nan) if solver is None else solver.solve(states).cost
