@@ -100,7 +100,9 @@ def test_an_unstable_system_is_violated_everywhere():
 
 
 def test_a_spiral_is_proved_without_bisection():
-    dynamics = lambda x, u: [5 * x[1] - x[0], -5 * x[0] - x[1]]  # noqa: E731
+    def dynamics(x, u):
+        return [5 * x[1] - x[0], -5 * x[0] - x[1]]
+
     proof = check(lyapunov(loop(dynamics, Box([-1, -1], [1, 1])), square, depth=0))
     assert proof.proved == 1.0, "the terms of the rotation cancel"
     center = check(
@@ -110,7 +112,9 @@ def test_a_spiral_is_proved_without_bisection():
 
 
 def test_weak_instability_of_a_spiral_is_seen():
-    dynamics = lambda x, u: [5 * x[1] + 1e-9 * x[0], -5 * x[0] + 1e-9 * x[1]]  # noqa: E731
+    def dynamics(x, u):
+        return [5 * x[1] + 1e-9 * x[0], -5 * x[0] + 1e-9 * x[1]]
+
     proof = check(lyapunov(loop(dynamics, Box([1, 1], [2, 3])), square))
     assert shares(proof) == (0.0, 0.0, 1.0, 0.0)
 

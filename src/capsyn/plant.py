@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from capsyn.model import Model
 from capsyn.policy import Policy
 from capsyn.problem import Problem
 from capsyn.program import Ports, Program
+from capsyn.ssac import fewest_steps
 from capsyn.targets import Target
 from capsyn.transcription import transcribe, transcribe_target, user_program
 from capsyn.validation import describe
@@ -201,29 +203,24 @@ def choose_substeps(
     )
     push, cost, time = np.zeros_like(states), np.zeros(SAMPLES), np.full(SAMPLES, period)
 
+    @functools.cache
     def end(substeps: int) -> np.ndarray:
         x, _ = plant.advance(states, cost, u, p, push, time, substeps)
         return x / plant.domain.widths[:, None]
 
-    best, least, coarse = 1, np.inf, end(1)
-    substeps, stalled = 1, 0
-    while substeps < MOST_SUBSTEPS:
-        fine = end(2 * substeps)
+    def error_of(substeps: int) -> float:
+        coarse, fine = end(substeps), end(2 * substeps)
         with np.errstate(invalid="ignore"):
             errors = np.abs(fine - coarse).max(axis=0)
             finite = np.isfinite(errors)
             errors[~finite] = np.inf
             errors = errors[finite | np.isfinite(fine).all(axis=0)]
-            error = float(np.percentile(errors, 95)) if errors.size else np.inf
-        error = np.inf if np.isnan(error) else error  # of several infinite ones
-        if error <= ACCURACY * period:
-            return substeps
-        stalled = 0 if error < 0.7 * least or error > 0.1 else stalled + 1
-        if error < least:
-            best, least = substeps, error
-        if stalled == 3:
-            break
-        coarse, substeps = fine, 2 * substeps
+            return float(np.percentile(errors, 95)) if errors.size else np.inf
+
+    ladder = [1 << k for k in range(MOST_SUBSTEPS.bit_length() - 1)]
+    best, least = fewest_steps(ladder, error_of, ACCURACY * period)
+    if least <= ACCURACY * period:
+        return best
     warnings.warn(
         f"the closed loop is integrated with {best} steps per sample, to {least:.2g} widths of "
         f"the domain, not {ACCURACY * period:.2g}: give `substeps`, or a higher `rate`",

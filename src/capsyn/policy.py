@@ -173,7 +173,9 @@ class Policy:
     @functools.cached_property
     def controls(self) -> np.ndarray:
         """Control vectors (N + 1, m) of the symbols, the default control last [input units]."""
-        return np.vstack([self.alphabet.values, self.default])
+        table = np.vstack([self.alphabet.values, self.default])
+        table.flags.writeable = False
+        return table
 
     def symbol_name(self, symbol: int) -> str:
         """Return the name of a symbol index; -1 is ``default``."""

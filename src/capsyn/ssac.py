@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -297,15 +298,9 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
     steps that are too long for a stiff model may agree on garbage. Where it stops falling first (a
     switch in the dynamics, single precision), the best steps so far are returned with a warning.
     """
-    best, least, stalled = STEP_LADDER[0], np.inf, 0
-    solved: dict[int, tuple[np.ndarray, ...]] = {}
+    solve = functools.cache(lambda steps: solver(states, horizon, steps))
 
-    def solve(steps: int) -> tuple[np.ndarray, ...]:
-        if steps not in solved:
-            solved[steps] = solver(states, horizon, steps)
-        return solved[steps]
-
-    for steps in STEP_LADDER:
+    def error_of(steps: int) -> float:
         (coarse_cost, coarse, _), (cost, fine, scale) = solve(steps), solve(2 * steps)
         with np.errstate(all="ignore"):
             errors = np.abs(coarse - fine) / scale
@@ -317,15 +312,11 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
                 failed &= np.isfinite(solve(2 * STEP_LADDER[-1])[1])
                 errors[failed] = np.inf
             errors = errors[~np.isnan(errors)]
-            error = float(np.percentile(errors, 99)) if errors.size else 0.0
-        error = np.inf if np.isnan(error) else error
-        if error <= settings.tolerance:
-            return steps
-        stalled = 0 if error < 0.7 * least or error > UNRESOLVED else stalled + 1
-        if error <= least or least > UNRESOLVED:  # unstable steps may agree on garbage
-            best, least = steps, error
-        if stalled == 3:
-            break
+            return float(np.percentile(errors, 99)) if errors.size else 0.0
+
+    best, least = fewest_steps(STEP_LADDER, error_of, settings.tolerance)
+    if least <= settings.tolerance:
+        return best
     longest = best == STEP_LADDER[-1]
     advice = "shorten the horizon" if longest else "give `steps` or a larger `tolerance`"
     warnings.warn(
@@ -335,3 +326,24 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
         stacklevel=5,
     )
     return best
+
+
+def fewest_steps(
+    ladder: Sequence[int], error_of: Callable[[int], float], tolerance: float
+) -> tuple[int, float]:
+    """Return the first steps of a ladder whose error meets a tolerance, and the error.
+
+    Where it stops falling first, they are the best so far; a NaN counts as infinite.
+    """
+    best, least, stalled = ladder[0], np.inf, 0
+    for steps in ladder:
+        error = error_of(steps)
+        error = np.inf if np.isnan(error) else error
+        if error <= tolerance:
+            return steps, error
+        stalled = 0 if error < 0.7 * least or error > UNRESOLVED else stalled + 1
+        if error <= least or least > UNRESOLVED:  # unstable steps may agree on garbage
+            best, least = steps, error
+        if stalled == 3:
+            break
+    return best, least
