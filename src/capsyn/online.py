@@ -139,18 +139,18 @@ class OnlineController:
             found["base"] = self.alphabet.control("default", signal(time))
             idle = found["symbol"] == -1
             found["control"][idle] = found["base"][idle]
-        found = found.reshape(shape)[()]
+        found = found.reshape(shape)
         return Actions(
-            symbol=found["symbol"],
-            control=found["control"],
-            application_time=found["time"],
-            start=found["start"],
-            duration=found["duration"],
-            gradient=found["gradient"],
-            cost=found["cost"],
-            decrease=found["decrease"],
-            base=found["base"],
-            base_symbol=found["base_symbol"],
+            symbol=found["symbol"][()],  # [()]: numbers of a single state, not arrays
+            control=found["control"][()],
+            application_time=found["time"][()],
+            start=found["start"][()],
+            duration=found["duration"][()],
+            gradient=found["gradient"][()],
+            cost=found["cost"][()],
+            decrease=found["decrease"][()],
+            base=found["base"][()],
+            base_symbol=found["base_symbol"][()],
             schedule=None if schedules is None else schedules.reshape((*shape, steps + 1, m)),
         )
 
