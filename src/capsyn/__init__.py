@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from capsyn.alphabet import Alphabet as Alphabet
+    from capsyn.compression.compress import compress as compress
+    from capsyn.decision_tree import DecisionTree as DecisionTree
     from capsyn.domain import Ball as Ball
     from capsyn.domain import Box as Box
     from capsyn.errors import CapsynError as CapsynError
@@ -30,12 +32,14 @@ _PUBLIC = {
     "Ball": "domain",
     "Box": "domain",
     "CapsynError": "errors",
+    "DecisionTree": "decision_tree",
     "Policy": "policy",
     "Problem": "problem",
     "SsacSettings": "settings",
     "Trajectory": "simulation",
     "Uniform": "verification.monte_carlo",
     "agreement": "verification.agreement",
+    "compress": "compression.compress",
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",
     "online_controller": "online",
@@ -48,12 +52,14 @@ __all__ = [
     "Ball",
     "Box",
     "CapsynError",
+    "DecisionTree",
     "Policy",
     "Problem",
     "SsacSettings",
     "Trajectory",
     "Uniform",
     "agreement",
+    "compress",
     "lyapunov",
     "monte_carlo",
     "online_controller",

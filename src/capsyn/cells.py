@@ -39,6 +39,36 @@ class Leaves:
 
 
 @dataclass(frozen=True, eq=False)
+class Boxes:
+    """Labelled boxes of the lattice, ``lower <= z < upper``, that tile it.
+
+    Parameters
+    ----------
+    places : (M,)
+        What ``find`` gives for the lattice points in them.
+    lower, upper : (M, n)
+        Integer corners, in finest cells.
+    labels : (M,)
+        Leaf numbers: symbols, and N for the default.
+    levels : (M,)
+        Levels of subdivision.
+    """
+
+    places: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    labels: np.ndarray
+    levels: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def volumes(self) -> np.ndarray:
+        """Return the finest cells in each box, (M,) floats."""
+        return np.prod(self.upper - self.lower, axis=1, dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
 class CellTree:
     """Cells as a grid of trees, on integer coordinates of finest cells.
 
@@ -80,6 +110,11 @@ class CellTree:
         """Finest cells along each axis."""
         return lattice_counts(self.partitions, self.refinement, self.max_level)
 
+    @property
+    def node_count(self) -> int:
+        """Number of entries: leaf cells and blocks."""
+        return len(self.entries)
+
     def sizes(self, level: int) -> np.ndarray:
         """Return the edge lengths (n,) of cells of a level, in finest cells."""
         return np.array([r ** (self.max_level - level) for r in self.refinement], dtype=np.int64)
@@ -101,7 +136,11 @@ class CellTree:
 
     def labels(self, steps: np.ndarray) -> np.ndarray:
         """Return the leaf numbers (B,) of finest cells (B, n)."""
-        return -1 - self.entries[self.find(steps)]
+        return self.labels_at(self.find(steps))
+
+    def labels_at(self, places: np.ndarray) -> np.ndarray:
+        """Return the leaf numbers of leaf entries."""
+        return -1 - self.entries[places]
 
     def levels(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield (level, entries (M,), lower corners (M, n)) of all cells, level by level."""
@@ -127,6 +166,20 @@ class CellTree:
         for level, places, lower in self.levels():
             leaf = self.entries[places] < 0
             yield Leaves(level, places[leaf], lower[leaf], -1 - self.entries[places[leaf]])
+
+    def boxes(self) -> Boxes:
+        """Return the leaf cells as boxes, level by level."""
+        leaves = list(self.leaves())
+        lower = np.concatenate([x.lower for x in leaves])
+        levels = np.repeat([x.level for x in leaves], [len(x.labels) for x in leaves])
+        sizes = np.stack([self.sizes(k) for k in range(self.max_level + 1)])
+        return Boxes(
+            np.concatenate([x.entries for x in leaves]),
+            lower,
+            lower + sizes[levels],
+            np.concatenate([x.labels for x in leaves]),
+            levels,
+        )
 
     @functools.cached_property
     def leaf_count(self) -> int:

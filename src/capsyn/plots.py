@@ -15,6 +15,7 @@ from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
 from capsyn.policy import Policy
 from capsyn.simulation import Trajectory
+from capsyn.split_tree import SplitTree
 from capsyn.validation import describe, finite_number
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#999999")
 """Colours that stay apart under colour blindness (Okabe and Ito)."""
+PIXELS = 800
+"""Along each axis of a picture of oblique splits."""
 FORMATS = ("png", "pdf", "svg")
 
 
@@ -48,7 +51,8 @@ def plot_policy(
     Parameters
     ----------
     policy : Policy
-        The policy; its cells that meet the plane are drawn.
+        The policy; its cells that meet the plane are drawn, or where they are oblique the symbols
+        at `PIXELS` by `PIXELS` states.
     plane : two axes
         Indices or names of the states on the horizontal and the vertical axis.
     at : mapping of name to float, optional
@@ -59,7 +63,6 @@ def plot_policy(
         Whether to outline the cells, and to name the symbols.
     """
     import matplotlib.pyplot as plt
-    from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
     domain, tree = policy.domain, policy.cells
@@ -85,23 +88,10 @@ def plot_policy(
     steps = domain.locate(point[None, :], tree.counts)[0]
     ax = plt.gca() if ax is None else ax
     colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
-    shown: set[int] = set()
-    for leaves in tree.leaves():
-        size = tree.sizes(leaves.level)
-        met = np.ones(len(leaves.lower), dtype=bool)
-        for i in others:
-            met &= (leaves.lower[:, i] <= steps[i]) & (steps[i] < leaves.lower[:, i] + size[i])
-        labels = leaves.labels[met]
-        shown.update(labels.tolist())
-        cells = rectangles(domain, leaves.lower[met], size, tree.counts, (horizontal, vertical))
-        ax.add_collection(
-            PolyCollection(
-                list(cells),
-                facecolors=colors[labels],
-                edgecolors="white" if outlines else "face",
-                linewidths=outline_width(leaves.level) if outlines else 0.1,
-            )
-        )
+    if isinstance(tree, SplitTree) and len(tree.planes):
+        shown = _draw_pixels(policy, point, (horizontal, vertical), colors, ax)
+    else:
+        shown = _draw_boxes(policy, steps, (horizontal, vertical), colors, ax, outlines)
     frame(ax, domain, (horizontal, vertical))
     if legend:
         names = [*policy.alphabet.names, "default"]
@@ -124,6 +114,61 @@ def plot_policy(
     return ax
 
 
+def _draw_boxes(
+    policy: Policy,
+    steps: np.ndarray,
+    plane: tuple[int, int],
+    colors: np.ndarray,
+    ax: Axes,
+    outlines: bool,
+) -> set[int]:
+    """Draw the cells that meet the plane through a finest cell (n,); return their labels."""
+    from matplotlib.collections import PolyCollection
+
+    boxes, counts = policy.cells.boxes(), policy.cells.counts
+    met = (boxes.lower <= steps) & (steps < boxes.upper)
+    met[:, plane] = True
+    shown: set[int] = set()
+    for level in range(int(boxes.levels.max()) + 1):
+        here = met.all(axis=1) & (boxes.levels == level)
+        labels = boxes.labels[here]
+        shown.update(labels.tolist())
+        size = boxes.upper[here] - boxes.lower[here]
+        ax.add_collection(
+            PolyCollection(
+                list(rectangles(policy.domain, boxes.lower[here], size, counts, plane)),
+                facecolors=colors[labels],
+                edgecolors="white" if outlines else "face",
+                linewidths=outline_width(level) if outlines else 0.1,
+            )
+        )
+    return shown
+
+
+def _draw_pixels(
+    policy: Policy, point: np.ndarray, plane: tuple[int, int], colors: np.ndarray, ax: Axes
+) -> set[int]:
+    """Draw the symbols at a grid of states in the plane through a state (n,); return them."""
+    from matplotlib.colors import to_rgb
+
+    low, high = policy.domain.lower[list(plane)], policy.domain.upper[list(plane)]
+    x, y = (np.linspace(a, b, 2 * PIXELS + 1)[1::2] for a, b in zip(low, high))
+    states = np.tile(point, (PIXELS * PIXELS, 1))
+    grid = np.meshgrid(x, y)
+    for i, values in zip(plane, grid):
+        states[:, i] = values.ravel()
+    labels = policy(states, "nearest") % len(colors)
+    table = np.array([to_rgb(color) for color in colors])
+    ax.imshow(
+        table[labels].reshape(PIXELS, PIXELS, 3),
+        extent=(low[0], high[0], low[1], high[1]),
+        origin="lower",
+        aspect="auto",
+        interpolation="nearest",
+    )
+    return set(np.unique(labels).tolist())
+
+
 def rectangles(
     domain: Box,
     lower: np.ndarray,
@@ -137,7 +182,7 @@ def rectangles(
     ----------
     domain : Box
         The domain.
-    lower, size : (M, n), (n,)
+    lower, size : (M, n), (n,) or (M, n)
         Lower corners and edge lengths of the cells, in finest cells.
     counts : n ints
         Finest cells along each axis.

@@ -18,6 +18,7 @@ from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from capsyn.model import Model
 from capsyn.settings import SsacSettings
+from capsyn.split_tree import SplitTree
 from capsyn.targets import Target, check_target
 from capsyn.validation import describe, finite_number, numbers
 
@@ -47,8 +48,8 @@ class Policy:
         The symbols U.
     default : (m,)
         Default control [input units].
-    cells : CellTree
-        The partitions L.
+    cells : CellTree or SplitTree
+        The partitions L; a `SplitTree` of a `DecisionTree`.
     outside : "error", "nearest" or symbol index
         What a state outside the domain gets: an error, the symbol of the nearest cell, or a safe
         symbol. A state that is not finite gets an error, or the safe symbol.
@@ -75,7 +76,7 @@ class Policy:
     domain: Box
     alphabet: Alphabet
     default: np.ndarray
-    cells: CellTree
+    cells: CellTree | SplitTree
     outside: Outside = "error"
     min_dwell: float = 0.0
     target: Target | None = None
@@ -209,7 +210,7 @@ class Policy:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Policy:
-        """Return the policy in a file.
+        """Return the policy in a file, a `DecisionTree` where it holds one.
 
         Raises
         ------

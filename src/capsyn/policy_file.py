@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from capsyn.alphabet import Alphabet
-from capsyn.cells import CellTree, grid_settings
+from capsyn.cells import MAX_COUNT, CellTree, grid_settings
+from capsyn.decision_tree import DecisionTree, Guarantee
 from capsyn.domain import Ball, Box
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.files import atomic_write
@@ -20,16 +21,21 @@ from capsyn.model import Model
 from capsyn.policy import Policy
 from capsyn.program import Program
 from capsyn.settings import SsacSettings
+from capsyn.split_tree import SplitTree
 from capsyn.targets import Target
-from capsyn.validation import describe
+from capsyn.validation import describe, whole_numbers
 
 FORMAT = "capsyn-policy"
-VERSION = 1
-ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
+VERSION = 2
+"""Newest version; decision trees have it, cells are written as version 1."""
+CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
+TREE_ARRAYS = {"split": np.int32, "threshold": np.int32, "second": np.int32, "planes": np.int32}
 KEYS = set(
-    "name domain alphabet default partitions refinement max_level outside min_dwell target "
-    "horizon settings model statistics".split()
+    "name domain alphabet default outside min_dwell target horizon settings model "
+    "statistics".split()
 )
+CELL_KEYS = KEYS | {"partitions", "refinement", "max_level"}
+TREE_KEYS = KEYS | {"counts", "guarantee"}
 STATISTICS: dict[str, tuple[type, ...]] = {
     "solves": (int,),
     "solves_by_role": (dict,),
@@ -56,11 +62,10 @@ SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost
 
 def save(policy: Policy, path: str | os.PathLike[str]) -> None:
     """Write a policy file atomically; the same policy gives the same bytes."""
-    content = _content(policy)
-    arrays = {name: getattr(policy.cells, name) for name in ARRAYS}
+    content, arrays = _content(policy), _arrays(policy)
     document = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION if isinstance(policy, DecisionTree) else 1,
         "policy": content,
         "sha256": _digest(content, arrays),
     }
@@ -93,14 +98,19 @@ def _content(policy: Policy) -> dict[str, Any]:
     target = policy.target
     kind = {Ball: "ball", Box: "box", Program: "program", type(None): ""}[type(target)]
     tree = policy.cells
-    return {
+    if isinstance(policy, DecisionTree):
+        structure = {"counts": list(tree.counts), "guarantee": policy.guarantee.to_json()}
+    else:
+        structure = {
+            "partitions": list(tree.partitions),
+            "refinement": list(tree.refinement),
+            "max_level": tree.max_level,
+        }
+    return structure | {
         "name": policy.name,
         "domain": policy.domain.to_json(),
         "alphabet": policy.alphabet.to_json(),
         "default": policy.default.tolist(),
-        "partitions": list(tree.partitions),
-        "refinement": list(tree.refinement),
-        "max_level": tree.max_level,
         "outside": policy.outside,
         "min_dwell": policy.min_dwell,
         "target": None if target is None else {kind: target.to_json()},
@@ -113,7 +123,12 @@ def _content(policy: Policy) -> dict[str, Any]:
 
 def content_hash(policy: Policy) -> str:
     """Return the SHA-256 of what the policy is, the same that its file carries."""
-    return _digest(_content(policy), {name: getattr(policy.cells, name) for name in ARRAYS})
+    return _digest(_content(policy), _arrays(policy))
+
+
+def _arrays(policy: Policy) -> dict[str, np.ndarray]:
+    names = TREE_ARRAYS if isinstance(policy, DecisionTree) else CELL_ARRAYS
+    return {name: getattr(policy.cells, name) for name in names}
 
 
 def load(path: str | os.PathLike[str]) -> Policy:
@@ -128,9 +143,9 @@ def load(path: str | os.PathLike[str]) -> Policy:
             if FORMAT not in metadata:
                 raise PolicyFormatError(f"'{path}' is a safetensors file but no policy")
             document = _parse(metadata[FORMAT], path)
-            if set(file.keys()) != set(ARRAYS):
+            if set(file.keys()) not in (set(CELL_ARRAYS), set(TREE_ARRAYS)):
                 raise PolicyFormatError(f"'{path}' does not hold the arrays of a policy")
-            arrays = {name: file.get_tensor(name) for name in ARRAYS}
+            arrays = {name: file.get_tensor(name) for name in sorted(file.keys())}
     except FileNotFoundError:
         raise PolicyFormatError(f"there is no file '{path}'") from None
     except PermissionError:
@@ -174,33 +189,42 @@ def _parse(text: str, path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
     content = document["policy"]
-    for name, dtype in ARRAYS.items():
-        if arrays[name].dtype != dtype or arrays[name].ndim != 1:
-            raise PolicyFormatError(f"array '{name}' must be one-dimensional {np.dtype(dtype)}")
+    is_tree = "split" in arrays
+    for name, dtype in (TREE_ARRAYS if is_tree else CELL_ARRAYS).items():
+        axes, words = (2, "two") if name == "planes" else (1, "one")
+        if arrays[name].dtype != dtype or arrays[name].ndim != axes:
+            raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
     if document["sha256"] != _digest(content, arrays):
         raise PolicyFormatError("its content does not match its checksum")
-    if set(content) != KEYS:
+    if document["version"] < (2 if is_tree else 1) or set(content) != (
+        TREE_KEYS if is_tree else CELL_KEYS
+    ):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
+    settings, model = content["settings"], content["model"]
+    if model is not None:
+        model = Model.from_json(model, domain.n, alphabet.m, len(alphabet))
+    given = {key: content[key] for key in ("name", "default", "outside", "min_dwell", "horizon")}
+    given |= {
+        "domain": domain,
+        "alphabet": alphabet,
+        "target": _target(content["target"]),
+        "settings": None if settings is None else _settings(settings),
+        "model": model,
+        "statistics": _statistics(content["statistics"]),
+        "evidence": _evidence(document),
+    }
+    if is_tree:
+        counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)
+        domain.check_resolution(counts)
+        guarantee = Guarantee(**content["guarantee"])
+        return DecisionTree(cells=SplitTree(counts, **arrays), guarantee=guarantee, **given)
     partitions, refinement, max_level = grid_settings(
         content["partitions"], content["refinement"], content["max_level"], domain.n
     )
     tree = CellTree(partitions, refinement, max_level, **arrays)
     domain.check_resolution(tree.counts)
-    settings, model = content["settings"], content["model"]
-    if model is not None:
-        model = Model.from_json(model, domain.n, alphabet.m, len(alphabet))
-    return Policy(
-        domain=domain,
-        alphabet=alphabet,
-        cells=tree,
-        target=_target(content["target"]),
-        settings=None if settings is None else _settings(settings),
-        model=model,
-        statistics=_statistics(content["statistics"]),
-        evidence=_evidence(document),
-        **{key: content[key] for key in ("name", "default", "outside", "min_dwell", "horizon")},
-    )
+    return Policy(cells=tree, **given)
 
 
 def _settings(data: dict[str, Any]) -> SsacSettings:

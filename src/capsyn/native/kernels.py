@@ -16,6 +16,7 @@ from capsyn.model import Model
 from capsyn.native.build import load
 from capsyn.native.source import declarations, hand_written
 from capsyn.program import Program
+from capsyn.split_tree import SplitTree
 
 LANES = 64
 SIMULATION_LANES = 8
@@ -93,32 +94,45 @@ class SsacKernel:
 
 
 class TreeArguments(ctypes.Structure):
-    """The ``tree`` of lookup.c: where the arrays of a domain and its cell tree lie."""
+    """The ``tree`` of lookup.c: where the arrays of a domain and its tree lie."""
 
     _fields_ = [
-        (name, ctypes.c_void_p)
-        for name in "lower upper periodic counts partitions refinement entries".split()
+        *(
+            (name, ctypes.c_void_p)
+            for name in "lower upper periodic counts partitions refinement entries nodes "
+            "planes starts".split()
+        ),
+        ("oblique", ctypes.c_int64),
+        ("shift", ctypes.c_int64),
     ]
 
     @staticmethod
-    def of(domain: Box, cells: CellTree) -> TreeArguments:
+    def of(domain: Box, cells: CellTree | SplitTree) -> TreeArguments:
         """Return the arguments, which keep the arrays alive."""
-        arrays = [
-            np.ascontiguousarray(domain.lower),
-            np.ascontiguousarray(domain.upper),
-            np.array(domain.periodic, dtype=np.uint8),
-            *(np.array(a, dtype=np.int64) for a in (cells.counts, cells.partitions)),
-            np.array(cells.refinement, dtype=np.int64),
-            np.ascontiguousarray(cells.entries, dtype=np.int32),
-        ]
-        made = TreeArguments(*map(_pointer, arrays))
+        arrays = {
+            "lower": np.ascontiguousarray(domain.lower),
+            "upper": np.ascontiguousarray(domain.upper),
+            "periodic": np.array(domain.periodic, dtype=np.uint8),
+            "counts": np.array(cells.counts, dtype=np.int64),
+        }
+        made = TreeArguments()
+        if isinstance(cells, CellTree):
+            arrays["partitions"] = np.array(cells.partitions, dtype=np.int64)
+            arrays["refinement"] = np.array(cells.refinement, dtype=np.int64)
+            arrays["entries"] = np.ascontiguousarray(cells.entries, dtype=np.int32)
+        else:
+            arrays["nodes"], arrays["planes"] = cells.rows, np.ascontiguousarray(cells.planes)
+            made.shift, arrays["starts"] = cells.starts
+            made.oblique = bool(len(cells.planes))
+        for name, array in arrays.items():
+            setattr(made, name, array.ctypes.data)
         made.arrays = arrays
         return made
 
 
 @dataclass(frozen=True)
 class LookupKernel:
-    """Labels of states from a cell tree, compiled for `n` states."""
+    """Labels of states from a tree, compiled for `n` states."""
 
     function: Any
     n: int
@@ -134,7 +148,7 @@ class LookupKernel:
         return LookupKernel(function, n)
 
     def __call__(
-        self, states: np.ndarray, domain: Box, cells: CellTree, nearest: bool
+        self, states: np.ndarray, domain: Box, cells: CellTree | SplitTree, nearest: bool
     ) -> np.ndarray:
         """Return leaf numbers (B,) int32, `OUTSIDE` or `NOT_FINITE`, of states (B, n)."""
         states = np.ascontiguousarray(states, dtype=np.float64)

@@ -1,4 +1,5 @@
-/* Labels of states from the arrays of a cell tree; see Box and CellTree for the rules.
+/* Labels of states from the arrays of a cell tree or a decision tree; see Box, CellTree and
+ * SplitTree for the rules.
  *
  * Needs STATES before it, and -ffp-contract=off: the faces must be rounded as everywhere else.
  * A label is a leaf number, OUTSIDE or NOT_FINITE.
@@ -9,12 +10,22 @@
 
 #define OUTSIDE (-2)
 #define NOT_FINITE (-3)
+#define WALKS 64 /* states that go down a decision tree side by side, to overlap their loads */
+
+/* A split goes on to child[value >= threshold]; a leaf's children are itself. */
+typedef struct {
+    int32_t split, threshold, child[2];
+} node;
 
 typedef struct {
     const double *lower, *upper;
     const uint8_t *periodic;
-    const int64_t *counts, *partitions, *refinement;
+    const int64_t *counts;
+    const int64_t *partitions, *refinement; /* of a cell tree, which has no nodes */
     const int32_t *entries;
+    const node *nodes; /* of a decision tree; threshold of a leaf: its label */
+    const int32_t *planes, *starts;
+    int64_t oblique, shift;
 } tree;
 
 /* What a lookup needs of a tree beside its arrays. */
@@ -33,6 +44,8 @@ static measures measure(const tree *cells)
         m.scale[i] = count / (high - low);
         /* Only this close to a face, in steps, can rounding put a state into the wrong step. */
         m.doubt[i] = 16 * DBL_EPSILON * (count + fmax(fabs(low), fabs(high)) * m.scale[i]);
+        if (cells->nodes)
+            continue;
         m.root_size[i] = (uint32_t)(cells->counts[i] / cells->partitions[i]);
         m.binary &= cells->refinement[i] == 2;
     }
@@ -84,18 +97,54 @@ static int32_t leaf_of_bits(const uint32_t *restrict k, const tree *cells, int l
     return cells->entries[entry];
 }
 
-/* The label of the cell that holds a state or is nearest to it, or NOT_FINITE. */
-static inline int32_t nearest_label(const tree *cells, const measures *m,
-                                    const double *restrict state, int *restrict outside)
+/* The node at which a walk begins: that which holds the whole block of the finest cell k. */
+static inline int32_t start_of(const uint32_t *restrict k, const tree *t)
 {
-    uint32_t steps[STATES];
+    int64_t block = 0;
+    for (int i = 0; i < STATES; ++i)
+        block = block * ((t->counts[i] - 1 >> t->shift) + 1) + (k[i] >> t->shift);
+    return t->starts[block];
+}
+
+/* What a node compares, of the finest cell k. */
+static inline int64_t split_value(const uint32_t *restrict k, const tree *t, int32_t split)
+{
+    if (split < STATES)
+        return k[split];
+    int64_t sum = 0;
+    for (int i = 0; i < STATES; ++i)
+        sum += t->planes[(split - STATES) * STATES + i] * (int64_t)k[i];
+    return sum;
+}
+
+static int32_t label_of_node(const uint32_t *restrict k, const tree *t)
+{
+    int32_t at = start_of(k, t), last;
+    do {
+        const node *here = t->nodes + (last = at);
+        at = here->child[split_value(k, t, here->split) >= here->threshold];
+    } while (at != last);
+    return t->nodes[at].threshold;
+}
+
+static inline int32_t label_of(const uint32_t *restrict k, const tree *cells, const measures *m)
+{
+    if (cells->nodes)
+        return label_of_node(k, cells);
+    return -1 - (m->binary ? leaf_of_bits(k, cells, m->level) : leaf_of(k, cells, m));
+}
+
+/* The finest cell that holds a state or is nearest to it; whether there is one. */
+static inline int quantise(const tree *cells, const measures *m, const double *restrict state,
+                           uint32_t *restrict steps, int *restrict outside)
+{
     *outside = 0;
     for (int i = 0; i < STATES; ++i) {
         double x = state[i];
         const double low = cells->lower[i], high = cells->upper[i];
         const int64_t count = cells->counts[i];
         if (!isfinite(x))
-            return NOT_FINITE;
+            return 0;
         if (!(x >= low && x < high)) {
             if (cells->periodic[i]) {
                 double offset = fmod(x - low, high - low);
@@ -122,7 +171,50 @@ static inline int32_t nearest_label(const tree *cells, const measures *m,
         }
         steps[i] = (uint32_t)k;
     }
-    return -1 - (m->binary ? leaf_of_bits(steps, cells, m->level) : leaf_of(steps, cells, m));
+    return 1;
+}
+
+/* The label of the cell that holds a state or is nearest to it, or NOT_FINITE. */
+static inline int32_t nearest_label(const tree *cells, const measures *m,
+                                    const double *restrict state, int *restrict outside)
+{
+    uint32_t steps[STATES];
+    return quantise(cells, m, state, steps, outside) ? label_of(steps, cells, m) : NOT_FINITE;
+}
+
+/* Labels of WALKS states by a decision tree. */
+static void walk(const double *restrict states, const tree *t, const measures *m, const int nearest,
+                 int32_t *restrict labels)
+{
+    uint32_t steps[WALKS][STATES];
+    int32_t at[WALKS];
+    int known[WALKS], outside[WALKS], moving[WALKS], left = WALKS;
+    for (int w = 0; w < WALKS; ++w) {
+        known[w] = quantise(t, m, states + w * STATES, steps[w], outside + w);
+        if (!known[w])
+            for (int i = 0; i < STATES; ++i)
+                steps[w][i] = 0;
+        at[w] = start_of(steps[w], t);
+        moving[w] = w;
+    }
+    while (left) {
+        int kept = 0;
+        for (int j = 0; j < left; ++j) {
+            const int w = moving[j];
+            const node *here = t->nodes + at[w];
+            const int64_t value =
+                t->oblique ? split_value(steps[w], t, here->split) : steps[w][here->split];
+            const int32_t next = here->child[value >= here->threshold];
+            moving[kept] = w;
+            kept += next != at[w];
+            at[w] = next;
+        }
+        left = kept;
+    }
+    for (int w = 0; w < WALKS; ++w)
+        labels[w] = !known[w]                  ? NOT_FINITE
+                    : outside[w] && !nearest ? OUTSIDE
+                                             : t->nodes[at[w]].threshold;
 }
 
 void capsyn_lookup(const int64_t count, const double *restrict states, const tree *cells,
@@ -130,7 +222,11 @@ void capsyn_lookup(const int64_t count, const double *restrict states, const tre
 {
     const tree local = *cells;
     const measures m = measure(&local);
-    for (int64_t b = 0; b < count; ++b) {
+    int64_t b = 0;
+    if (local.nodes)
+        for (; b + WALKS <= count; b += WALKS)
+            walk(states + b * STATES, &local, &m, nearest, labels + b);
+    for (; b < count; ++b) {
         int outside;
         const int32_t label = nearest_label(&local, &m, states + b * STATES, &outside);
         labels[b] = label != NOT_FINITE && outside && !nearest ? OUTSIDE : label;

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells import CellTree
 from capsyn.errors import ProblemError
 from capsyn.lattice_points import CHUNK
 from capsyn.masks import Label, masks_of_symbols, preferred, several
@@ -84,10 +85,10 @@ class Agreement:
     not_finite : int
         States where the controller has no finite result; there only the default agrees.
     level_states, level_agreeing : (max_level + 1,)
-        States in cells of each level, and those that agree.
+        States in cells of each level, and those that agree. A decision tree has one level.
     mixed_states, mixed_agreeing : int
         States in cells whose test points did not agree, and those that agree. The other states
-        lie in uniform cells.
+        lie in uniform cells. The leaves of a decision tree count as mixed.
     pairs : (N + 1, N + 1)
         States by the policy's symbol (row) and the controller's (column), the default last.
     disagreeing_states : (D, n)
@@ -248,7 +249,7 @@ class _Tally:
     """Counts over chunks of states: in all, by cell, and by pair of symbols."""
 
     def __init__(self, policy: Policy) -> None:
-        cells = len(policy.cells.entries)
+        cells = policy.cells.node_count
         self._policy = policy
         self._leaves = len(policy.alphabet) + 1
         self._drawn = np.zeros(cells, dtype=np.int64)
@@ -269,7 +270,7 @@ class _Tally:
         """Count states (B, n) with the controller's masks (B,)."""
         tree, default = self._policy.cells, self._leaves - 1
         cells = tree.find(self._policy.domain.locate(states, tree.counts))
-        own = -1 - tree.entries[cells]
+        own = tree.labels_at(cells)
         self._ties += int(several(masks).sum())
         self._not_finite += int((masks == 0).sum())
         masks = np.where(masks == 0, np.uint64(1 << default), masks)
@@ -296,17 +297,18 @@ class _Tally:
         uniform_wrong = self._wrong.copy()
         uniform_wrong[mixed] = 0
         islands = np.flatnonzero(uniform_wrong)
-        level_states = np.zeros(tree.max_level + 1, dtype=np.int64)
-        level_wrong = np.zeros_like(level_states)
+        levels = [np.arange(tree.node_count)]  # the places of each level, which stand side by side
         level = np.zeros(len(islands), dtype=np.int64)
         lower = np.zeros((len(islands), tree.n), dtype=np.int64)
-        for k, places, corners in tree.levels():
-            level_states[k] = self._drawn[places].sum()
-            level_wrong[k] = self._wrong[places].sum()
-            # the cells of a level stand one after the other, as islands do
-            start, end = np.searchsorted(islands, (places[0], places[-1] + 1))
-            level[start:end] = k
-            lower[start:end] = corners[islands[start:end] - places[0]]
+        if isinstance(tree, CellTree):
+            levels = []
+            for k, places, corners in tree.levels():
+                levels.append(places)
+                start, end = np.searchsorted(islands, (places[0], places[-1] + 1))
+                level[start:end] = k
+                lower[start:end] = corners[islands[start:end] - places[0]]
+        level_states = np.array([self._drawn[places].sum() for places in levels])
+        level_wrong = np.array([self._wrong[places].sum() for places in levels])
         states, symbols = (np.concatenate(parts) for parts in zip(*self._kept))
         return {
             "ties": self._ties,
@@ -320,7 +322,7 @@ class _Tally:
             "disagreeing_symbols": symbols,
             "island_cells": len(islands),
             "island_states": int(uniform_wrong.sum()),
-            "islands": self._islands(islands, level, lower),
+            "islands": self._islands(islands, level, lower) if len(islands) else (),
         }
 
     def _islands(
@@ -346,7 +348,7 @@ class _Tally:
                     level=int(level[i]),
                     lower=tuple(low[i].tolist()),
                     upper=tuple(high[i].tolist()),
-                    symbol=symbol(-1 - int(tree.entries[cells[i]])),
+                    symbol=symbol(int(tree.labels_at(cells[i]))),
                     others=tuple(symbol(k) for k in range(self._leaves) if seen >> k & 1),
                     states=int(self._drawn[cells[i]]),
                     disagreeing=int(self._wrong[cells[i]]),

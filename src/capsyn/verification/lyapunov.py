@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells import CellTree
 from capsyn.errors import ProblemError
+from capsyn.faces import shared_faces
 from capsyn.policy import Policy
 from capsyn.validation import describe, finite_number, is_list, one_line, whole_number
 from capsyn.verification.bisection import Boxes, bisect
@@ -29,11 +31,11 @@ class LyapunovCells:
     Parameters
     ----------
     entries : (K,) ints
-        Their places in ``policy.cells.entries``.
+        Their places in ``policy.cells``.
     levels, symbols : (K,) ints
         Level of subdivision, and symbol; -1 is the default control.
     boundary : (K,) booleans
-        Finest cells on a switching surface: their test points did not agree, or a cell across a
+        Finest cells (of a decision tree: leaves) on a switching surface: their test points did not agree, or a cell across a
         face has another symbol.
     lower, upper : (K, n)
         Bounds [state units].
@@ -253,14 +255,12 @@ class _Cells:
 
     def __init__(self, policy: Policy) -> None:
         tree = policy.cells
-        leaves = list(tree.leaves())
         self.policy = policy
-        self.entries = np.concatenate([x.entries for x in leaves])
-        self.labels = np.concatenate([x.labels for x in leaves])
-        self.levels = np.concatenate([np.full(len(x.entries), x.level) for x in leaves])
-        self.steps = np.concatenate([x.lower for x in leaves])
-        ends = np.concatenate([x.lower + tree.sizes(x.level) for x in leaves])
-        self.lower, self.upper = (policy.domain.points(c, tree.counts) for c in (self.steps, ends))
+        self.boxes = boxes = tree.boxes()
+        self.entries, self.labels, self.levels = boxes.places, boxes.labels, boxes.levels
+        self.shares = boxes.volumes() / np.prod(tree.counts, dtype=float)
+        self.lower = policy.domain.points(boxes.lower, tree.counts)
+        self.upper = policy.domain.points(boxes.upper, tree.counts)
 
     def prove(
         self, loop: LoopDerivative, function: str, depth: int, max_boxes: int
@@ -269,7 +269,7 @@ class _Cells:
             lambda lower, upper, cells: loop.bounds(lower, upper, self.labels[cells]),
             self.lower.T,
             self.upper.T,
-            self.policy.cells.level_volumes()[self.levels],
+            self.shares,
             depth,
             max_boxes,
         )
@@ -308,31 +308,34 @@ class _Cells:
         return boxes.cells[kept], states[kept], values[kept]
 
     def _describe(self, cells: np.ndarray, states: np.ndarray, values: np.ndarray) -> LyapunovCells:
-        labels, finest = self.labels[cells], self.levels[cells] == self.policy.cells.max_level
+        labels = self.labels[cells]
         return LyapunovCells(
             entries=self.entries[cells],
             levels=self.levels[cells],
             symbols=np.where(labels == len(self.policy.alphabet), -1, labels),
-            boundary=finest & self._differing(cells),
+            boundary=self._finest(cells) & self._differing(cells),
             lower=self.lower[cells],
             upper=self.upper[cells],
             states=states,
             values=values,
         )
 
-    def _differing(self, cells: np.ndarray) -> np.ndarray:
-        """Return which finest cells are mixed or have a neighbour with another symbol."""
+    def _finest(self, cells: np.ndarray) -> np.ndarray:
         tree = self.policy.cells
-        differing = np.isin(self.entries[cells], tree.mixed_cells)
-        for axis, count in enumerate(tree.counts):
-            for step in (-1, 1):
-                there = self.steps[cells]
-                there[:, axis] += step
-                if self.policy.domain.periodic[axis]:
-                    there[:, axis] %= count
-                there[:, axis] = np.clip(there[:, axis], 0, count - 1)
-                differing |= tree.labels(there) != self.labels[cells]
-        return differing
+        return self.levels[cells] == (tree.max_level if isinstance(tree, CellTree) else 0)
+
+    def _differing(self, cells: np.ndarray) -> np.ndarray:
+        """Return which cells are mixed or have a neighbour with another symbol."""
+        tree, boxes = self.policy.cells, self.boxes
+        unlike = shared_faces(
+            tree,
+            lambda below, above: tree.labels_at(below) != tree.labels_at(above),
+            self.policy.domain.periodic,
+        )
+        places = [unlike.below, unlike.above]
+        if isinstance(tree, CellTree):
+            places.append(tree.mixed_cells)
+        return np.isin(boxes.places[cells], np.concatenate(places))
 
 
 def _largest(groups: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,0 +1,47 @@
+"""A policy as it would be with fewer levels."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from capsyn.cells import CellTree
+from capsyn.policy import Policy
+
+
+def cut_off(policy: Policy, level: int) -> Policy:
+    """Return a policy whose cells below a level are merged into their parents at that level.
+
+    Such a cell gets the label that takes most of its volume, of equals the first; it is mixed, with
+    all labels that are in it or were seen in it.
+    """
+    cells = policy.cells
+    labels = len(policy.alphabet) + 1
+    leaf = np.where(cells.entries < 0, -1 - cells.entries, 0)
+    masks = np.where(cells.entries < 0, np.uint64(1) << leaf.astype(np.uint64), np.uint64(0))
+    masks[cells.mixed_cells] |= cells.mixed_labels
+    volumes = np.zeros((len(leaf), labels))
+    volumes[np.flatnonzero(cells.entries < 0), leaf[cells.entries < 0]] = 1.0
+    children = int(np.prod(cells.refinement))
+    below = list(cells.levels())
+    for _, places, _ in reversed(below[level:]):  # children before their parents
+        blocks = places[cells.entries[places] >= 0]
+        inside = cells.entries[blocks][:, None] + np.arange(children)
+        volumes[blocks] = volumes[inside].sum(axis=1) / children
+        masks[blocks] = np.bitwise_or.reduce(masks[inside], axis=1)
+    kept = np.concatenate([places for _, places, _ in below[: level + 1]])
+    last = below[level][1] if level < len(below) else kept[:0]
+    entries = cells.entries[: len(kept)].copy()  # levels follow each other
+    merged = last[cells.entries[last] >= 0]
+    entries[merged] = -1 - volumes[merged].argmax(axis=1)
+    mixed = np.sort(np.concatenate([cells.mixed_cells[cells.mixed_cells < len(kept)], merged]))
+    tree = CellTree(
+        cells.partitions,
+        cells.refinement,
+        min(level, cells.max_level),
+        entries,
+        mixed.astype(np.int32),
+        masks[mixed],
+    )
+    return dataclasses.replace(policy, cells=tree, statistics={}, evidence={}, timings={})

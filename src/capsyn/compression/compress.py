@@ -1,0 +1,188 @@
+"""From a policy to a small decision tree, with a statement of what the tree guarantees."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+
+from capsyn.cells import CellTree
+from capsyn.compression.coarsening import cut_off
+from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
+from capsyn.compression.induction import Prices, induce
+from capsyn.compression.judge import Judge, aimed
+from capsyn.compression.oblique import fit_tree
+from capsyn.compression.proof import changed_cells
+from capsyn.decision_tree import MODES, DecisionTree, Guarantee
+from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.policy import Policy
+from capsyn.policy_file import content_hash
+from capsyn.split_tree import SplitTree
+from capsyn.validation import describe, finite_number, one_of, whole_number
+
+NODE_PRICES = (16.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.05)
+"""Finest cells of disagreement that a node is worth, from the smallest tree on."""
+NODE_PRICE = 0.5
+"""That of mode freedom where no agreement is asked for."""
+MAX_NODE_PRICE = 1000.0
+"""Larger prices make no smaller trees."""
+
+
+def compress(
+    policy: Policy,
+    mode: str = "exact",
+    *,
+    agreement: float | None = None,
+    level: int | None = None,
+    node_price: float | None = None,
+    states: int = 100_000,
+    seed: int = 0,
+    backend: str = "auto",
+) -> DecisionTree:
+    """Return a small decision tree that does the work of a policy.
+
+    Parameters
+    ----------
+    policy : Policy
+        A policy of cells.
+    mode : "exact", "freedom" or "linear"
+        ``exact``: equal to the policy everywhere. ``freedom``: mixed cells, those at the finest
+        level whose test points did not agree, may take any symbol seen in them. ``linear``: splits
+        may be affine in the state, fitted to the controller that the policy came from.
+    agreement : float, optional
+        Least share of the volume, above 0 and below 1, where the tree shall agree with sSAC by the
+        policy's own model, or with the policy where that has no model. For ``linear`` 0.99 by
+        default; for ``freedom`` by default what `node_price` gives. Not for ``exact``.
+    level : int, optional
+        Merge the cells below this level first: a smaller tree that agrees less. Not for
+        ``linear``, which makes no use of the cells where there is a model.
+    node_price : float, optional
+        For ``freedom`` without `agreement`: how many finest cells of disagreement saving one node
+        is worth, 0.5 by default. The larger, the smaller the tree.
+    states : int
+        Random states at which the tree is judged.
+    seed : int
+        Of everything that is random; the same seed gives the same tree.
+    backend : "auto", "c" or "numpy"
+        How sSAC is solved.
+
+    Returns
+    -------
+    DecisionTree
+        Its `guarantee` says what it has in common with the policy.
+
+    Warns
+    -----
+    CapsynWarning
+        `agreement` was not reached; the best tree found is returned.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
+    """
+    check_compressible(policy)
+    one_of("mode", mode, list(MODES))
+    for name, value, modes in (
+        ("agreement", agreement, ("freedom", "linear")),
+        ("level", level, ("exact", "freedom")),
+        ("node_price", node_price, ("freedom",)),
+    ):
+        if value is not None and mode not in modes:
+            raise ProblemError(
+                f"`{name}` is for mode {' and '.join(modes)} only; got {describe(value)}"
+            )
+    if agreement is not None:
+        agreement = finite_number("agreement", agreement, above=0.0)
+        if agreement >= 1:
+            raise ProblemError(f"`agreement` must be below 1; got {agreement:g}")
+        if node_price is not None:
+            raise ProblemError("`agreement` and `node_price` exclude each other; got both")
+    if level is not None:
+        level = whole_number("level", level, least=0, most=policy.cells.max_level)
+    node_price = finite_number(
+        "node_price", NODE_PRICE if node_price is None else node_price, least=0.0
+    )
+    states = whole_number("states", states, least=1)
+    seed = whole_number("seed", seed, least=0)
+    one_of("backend", backend, ["auto", "c", "numpy"])
+    if mode == "exact":
+        return exact_tree(policy, level)
+    judge = Judge.of(policy, states, seed, backend)
+    if mode == "linear":
+        tree = _linear_tree(judge, 0.99 if agreement is None else agreement)
+    elif agreement is None:
+        (tree,) = free_trees(judge, level, (node_price,))
+    else:
+        tree = _smallest_free_tree(judge, level, agreement)
+    if not tree.guarantee.reached:
+        warnings.warn(judge.advice(tree), CapsynWarning, stacklevel=2)
+    return tree
+
+
+def check_compressible(policy: Any) -> None:
+    """Raise `ProblemError` unless a policy consists of cells."""
+    if not isinstance(policy, Policy):
+        raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
+    if not isinstance(policy.cells, CellTree):
+        raise ProblemError(
+            f"`policy` must be one of cells, as synthesize makes them; got the tree {policy!r}"
+        )
+
+
+def exact_tree(policy: Policy, level: int | None = None) -> DecisionTree:
+    """Return the tree of mode exact of a policy, cut off at a level."""
+    base = policy if level is None else cut_off(policy, level)
+    return _proved_tree(policy, base, "exact", level, exact_prices(base))
+
+
+def free_trees(
+    judge: Judge, level: int | None, node_prices: Iterable[float]
+) -> Iterator[DecisionTree]:
+    """Yield the trees of mode freedom of a policy, cut off at a level, for some prices; judged."""
+    policy = judge.policy
+    base = policy if level is None else cut_off(policy, level)
+    votes = cell_votes(base, None if judge.ssac is None else judge.ssac.masks, judge.seed)
+    for node_price in node_prices:
+        prices = free_prices(base, votes, min(node_price, MAX_NODE_PRICE))
+        yield judge.judged(_proved_tree(policy, base, "freedom", level, prices))
+
+
+def _proved_tree(
+    policy: Policy, base: Policy, mode: str, level: int | None, prices: Prices
+) -> DecisionTree:
+    """Return the tree of a cut-off policy under some prices, its guarantee proved cell by cell."""
+    tree = induce(base.cells, prices)
+    changed_cells(tree, base.cells, prices.masks)  # raises where a label is not allowed
+    changed = changed_cells(tree.refined(policy.cells.counts), policy.cells).sum()
+    share = float(changed / np.prod(policy.cells.counts, dtype=float))
+    guarantee = Guarantee(mode, content_hash(policy), level, share)
+    return _decision_tree(policy, tree, guarantee)
+
+
+def _decision_tree(policy: Policy, tree: SplitTree, guarantee: Guarantee) -> DecisionTree:
+    """Return a policy with its cells replaced by a tree."""
+    kept = {f.name: getattr(policy, f.name) for f in dataclasses.fields(Policy)}
+    kept |= {"cells": tree, "evidence": {}, "timings": {}}
+    return DecisionTree(guarantee=guarantee, **kept)
+
+
+def _smallest_free_tree(judge: Judge, level: int | None, target: float) -> DecisionTree:
+    """Return the smallest tree of mode freedom that reaches a target, or else the best."""
+    tried: list[DecisionTree] = []
+    for tree in free_trees(judge, level, NODE_PRICES):
+        tried.append(aimed(tree, target))
+        if tried[-1].guarantee.reached:
+            return tried[-1]
+    return max(tried, key=lambda tree: tree.guarantee.agreeing)
+
+
+def _linear_tree(judge: Judge, target: float) -> DecisionTree:
+    policy = judge.policy
+    fit = fit_tree(judge.masks, policy.domain, len(policy.alphabet) + 1, target, seed=judge.seed)
+    tree = _decision_tree(policy, fit.tree, Guarantee("linear", content_hash(policy)))
+    changed = 1.0 - judge.compare(tree, with_policy=True).share
+    return judge.judged(tree, target, changed=changed)

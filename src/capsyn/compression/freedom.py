@@ -1,0 +1,72 @@
+"""What labels cost where a policy leaves a choice: its mixed cells."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from capsyn.compression.induction import Prices
+from capsyn.masks import Label
+from capsyn.policy import Policy
+
+VOTES = 16
+"""Random states of each mixed cell at which the controller is asked."""
+
+
+def exact_prices(policy: Policy) -> Prices:
+    """Return prices under which every cell keeps its own label."""
+    none = np.zeros((0, len(policy.alphabet) + 1), dtype=np.int64)
+    return Prices(_own_masks(policy), policy.cells.mixed_cells[:0], none, 1)
+
+
+def free_prices(policy: Policy, votes: np.ndarray, node_price: float) -> Prices:
+    """Return prices under which mixed cells may take any label that was seen in them.
+
+    Parameters
+    ----------
+    policy : Policy
+        A policy of cells.
+    votes : (K, N + 1)
+        Of `VOTES`, how many each label has in each mixed cell; see `cell_votes`.
+    node_price : float
+        Finest cells of disagreement that saving one node of the tree is worth.
+    """
+    masks = _own_masks(policy)
+    masks[policy.cells.mixed_cells] |= policy.cells.mixed_labels
+    leaf_price = max(1, round(2 * VOTES * node_price))  # a leaf more is two nodes more
+    return Prices(masks, policy.cells.mixed_cells, VOTES - votes, leaf_price)
+
+
+def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarray:
+    """Return how many of `VOTES` votes each label (K, N + 1) has in each mixed cell.
+
+    Parameters
+    ----------
+    controller : function, optional
+        States (B, n) to masks (B,) of the symbols that could be best. It is asked at random states
+        of the cells. Without it the policy's own label has all votes.
+    seed : int
+        Seed of the states.
+    """
+    cells, labels = policy.cells, len(policy.alphabet) + 1
+    mixed = cells.mixed_cells
+    votes = np.zeros((len(mixed), labels), dtype=np.int64)
+    if controller is None:
+        votes[np.arange(len(mixed)), -1 - cells.entries[mixed]] = VOTES
+        return votes
+    boxes = cells.boxes()
+    place = np.empty(len(cells.entries), dtype=np.int64)
+    place[boxes.places] = np.arange(len(boxes))
+    lower = policy.domain.points(boxes.lower[place[mixed]], cells.counts)
+    upper = policy.domain.points(boxes.upper[place[mixed]], cells.counts)
+    random = np.random.default_rng(seed)
+    for _ in range(VOTES):
+        masks = controller(lower + random.random(lower.shape) * (upper - lower))
+        for label in range(labels):
+            votes[:, label] += (masks >> np.uint64(label)) & np.uint64(1) != 0
+    return votes
+
+
+def _own_masks(policy: Policy) -> np.ndarray:
+    entries = policy.cells.entries
+    own = np.uint64(1) << np.maximum(-1 - entries, 0).astype(np.uint64)
+    return np.where(entries < 0, own, np.uint64(0))

@@ -1,0 +1,307 @@
+"""Small axis-aligned trees that give every cell a label it may take.
+
+Top down, a box is cut where a plane separates most unlike cells and cuts least through like ones.
+Once a box is small enough, the tree of least cost of it is found by dynamic programming. Only
+faces between unlike cells are looked at, so that work and memory grow with the switching surface
+and not with the volume, and no fine grid is ever formed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.cells import CellTree
+from capsyn.compression.optimal import FORBIDDEN, optimal_splits, sub_box_count
+from capsyn.faces import Faces, shared_faces
+from capsyn.split_tree import LEAF, SplitTree
+
+CUT_PENALTY = 0.1
+"""What a unit of area cut between like cells counts against one between unlike cells."""
+TOUCHING = 0.25
+"""What a face counts between cells that may take a common label; 1 where they may not."""
+BUDGETS = {1: 1_000_000, 2: 1_000_000, 3: 100_000}
+"""Most sub-boxes of a box whose tree of least cost is searched, by number of axes."""
+BUDGET = 10_000
+"""The same for more axes."""
+MEMORY = 200_000_000
+"""Bytes that the dynamic programme may take at once, roughly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prices:
+    """What each of L labels costs in the cells of a policy.
+
+    Parameters
+    ----------
+    masks : (M,) uint64
+        Labels that each entry of the cells may take, as bit masks.
+    priced : (K,) ints
+        Entries, ascending, where the labels differ in price.
+    prices : (K, L) int64
+        Price of each label there, per finest cell, 0 or more.
+    leaf_price : int
+        Price of a leaf, 1 or more.
+    """
+
+    masks: np.ndarray
+    priced: np.ndarray
+    prices: np.ndarray
+    leaf_price: int
+
+    def of(self, entries: np.ndarray, volumes: np.ndarray) -> np.ndarray:
+        """Return the penalties (B, L) of entries (B,) of some volumes (B,) [finest cells]."""
+        found = np.zeros((len(entries), self.prices.shape[1]), dtype=np.int64)
+        if len(self.priced):
+            place = np.searchsorted(self.priced, entries) % len(self.priced)
+            known = self.priced[place] == entries
+            found[known] = self.prices[place[known]] * volumes[known, None]
+        found[~allowed(self.masks[entries], found.shape[1])] = FORBIDDEN
+        return found
+
+
+def allowed(masks: np.ndarray, labels: int) -> np.ndarray:
+    """Return whether each mask (B,) holds each of so many labels, (B, L)."""
+    return (masks[:, None] >> np.arange(labels, dtype=np.uint64)) & np.uint64(1) != 0
+
+
+def induce(cells: CellTree, prices: Prices, budget: int | None = None) -> SplitTree:
+    """Return a small tree whose label is allowed in every cell.
+
+    Parameters
+    ----------
+    cells : CellTree
+        The cells.
+    prices : Prices
+        What labels cost in them.
+    budget : int, optional
+        Most sub-boxes of a box whose tree of least cost is searched. Default: by `BUDGETS`.
+    """
+    masks = prices.masks
+    budget = BUDGETS.get(cells.n, BUDGET) if budget is None else budget
+    faces = shared_faces(cells, lambda below, above: masks[below] != masks[above])
+    weight = np.where(masks[faces.below] & masks[faces.above], TOUCHING, 1.0)
+    nodes, blocks = _cut(cells, faces, weight, budget)
+    _solve(cells, prices, blocks, nodes)
+    return _merged(_labelled(_depth_first(nodes, cells.counts), cells, prices))
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """A box that is small enough for the dynamic programme.
+
+    ``cuts`` holds, for each axis, the lower bound of the box and the planes inside it on which
+    unlike cells meet: its grid of cells, whatever their size.
+    """
+
+    node: int
+    cuts: list[np.ndarray]
+    upper: np.ndarray
+
+    @property
+    def order(self) -> np.ndarray:
+        """The axes, those with most cells first."""
+        return np.argsort([-len(c) for c in self.cuts], kind="stable")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Cells along each axis, in that order and rounded up, so that few shapes occur."""
+        sizes = (len(self.cuts[a]) for a in self.order)
+        return tuple(k + k % 2 if 4 < k <= 12 else k for k in sizes)
+
+    def corners(self) -> np.ndarray:
+        """Return the lower corners (prod(shape), n) of the cells; the last ones are repeated."""
+        axes = self.order
+        points = [
+            self.cuts[a][np.minimum(np.arange(k), len(self.cuts[a]) - 1)]
+            for a, k in zip(axes, self.shape)
+        ]
+        grid = np.stack(np.meshgrid(*points, indexing="ij"), axis=-1).reshape(-1, len(axes))
+        return grid[:, np.argsort(axes)]
+
+    def volumes(self) -> np.ndarray:
+        """Return the finest cells in each cell, (prod(shape),); 0 in repeated ones."""
+        total = np.ones(1, dtype=np.int64)
+        for a, k in zip(self.order, self.shape):
+            width = np.zeros(k, dtype=np.int64)
+            width[: len(self.cuts[a])] = np.diff(np.append(self.cuts[a], self.upper[a]))
+            total = np.outer(total, width).ravel()
+        return total
+
+
+Rows = list[list[int]]
+"""Nodes as (split, threshold, first, second)."""
+
+
+def _new(nodes: Rows) -> int:
+    nodes.append([LEAF, 0, -1, -1])
+    return len(nodes) - 1
+
+
+def _cut(
+    cells: CellTree, faces: Faces, weight: np.ndarray, budget: int
+) -> tuple[Rows, list[_Block]]:
+    """Return nodes from the root on, and the boxes that are left to the dynamic programme."""
+    nodes: Rows = []
+    blocks = []
+    lower, upper = np.zeros(cells.n, dtype=np.int64), np.array(cells.counts, dtype=np.int64)
+    kind = np.int32 if max(cells.counts) < 2**31 else np.int64
+    start = (faces.axis, faces.lower.astype(kind), faces.upper.astype(kind), weight)
+    stack = [(_new(nodes), lower, upper, start)]
+    while stack:
+        node, lower, upper, inside = stack.pop()
+        axis, low = inside[:2]
+        if not len(axis):
+            continue
+        cuts = [np.append(lower[a], np.unique(low[axis == a, a])) for a in range(cells.n)]
+        if sub_box_count(tuple(len(c) for c in cuts)) <= budget:
+            blocks.append(_Block(node, cuts, upper))
+            continue
+        a, cut = _best_plane(*inside, lower, upper)
+        children = _new(nodes), _new(nodes)
+        nodes[node] = [a, cut, *children]
+        for child, bounds in zip(children, ((lower[a], cut), (cut, upper[a]))):
+            below, above = lower.copy(), upper.copy()
+            below[a], above[a] = bounds
+            stack.append((child, below, above, _clip(*inside, a, *bounds)))
+    return nodes, blocks
+
+
+def _best_plane(
+    axis: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    weight: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+) -> tuple[int, int]:
+    """Return (axis, threshold) of the plane that separates most and cuts least in a box.
+
+    Of equals, that nearest to the middle is taken.
+    """
+    area = np.prod(np.maximum(high - low, 1), axis=1, dtype=float) * weight
+    size = upper - lower
+    best = (-np.inf, 0, 0)
+    for a in range(len(lower)):
+        planes, place = np.unique(low[axis == a, a], return_inverse=True)
+        if not len(planes):
+            continue
+        apart = np.bincount(place, area[axis == a])
+        section = np.prod(np.delete(size, a), dtype=float)
+        gain = apart - CUT_PENALTY * (section - apart)
+        gain -= 1e-3 * np.abs((planes - lower[a]) / size[a] - 0.5)
+        i = int(np.argmax(gain))
+        best = max(best, (float(gain[i]), a, int(planes[i])))
+    return best[1], best[2]
+
+
+def _clip(
+    axis: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    weight: np.ndarray,
+    a: int,
+    lower: int,
+    upper: int,
+) -> tuple[np.ndarray, ...]:
+    """Return the parts of faces strictly inside ``lower < z[a] < upper``."""
+    on = axis == a
+    keep = (high[:, a] > lower) & (low[:, a] < upper)
+    keep &= ~on | ((low[:, a] > lower) & (high[:, a] < upper))
+    low, high = low[keep], high[keep]
+    np.maximum(low[:, a], lower, out=low[:, a])
+    np.minimum(high[:, a], upper, out=high[:, a])
+    return axis[keep], low, high, weight[keep]
+
+
+def _solve(cells: CellTree, prices: Prices, blocks: list[_Block], nodes: Rows) -> None:
+    """Give the nodes of the blocks their trees of least cost, many of one shape at a time."""
+    groups: dict[tuple[int, ...], list[_Block]] = {}
+    for block in blocks:
+        groups.setdefault(block.shape, []).append(block)
+    for shape, group in groups.items():
+        batch = max(1, MEMORY // (4 * sub_box_count(shape)))
+        for start in range(0, len(group), batch):
+            some = group[start : start + batch]
+            entries = cells.find(np.concatenate([block.corners() for block in some]))
+            price = prices.of(entries, np.concatenate([block.volumes() for block in some]))
+            price = price[:, (price < FORBIDDEN).any(axis=0)]
+            price = np.moveaxis(price.reshape(len(some), *shape, -1), -1, 1)
+            _attach(nodes, some, optimal_splits(price, prices.leaf_price))
+
+
+def _attach(nodes: Rows, blocks: list[_Block], found: tuple[np.ndarray, ...]) -> None:
+    axis, cut, first, second = (x.tolist() for x in found)
+    number = [block.node for block in blocks] + [_new(nodes) for _ in axis[len(blocks) :]]
+    orders = [block.order.tolist() for block in blocks]
+    stack = [(i, i) for i in range(len(blocks))]
+    while stack:
+        i, owner = stack.pop()
+        if axis[i] < 0:
+            continue
+        a = orders[owner][axis[i]]
+        threshold = int(blocks[owner].cuts[a][cut[i]])
+        nodes[number[i]] = [a, threshold, number[first[i]], number[second[i]]]
+        stack += [(first[i], owner), (second[i], owner)]
+
+
+def _depth_first(nodes: Rows, counts: tuple[int, ...]) -> SplitTree:
+    rows: list[tuple[int, int, int]] = []
+    stack = [(0, -1)]
+    while stack:
+        node, parent = stack.pop()
+        split, threshold, first, second = nodes[node]
+        here = len(rows)
+        if parent >= 0:
+            rows[parent] = (*rows[parent][:2], here)
+        rows.append((split, threshold, here))
+        if split != LEAF:
+            stack += [(second, here), (first, -1)]
+    return _tree(rows, counts)
+
+
+def _tree(rows: Iterable[tuple[int, int, int]], counts: tuple[int, ...]) -> SplitTree:
+    columns = np.array(list(rows), dtype=np.int32).reshape(-1, 3).T.copy()
+    return SplitTree(counts, *columns, np.zeros((0, len(counts)), dtype=np.int32))
+
+
+def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:
+    """Return the tree with leaves of least penalty; of equals, the label with most volume."""
+    boxes = cells.boxes()
+    leaf, box, lower, upper = tree.parts(boxes.lower, boxes.upper)
+    volume = np.prod(upper - lower, axis=1)
+    labels = prices.prices.shape[1]
+    penalty = np.zeros((tree.node_count, labels), dtype=np.int64)
+    own = np.zeros((tree.node_count, labels))
+    common = np.full(tree.node_count, ~np.uint64(0))
+    entries = boxes.places[box]
+    np.add.at(penalty, leaf, np.minimum(prices.of(entries, volume), FORBIDDEN // 2**20))
+    np.add.at(own, (leaf, boxes.labels[box]), volume)
+    np.bitwise_and.at(common, leaf, prices.masks[entries])
+    can = allowed(common, labels)
+    leaves = tree.split == LEAF
+    if not can[leaves].any(axis=1).all():
+        raise AssertionError("a leaf has no label that all its cells allow")
+    least = np.where(can, penalty, np.iinfo(np.int64).max)
+    cheapest = least == least.min(axis=1, keepdims=True)
+    best = np.argmax(np.where(cheapest, own, -1.0), axis=1)
+    return SplitTree(
+        tree.counts,
+        tree.split,
+        np.where(leaves, best, tree.threshold).astype(np.int32),
+        tree.second,
+        tree.planes,
+    )
+
+
+def _merged(tree: SplitTree) -> SplitTree:
+    """Return the tree with pairs of leaves of one label merged, bottom-up."""
+    nodes = np.column_stack([tree.split, tree.threshold, tree.first, tree.second]).tolist()
+    for node in reversed(nodes):  # children come after their parents
+        if node[0] != LEAF:
+            first, second = nodes[node[2]], nodes[node[3]]
+            if first[0] == second[0] == LEAF and first[1] == second[1]:
+                node[:2] = [LEAF, first[1]]
+    return _depth_first(nodes, tree.counts)
