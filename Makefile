@@ -43,6 +43,7 @@ check: $(VENV)/developed
 	$(BIN)/mypy
 
 bench: $(VENV)/developed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python benchmarks/run.py
 
 figures: $(VENV)/installed

@@ -10,7 +10,7 @@ from capsyn import __version__
 from capsyn.native.build import find_compiler
 
 HERE = Path(__file__).parent
-QUESTIONS = ("solve", "synthesis", "lookup", "closed_loop", "command", "counts")
+QUESTIONS = "solve synthesis lookup compression closed_loop command counts".split()
 
 INTRODUCTION = """# Benchmarks
 
@@ -61,8 +61,8 @@ def main():
     lines += ["", "| what | figure | wanted | met |", "|---|---|---|---|"]
     for row in rows:
         value = row["value"]
-        figure = f"{value:,}" if isinstance(value, int) else f"{value:.3g}"
-        wanted = row.get("wanted", "")
+        figure = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+        wanted = row.get("wanted") or ""
         lines.append(
             f"| {row['what']} | {figure} {row['unit']} | {wanted} | {met(value, wanted)} |"
         )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from capsyn.alphabet import Alphabet as Alphabet
+    from capsyn.automaton import Automaton as Automaton
     from capsyn.compression.compress import compress as compress
     from capsyn.decision_tree import DecisionTree as DecisionTree
     from capsyn.domain import Ball as Ball
@@ -29,6 +30,7 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "Alphabet": "alphabet",
+    "Automaton": "automaton",
     "Ball": "domain",
     "Box": "domain",
     "CapsynError": "errors",
@@ -49,6 +51,7 @@ _PUBLIC = {
 }
 __all__ = [
     "Alphabet",
+    "Automaton",
     "Ball",
     "Box",
     "CapsynError",

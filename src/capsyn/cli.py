@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from capsyn.cli_compression import automaton, compress
 from capsyn.cli_evidence import reproduce, simulate, verify
 from capsyn.cli_options import (
     Backend,
@@ -21,7 +22,7 @@ from capsyn.cli_options import (
     number,
     whole_number_list,
 )
-from capsyn.console import print_report, print_table, progress_bars, show
+from capsyn.console import print_report, print_table, progress_bars, show, working
 from capsyn.errors import CapsynError, CapsynWarning, ProblemError
 
 if TYPE_CHECKING:
@@ -177,12 +178,24 @@ def synth(
 
 
 @app.command()
-def info(file: File, as_json: Json = False) -> None:
-    """Say what a policy is, and what smells."""
+def info(
+    file: File,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Leave out how complex the policy is.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Say what a policy is, how complex, and what smells."""
     from capsyn.policy import Policy
     from capsyn.report import report
 
-    data = report(Policy.load(file))
+    policy = Policy.load(file)
+    data = report(policy)
+    if not quick:
+        from capsyn.complexity import complexity
+
+        with working("how complex"):
+            data["complexity"] = complexity(policy)
     show(as_json, data, lambda: print_report(data))
 
 
@@ -246,6 +259,8 @@ def plot(
     typer.echo(f"wrote {output}")
 
 
+app.command()(compress)
+app.command()(automaton)
 app.command()(simulate)
 app.command()(verify)
 

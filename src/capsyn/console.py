@@ -191,6 +191,38 @@ def print_evidence(found: dict[str, Any]) -> None:
         _line("islands", f"{cells:,} cells hold something that all their test points missed")
 
 
+def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
+    """Print what `capsyn.complexity.complexity` returns."""
+    table, tree, machine = data["table"], data["tree"], data["automaton"]
+    if from_cells:
+        _line(
+            "packed table",
+            f"{table['bytes']:,} bytes, {table['comparisons']} comparisons at most",
+        )
+    average = tree["mean_comparisons"]
+    _line(
+        "packed tree",
+        f"{tree['bytes']:,} bytes, {tree['mode']}, {tree['nodes']:,} nodes, "
+        f"{tree['comparisons']} comparisons at most"
+        + ("" if average is None else f", {average:.1f} on average"),
+    )
+    _line("entropy", f"{data['symbol_entropy']:.3f} bits of the symbols by volume")
+    if machine is None:
+        return
+    _line(
+        "automaton",
+        f"{machine['regions']} regions in {machine['partitions']:,} connected partitions and "
+        f"{machine['boxes']:,} boxes; {machine['edges']} edges",
+    )
+    if machine["switch_rate"] is not None:
+        _line(
+            "switches",
+            f"{machine['possible_edges']} edges can be taken; {machine['switch_rate']:.3g} per "
+            f"second from evenly spread states; sliding on {machine['sliding_share']:.1%} of the "
+            f"switching surface; {machine['switching_entropy']:.3f} bits a switch",
+        )
+
+
 def print_report(data: dict[str, Any]) -> None:
     """Print what `capsyn.report.report` returns."""
     line = _line
@@ -207,13 +239,27 @@ def print_report(data: dict[str, Any]) -> None:
         line("symbol", f"{symbol['name']} ({value}): {symbol['volume_share']:.2%} of the volume")
     value = ", ".join(f"{v:g}" for v in data["default"]["value"])
     line("default", f"({value}): {data['default']['volume_share']:.2%} of the volume")
-    grid = " x ".join(str(state["partitions"]) for state in data["states"])
-    mixed = f"{data['mixed_cells']:,} with mixed labels, {data['mixed_share']:.2%} of the volume"
-    line(
-        "cells",
-        f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
-    )
-    line("table", f"{data['table_bytes']:,} bytes")
+    if "cells" in data:
+        grid = " x ".join(str(state["partitions"]) for state in data["states"])
+        mixed = (
+            f"{data['mixed_cells']:,} with mixed labels, {data['mixed_share']:.2%} of the volume"
+        )
+        line(
+            "cells",
+            f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
+        )
+        line("table", f"{data['table_bytes']:,} bytes")
+    else:
+        planes = f", {data['planes']} oblique splits" if data["planes"] else ""
+        grid = " x ".join(str(state["steps"]) for state in data["states"])
+        line(
+            "tree",
+            f"{data['nodes']:,} nodes, {data['depth']} comparisons at most{planes}, on "
+            f"{grid} steps; {data['tree_bytes']:,} bytes",
+        )
+        line("guarantee", data["guarantee"]["text"])
+    if data.get("complexity"):
+        _print_complexity(data["complexity"], "cells" in data)
     if "solves" in statistics:
         named = {
             "vertices": "vertices",

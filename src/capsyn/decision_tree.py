@@ -126,6 +126,7 @@ class DecisionTree(Policy):
     gives the same symbol.
     """
 
+    cells: SplitTree
     guarantee: Guarantee = field(kw_only=True)
 
     def __post_init__(self) -> None:
@@ -151,14 +152,12 @@ class DecisionTree(Policy):
 
         Of a tree with oblique splits it is estimated at `SAMPLES` random states.
         """
+        if not len(self.cells.planes):
+            return super().volume_shares
         counts = self.cells.counts
-        if len(self.cells.planes):
-            steps = np.random.default_rng(0).integers(counts, size=(SAMPLES, self.domain.n))
-            labels, weights = self.cells.labels(steps), np.full(SAMPLES, 1 / SAMPLES)
-        else:
-            boxes = self.cells.boxes()
-            labels, weights = boxes.labels, boxes.volumes() / np.prod(counts, dtype=float)
-        return np.bincount(labels, weights, minlength=len(self.alphabet) + 1)
+        steps = np.random.default_rng(0).integers(counts, size=(SAMPLES, self.domain.n))
+        found = np.bincount(self.cells.labels(steps), minlength=len(self.alphabet) + 1)
+        return found / SAMPLES
 
     @property
     def mixed_share(self) -> float:

@@ -78,9 +78,7 @@ def shared_faces(
             own = boxes.places[some]
             below, above = (other, own) if side < 0 else (own, other)
             kept = keep(below, above) & (own != other)
-            some, below, above, lower, upper = (
-                x[kept] for x in (some, below, above, lower, upper)
-            )
+            some, below, above, lower, upper = (x[kept] for x in (some, below, above, lower, upper))
             lower[:, axis] = upper[:, axis] = at[some] % counts[axis]
             found.append((np.full(len(some), axis), lower, upper, below, above))
     return Faces(*(np.concatenate(parts) for parts in zip(*found)))

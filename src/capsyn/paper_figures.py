@@ -10,7 +10,7 @@ import numpy as np
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.plots import PALETTE, frame, outline_width, quantity, rectangles, symbol_colors
-from capsyn.policy import Policy
+from capsyn.policy import Policy, cell_tree
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,7 @@ def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
     """
     from matplotlib.collections import PolyCollection
 
-    domain, tree = policy.domain, policy.cells
+    domain, tree = policy.domain, cell_tree(policy)
     if domain.n != 2:
         raise ProblemError(f"`policy` must have two states to draw its layers; got {domain.n}")
     if len(axes) != tree.max_level + 1:

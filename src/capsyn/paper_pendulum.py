@@ -17,7 +17,7 @@ from capsyn.paper_figures import (
     new_figure,
 )
 from capsyn.plots import plot_policy
-from capsyn.policy import Policy
+from capsyn.policy import Policy, cell_tree
 from capsyn.problems import cart_pendulum
 from capsyn.transcription import user_program
 from capsyn.verification.agreement import agreement
@@ -34,7 +34,7 @@ def figure_3(policy: Policy) -> Figure:
     """Return Fig. 3: the layers of the two-symbol policy, and its finite state machine."""
     figure = new_figure(13, 5)
     upper, lower = halves(figure, False, (3, 2))
-    draw_layers(policy, upper.subplots(1, policy.cells.max_level + 1))
+    draw_layers(policy, upper.subplots(1, cell_tree(policy).max_level + 1))
     draw_automaton(policy, lower.subplots())
     return figure
 

@@ -185,22 +185,18 @@ class Policy:
     @functools.cached_property
     def volume_shares(self) -> np.ndarray:
         """Share of the domain's volume of each symbol, and of the default last, (N + 1,)."""
-        shares = np.zeros(len(self.alphabet) + 1)
-        volumes = self.cells.level_volumes()
-        for leaves in self.cells.leaves():
-            counts = np.bincount(leaves.labels, minlength=len(shares))
-            shares += counts * volumes[leaves.level]
-        return shares
+        boxes = self.cells.boxes()
+        total = np.prod(self.cells.counts, dtype=float)
+        return np.bincount(boxes.labels, boxes.volumes() / total, len(self.alphabet) + 1)
 
     @functools.cached_property
     def mixed_share(self) -> float:
         """Share of the volume of finest cells whose test points did not agree."""
-        volumes = self.cells.level_volumes()
-        mixed = np.zeros(len(self.cells.entries), dtype=bool)
-        mixed[self.cells.mixed_cells] = True
-        return float(
-            math.fsum(mixed[x.entries].sum() * volumes[x.level] for x in self.cells.leaves())
-        )
+        cells = cell_tree(self)
+        volumes = cells.level_volumes()
+        mixed = np.zeros(len(cells.entries), dtype=bool)
+        mixed[cells.mixed_cells] = True
+        return float(math.fsum(mixed[x.entries].sum() * volumes[x.level] for x in cells.leaves()))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the policy to a file; what was there is replaced only by a whole new one."""
@@ -241,6 +237,17 @@ class Policy:
             f"Policy('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
             f"{self.cells.leaf_count} cells)"
         )
+
+
+def cell_tree(policy: Any) -> CellTree:
+    """Return the cells of a policy; `ProblemError` if it is none, or a decision tree."""
+    if not isinstance(policy, Policy):
+        raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
+    if not isinstance(policy.cells, CellTree):
+        raise ProblemError(
+            f"`policy` must be one of cells, as synthesize makes them; got {policy!r}"
+        )
+    return policy.cells
 
 
 def check_outside(rule: Any, alphabet: Alphabet) -> Outside:

@@ -18,7 +18,7 @@ from capsyn.domain import Ball, Box
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.files import atomic_write
 from capsyn.model import Model
-from capsyn.policy import Policy
+from capsyn.policy import Policy, cell_tree
 from capsyn.program import Program
 from capsyn.settings import SsacSettings
 from capsyn.split_tree import SplitTree
@@ -97,14 +97,15 @@ def _digest(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> str:
 def _content(policy: Policy) -> dict[str, Any]:
     target = policy.target
     kind = {Ball: "ball", Box: "box", Program: "program", type(None): ""}[type(target)]
-    tree = policy.cells
+    structure: dict[str, Any]
     if isinstance(policy, DecisionTree):
-        structure = {"counts": list(tree.counts), "guarantee": policy.guarantee.to_json()}
+        structure = {"counts": list(policy.cells.counts), "guarantee": policy.guarantee.to_json()}
     else:
+        cells = cell_tree(policy)
         structure = {
-            "partitions": list(tree.partitions),
-            "refinement": list(tree.refinement),
-            "max_level": tree.max_level,
+            "partitions": list(cells.partitions),
+            "refinement": list(cells.refinement),
+            "max_level": cells.max_level,
         }
     return structure | {
         "name": policy.name,

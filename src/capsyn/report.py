@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from capsyn.cells import CellTree
+from capsyn.decision_tree import DecisionTree
 from capsyn.policy import Policy
-from capsyn.policy_file import content_hash
+from capsyn.policy_file import TREE_ARRAYS, content_hash
 from capsyn.targets import describe_target
 
 
 def report(policy: Policy) -> dict[str, Any]:
-    """Return the figures of a policy as plain data."""
-    tree, domain, alphabet = policy.cells, policy.domain, policy.alphabet
+    """Return the figures of a policy, or of a decision tree, as plain data."""
+    cells, domain, alphabet = policy.cells, policy.domain, policy.alphabet
     shares = policy.volume_shares.tolist()
     names = [*alphabet.names, "default"]
     return {
@@ -23,8 +25,8 @@ def report(policy: Policy) -> dict[str, Any]:
                 "lower": domain.lower[i],
                 "upper": domain.upper[i],
                 "periodic": domain.periodic[i],
-                "partitions": tree.partitions[i],
-                "refinement": tree.refinement[i],
+                "steps": cells.counts[i],
+                **(_grid(cells, i) if isinstance(cells, CellTree) else {}),
             }
             for i in range(domain.n)
         ],
@@ -36,11 +38,8 @@ def report(policy: Policy) -> dict[str, Any]:
         "target": None if policy.target is None else describe_target(policy.target, domain),
         "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
         "unused_symbols": [names[k] for k in range(len(alphabet)) if not shares[k]],
-        "max_level": tree.max_level,
-        "cells": tree.leaf_count,
-        "table_bytes": tree.entries.nbytes,
-        "mixed_cells": len(tree.mixed_cells),
-        "mixed_share": policy.mixed_share,
+        **(_cells(policy, cells) if isinstance(cells, CellTree) else {}),
+        **(_tree(policy) if isinstance(policy, DecisionTree) else {}),
         "outside": policy.outside
         if isinstance(policy.outside, str)
         else policy.symbol_name(policy.outside),
@@ -51,6 +50,30 @@ def report(policy: Policy) -> dict[str, Any]:
         "evidence": policy.evidence,
         "sha256": content_hash(policy),
         "hints": hints(policy),
+    }
+
+
+def _grid(cells: CellTree, axis: int) -> dict[str, int]:
+    return {"partitions": cells.partitions[axis], "refinement": cells.refinement[axis]}
+
+
+def _cells(policy: Policy, cells: CellTree) -> dict[str, Any]:
+    return {
+        "max_level": cells.max_level,
+        "cells": cells.leaf_count,
+        "table_bytes": cells.entries.nbytes,
+        "mixed_cells": len(cells.mixed_cells),
+        "mixed_share": policy.mixed_share,
+    }
+
+
+def _tree(tree: DecisionTree) -> dict[str, Any]:
+    return {
+        "nodes": tree.node_count,
+        "depth": tree.depth,
+        "planes": len(tree.cells.planes),
+        "tree_bytes": sum(getattr(tree.cells, name).nbytes for name in TREE_ARRAYS),
+        "guarantee": tree.guarantee.to_json() | {"text": tree.guarantee.text},
     }
 
 

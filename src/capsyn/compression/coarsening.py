@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from capsyn.cells import CellTree
-from capsyn.policy import Policy
+from capsyn.policy import Policy, cell_tree
 
 
 def cut_off(policy: Policy, level: int) -> Policy:
@@ -16,7 +16,7 @@ def cut_off(policy: Policy, level: int) -> Policy:
     Such a cell gets the label that takes most of its volume, of equals the first; it is mixed, with
     all labels that are in it or were seen in it.
     """
-    cells = policy.cells
+    cells = cell_tree(policy)
     labels = len(policy.alphabet) + 1
     leaf = np.where(cells.entries < 0, -1 - cells.entries, 0)
     masks = np.where(cells.entries < 0, np.uint64(1) << leaf.astype(np.uint64), np.uint64(0))

@@ -5,11 +5,9 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 
-from capsyn.cells import CellTree
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
@@ -18,7 +16,7 @@ from capsyn.compression.oblique import fit_tree
 from capsyn.compression.proof import changed_cells
 from capsyn.decision_tree import MODES, DecisionTree, Guarantee
 from capsyn.errors import CapsynWarning, ProblemError
-from capsyn.policy import Policy
+from capsyn.policy import Policy, cell_tree
 from capsyn.policy_file import content_hash
 from capsyn.split_tree import SplitTree
 from capsyn.validation import describe, finite_number, one_of, whole_number
@@ -84,7 +82,7 @@ def compress(
     ProblemError
         An argument that cannot be used.
     """
-    check_compressible(policy)
+    cells = cell_tree(policy)
     one_of("mode", mode, list(MODES))
     for name, value, modes in (
         ("agreement", agreement, ("freedom", "linear")),
@@ -102,7 +100,7 @@ def compress(
         if node_price is not None:
             raise ProblemError("`agreement` and `node_price` exclude each other; got both")
     if level is not None:
-        level = whole_number("level", level, least=0, most=policy.cells.max_level)
+        level = whole_number("level", level, least=0, most=cells.max_level)
     node_price = finite_number(
         "node_price", NODE_PRICE if node_price is None else node_price, least=0.0
     )
@@ -121,16 +119,6 @@ def compress(
     if not tree.guarantee.reached:
         warnings.warn(judge.advice(tree), CapsynWarning, stacklevel=2)
     return tree
-
-
-def check_compressible(policy: Any) -> None:
-    """Raise `ProblemError` unless a policy consists of cells."""
-    if not isinstance(policy, Policy):
-        raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
-    if not isinstance(policy.cells, CellTree):
-        raise ProblemError(
-            f"`policy` must be one of cells, as synthesize makes them; got the tree {policy!r}"
-        )
 
 
 def exact_tree(policy: Policy, level: int | None = None) -> DecisionTree:
@@ -155,10 +143,11 @@ def _proved_tree(
     policy: Policy, base: Policy, mode: str, level: int | None, prices: Prices
 ) -> DecisionTree:
     """Return the tree of a cut-off policy under some prices, its guarantee proved cell by cell."""
-    tree = induce(base.cells, prices)
-    changed_cells(tree, base.cells, prices.masks)  # raises where a label is not allowed
-    changed = changed_cells(tree.refined(policy.cells.counts), policy.cells).sum()
-    share = float(changed / np.prod(policy.cells.counts, dtype=float))
+    cells, left = cell_tree(policy), cell_tree(base)
+    tree = induce(left, prices)
+    changed_cells(tree, left, prices.masks)  # raises where a label is not allowed
+    changed = changed_cells(tree.refined(cells.counts), cells).sum()
+    share = float(changed / np.prod(cells.counts, dtype=float))
     guarantee = Guarantee(mode, content_hash(policy), level, share)
     return _decision_tree(policy, tree, guarantee)
 

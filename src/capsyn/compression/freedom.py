@@ -6,7 +6,7 @@ import numpy as np
 
 from capsyn.compression.induction import Prices
 from capsyn.masks import Label
-from capsyn.policy import Policy
+from capsyn.policy import Policy, cell_tree
 
 VOTES = 16
 """Random states of each mixed cell at which the controller is asked."""
@@ -15,7 +15,7 @@ VOTES = 16
 def exact_prices(policy: Policy) -> Prices:
     """Return prices under which every cell keeps its own label."""
     none = np.zeros((0, len(policy.alphabet) + 1), dtype=np.int64)
-    return Prices(_own_masks(policy), policy.cells.mixed_cells[:0], none, 1)
+    return Prices(_own_masks(policy), cell_tree(policy).mixed_cells[:0], none, 1)
 
 
 def free_prices(policy: Policy, votes: np.ndarray, node_price: float) -> Prices:
@@ -30,10 +30,10 @@ def free_prices(policy: Policy, votes: np.ndarray, node_price: float) -> Prices:
     node_price : float
         Finest cells of disagreement that saving one node of the tree is worth.
     """
-    masks = _own_masks(policy)
-    masks[policy.cells.mixed_cells] |= policy.cells.mixed_labels
+    cells, masks = cell_tree(policy), _own_masks(policy)
+    masks[cells.mixed_cells] |= cells.mixed_labels
     leaf_price = max(1, round(2 * VOTES * node_price))  # a leaf more is two nodes more
-    return Prices(masks, policy.cells.mixed_cells, VOTES - votes, leaf_price)
+    return Prices(masks, cells.mixed_cells, VOTES - votes, leaf_price)
 
 
 def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarray:
@@ -47,7 +47,7 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     seed : int
         Seed of the states.
     """
-    cells, labels = policy.cells, len(policy.alphabet) + 1
+    cells, labels = cell_tree(policy), len(policy.alphabet) + 1
     mixed = cells.mixed_cells
     votes = np.zeros((len(mixed), labels), dtype=np.int64)
     if controller is None:
@@ -67,6 +67,6 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
 
 
 def _own_masks(policy: Policy) -> np.ndarray:
-    entries = policy.cells.entries
+    entries = cell_tree(policy).entries
     own = np.uint64(1) << np.maximum(-1 - entries, 0).astype(np.uint64)
     return np.where(entries < 0, own, np.uint64(0))

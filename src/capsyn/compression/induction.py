@@ -133,6 +133,8 @@ class _Block:
 
 Rows = list[list[int]]
 """Nodes as (split, threshold, first, second)."""
+_Inside = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Faces in a box: axis (F,), lower and upper corners (F, n), weight (F,)."""
 
 
 def _new(nodes: Rows) -> int:
@@ -149,7 +151,7 @@ def _cut(
     lower, upper = np.zeros(cells.n, dtype=np.int64), np.array(cells.counts, dtype=np.int64)
     kind = np.int32 if max(cells.counts) < 2**31 else np.int64
     start = (faces.axis, faces.lower.astype(kind), faces.upper.astype(kind), weight)
-    stack = [(_new(nodes), lower, upper, start)]
+    stack: list[tuple[int, np.ndarray, np.ndarray, _Inside]] = [(_new(nodes), lower, upper, start)]
     while stack:
         node, lower, upper, inside = stack.pop()
         axis, low = inside[:2]
@@ -159,28 +161,22 @@ def _cut(
         if sub_box_count(tuple(len(c) for c in cuts)) <= budget:
             blocks.append(_Block(node, cuts, upper))
             continue
-        a, cut = _best_plane(*inside, lower, upper)
+        a, cut = _best_plane(inside, lower, upper)
         children = _new(nodes), _new(nodes)
         nodes[node] = [a, cut, *children]
         for child, bounds in zip(children, ((lower[a], cut), (cut, upper[a]))):
             below, above = lower.copy(), upper.copy()
             below[a], above[a] = bounds
-            stack.append((child, below, above, _clip(*inside, a, *bounds)))
+            stack.append((child, below, above, _clip(inside, a, bounds)))
     return nodes, blocks
 
 
-def _best_plane(
-    axis: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    weight: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-) -> tuple[int, int]:
+def _best_plane(inside: _Inside, lower: np.ndarray, upper: np.ndarray) -> tuple[int, int]:
     """Return (axis, threshold) of the plane that separates most and cuts least in a box.
 
     Of equals, that nearest to the middle is taken.
     """
+    axis, low, high, weight = inside
     area = np.prod(np.maximum(high - low, 1), axis=1, dtype=float) * weight
     size = upper - lower
     best = (-np.inf, 0, 0)
@@ -197,16 +193,9 @@ def _best_plane(
     return best[1], best[2]
 
 
-def _clip(
-    axis: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    weight: np.ndarray,
-    a: int,
-    lower: int,
-    upper: int,
-) -> tuple[np.ndarray, ...]:
-    """Return the parts of faces strictly inside ``lower < z[a] < upper``."""
+def _clip(inside: _Inside, a: int, bounds: tuple[int, int]) -> _Inside:
+    """Return the parts of faces strictly between bounds on an axis."""
+    (axis, low, high, weight), (lower, upper) = inside, bounds
     on = axis == a
     keep = (high[:, a] > lower) & (low[:, a] < upper)
     keep &= ~on | ((low[:, a] > lower) & (high[:, a] < upper))
@@ -263,8 +252,9 @@ def _depth_first(nodes: Rows, counts: tuple[int, ...]) -> SplitTree:
 
 
 def _tree(rows: Iterable[tuple[int, int, int]], counts: tuple[int, ...]) -> SplitTree:
-    columns = np.array(list(rows), dtype=np.int32).reshape(-1, 3).T.copy()
-    return SplitTree(counts, *columns, np.zeros((0, len(counts)), dtype=np.int32))
+    split, threshold, second = np.array(list(rows), dtype=np.int32).reshape(-1, 3).T.copy()
+    planes = np.zeros((0, len(counts)), dtype=np.int32)
+    return SplitTree(counts, split, threshold, second, planes)
 
 
 def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:

@@ -9,7 +9,7 @@ from typing import Any
 
 from capsyn.decision_tree import DecisionTree
 from capsyn.masks import Label, masks_of_symbols
-from capsyn.policy import Policy
+from capsyn.policy import Policy, cell_tree
 from capsyn.ssac import BatchController, policy_controller
 from capsyn.verification.agreement import Agreement, agreement
 
@@ -91,7 +91,7 @@ class Judge:
         if own.low >= target:
             return f"{text}; mode exact agrees at {own.share:.3%}"
         # what cells along a surface get wrong is in proportion to their size
-        cells = self.policy.cells
+        cells = cell_tree(self.policy)
         levels = math.log((1 - own.share) / (1 - target), min(cells.refinement))
         return (
             f"{text}; the policy itself agrees at {own.share:.3%}: synthesize it with max_level "

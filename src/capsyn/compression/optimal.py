@@ -75,9 +75,7 @@ def optimal_splits(
     return result[0], result[1], result[2], result[3]
 
 
-def _least_costs(
-    penalty: np.ndarray, sums: np.ndarray, leaf_price: int
-) -> dict[Shape, np.ndarray]:
+def _least_costs(penalty: np.ndarray, sums: np.ndarray, leaf_price: int) -> dict[Shape, np.ndarray]:
     """Return for each shape of sub-box the least costs (B, k1 - shape1 + 1, ..) by lower corner.
 
     `sums` is that of `_box_sums`.
@@ -95,9 +93,8 @@ def _least_costs(
     for shape in itertools.product(*(range(1, k + 1) for k in grid)):
         changed = next(i for i in range(n) if shape[i] != last[i])
         for axis in range(changed, n):
-            before = (slice(None),) * (2 + axis)
-            low = over[axis][(*before, slice(None, -shape[axis]))]
-            over[axis + 1] = over[axis][(*before, slice(shape[axis], None))] - low
+            sums, size = np.moveaxis(over[axis], 2 + axis, 0), shape[axis]
+            over[axis + 1] = np.moveaxis(sums[size:] - sums[:-size], 0, 2 + axis)
         last = shape
         best = np.minimum(over[n].min(axis=1) + leaf_price, most).astype(dtype)
         total = np.empty_like(best)
@@ -105,8 +102,8 @@ def _least_costs(
             line = lines.setdefault((axis, shape[:axis] + shape[axis + 1 :]), [best])
             end, before = best.shape[1 + axis], (slice(None),) * (1 + axis)
             for k in range(1, size):
-                low, high = line[k], line[size - k]
-                np.add(low[(*before, slice(end))], high[(*before, slice(k, k + end))], out=total)
+                low = line[k][before + (slice(end),)]
+                np.add(low, line[size - k][before + (slice(k, k + end),)], out=total)
                 np.minimum(best, total, out=best)
             line.append(best)
         costs[shape] = best
@@ -140,15 +137,13 @@ def _box_sums(penalty: np.ndarray) -> np.ndarray:
     return sums
 
 
-def _leaf_costs(
-    sums: np.ndarray, place: np.ndarray, shape: Shape, leaf_price: int
-) -> np.ndarray:
-    """Return the costs (P,) of boxes of a shape as leaves; `place` (P, 1 + n) is grid and corner."""
+def _leaf_costs(sums: np.ndarray, place: np.ndarray, shape: Shape, leaf_price: int) -> np.ndarray:
+    """Return the costs (P,) of boxes of a shape as leaves; `place` (P, 1 + n): grid and corner."""
     total = np.zeros((len(place), sums.shape[1]), dtype=np.int64)
     for corner in itertools.product((0, 1), repeat=len(shape)):
         at = place[:, 1:] + np.array(corner) * shape
         sign = (-1) ** (len(shape) - sum(corner))
-        total += sign * sums[(place[:, 0], slice(None), *at.T)]
+        total += sign * np.moveaxis(sums, 1, -1)[tuple(np.column_stack([place[:, 0], at]).T)]
     return total.min(axis=1) + leaf_price
 
 

@@ -17,7 +17,7 @@ from capsyn.cells import CellTree
 from capsyn.errors import ProblemError
 from capsyn.lattice_points import CHUNK
 from capsyn.masks import Label, masks_of_symbols, preferred, several
-from capsyn.policy import Policy
+from capsyn.policy import Policy, cell_tree
 from capsyn.processors import processors
 from capsyn.ssac import policy_controller
 from capsyn.validation import describe, one_of, whole_number
@@ -329,7 +329,7 @@ class _Tally:
         self, cells: np.ndarray, level: np.ndarray, lower: np.ndarray
     ) -> tuple[Island, ...]:
         """Return uniform cells (K,) with disagreeing states, most of these first."""
-        tree, domain = self._policy.cells, self._policy.domain
+        tree, domain = cell_tree(self._policy), self._policy.domain
         places, states = (np.concatenate(parts) for parts in zip(*self._examples))
         order = np.argsort(places)
         examples = states[order[np.searchsorted(places, cells, sorter=order)]]

@@ -35,8 +35,8 @@ class LyapunovCells:
     levels, symbols : (K,) ints
         Level of subdivision, and symbol; -1 is the default control.
     boundary : (K,) booleans
-        Finest cells (of a decision tree: leaves) on a switching surface: their test points did not agree, or a cell across a
-        face has another symbol.
+        Finest cells, or leaves of a decision tree, on a switching surface: their test points did
+        not agree, or a cell across a face has another symbol.
     lower, upper : (K, n)
         Bounds [state units].
     states : (K, n)

@@ -1,0 +1,183 @@
+"""The trade-off between the size of a controller and its agreement."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from capsyn.compression.coarsening import cut_off
+from capsyn.compression.compress import compress, exact_tree, free_trees
+from capsyn.compression.judge import Judge
+from capsyn.decision_tree import DecisionTree
+from capsyn.files import atomic_write
+from capsyn.packing import packed_bytes
+from capsyn.policy import Policy, cell_tree
+from capsyn.validation import one_of, whole_number
+
+NODE_PRICES = (2.0, 0.5, 0.1)
+"""Of mode freedom: what saving a node is worth, in finest cells of disagreement."""
+TARGETS = (0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
+"""Of mode linear; those beyond the first that is missed are not tried."""
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """A controller, its size and its agreement.
+
+    Parameters
+    ----------
+    mode : "cells", "exact", "freedom" or "linear"
+        ``cells``: the policy itself, or what is left of it at a level.
+    level : int, optional
+        Level below which cells were merged.
+    options : str
+        Options of ``capsyn compress`` that make it; "" for cells.
+    nodes : int
+        Nodes of the tree, or entries of the table of cells.
+    depth : int
+        Most comparisons of a lookup, or most levels that it goes down.
+    bytes : int
+        Of its arrays, each in the smallest integers that hold it.
+    agreement, low, high : float
+        Share of the volume where it agrees with sSAC, or with the policy where that has no model,
+        and its Clopper-Pearson interval.
+    smallest : bool
+        Whether no other point agrees as much with fewer bytes.
+    """
+
+    mode: str
+    level: int | None
+    options: str
+    nodes: int
+    depth: int
+    bytes: int
+    agreement: float
+    low: float
+    high: float
+    smallest: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the point as plain data."""
+        return dataclasses.asdict(self)
+
+
+def size_curve(
+    policy: Policy,
+    *,
+    states: int = 100_000,
+    seed: int = 0,
+    backend: str = "auto",
+    progress: Callable[[str], None] | None = None,
+) -> tuple[CurvePoint, ...]:
+    """Return the sizes and agreements of a policy and of its trees, by mode and level.
+
+    Parameters
+    ----------
+    policy : Policy
+        A policy of cells.
+    states, seed, backend
+        As in `compress`.
+    progress : function, optional
+        Is told in words what is done next.
+    """
+    cell_tree(policy)
+    states = whole_number("states", states, least=1)
+    seed = whole_number("seed", seed, least=0)
+    one_of("backend", backend, ["auto", "c", "numpy"])
+    judge = Judge.of(policy, states, seed, backend)
+    say = progress or (lambda text: None)
+    points = [*_cell_points(judge, say), *_tree_points(judge, say), *_linear_points(judge, say)]
+    return tuple(
+        dataclasses.replace(point, smallest=not any(_beats(other, point) for other in points))
+        for point in points
+    )
+
+
+def save_curve(points: Sequence[CurvePoint], path: str | os.PathLike[str]) -> None:
+    """Write points as CSV, one line each."""
+
+    def write(temporary: Path) -> None:
+        with open(temporary, "w", newline="", encoding="utf-8") as file:
+            rows = csv.DictWriter(file, [f.name for f in dataclasses.fields(CurvePoint)])
+            rows.writeheader()
+            rows.writerows(point.to_json() for point in points)
+
+    atomic_write(path, write)
+
+
+def _beats(one: CurvePoint, other: CurvePoint) -> bool:
+    """Return whether one point is as good in bytes and agreement, and better in one of them."""
+    size, share = one.bytes - other.bytes, one.agreement - other.agreement
+    return size <= 0 <= share and (size, share) != (0, 0.0)
+
+
+def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoint]:
+    for level in range(cell_tree(judge.policy).max_level + 1):
+        say(f"cells at level {level}")
+        base = cut_off(judge.policy, level)
+        found = judge.compare(base)
+        cells = base.cells
+        size = packed_bytes(cells)
+        yield CurvePoint(
+            "cells",
+            level,
+            "",
+            cells.node_count,
+            1 + level,
+            size,
+            found.share,
+            found.low,
+            found.high,
+        )
+
+
+def _tree_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoint]:
+    policy, last = judge.policy, cell_tree(judge.policy).max_level
+    for level in range(last + 1):
+        say(f"trees at level {level}")
+        cut = None if level == last else level
+        option = "" if cut is None else f" --level {level}"
+        tree = judge.judged(exact_tree(policy, cut))
+        yield _point(tree, level, f"--mode exact{option}")
+        for price, tree in zip(NODE_PRICES, free_trees(judge, cut, NODE_PRICES)):
+            yield _point(tree, level, f"--mode freedom{option} --node-price {price:g}")
+
+
+def _linear_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoint]:
+    for target in TARGETS:
+        say(f"linear trees for {target:.1%}")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tree = compress(
+                judge.policy,
+                "linear",
+                agreement=target,
+                states=judge.states,
+                seed=judge.seed,
+                backend=judge.backend,
+            )
+        yield _point(tree, None, f"--mode linear --agreement {target:g}")
+        if not tree.guarantee.reached:
+            break
+
+
+def _point(tree: DecisionTree, level: int | None, options: str) -> CurvePoint:
+    had = tree.guarantee
+    size = packed_bytes(tree.cells)
+    return CurvePoint(
+        had.mode,
+        level,
+        options,
+        tree.node_count,
+        tree.depth,
+        size,
+        had.agreement,
+        had.low,
+        had.high,
+    )
