@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyArrowPatch
 
 from capsyn import Alphabet, Box, paper_figures, subdivide
 from capsyn.errors import ProblemError
@@ -73,32 +72,6 @@ def test_layers_need_two_states_and_one_axes_a_level():
         paper_figures.draw_layers(policy_of(n=3), axes(3))
     with pytest.raises(ProblemError, match="`axes` must be 3 Axes; got 2"):
         paper_figures.draw_layers(policy_of(), axes(2))
-
-
-@pytest.mark.parametrize(
-    ("symbols", "default"), [(1, False), (2, False), (2, True), (4, False), (8, False), (12, False)]
-)
-def test_an_automaton_has_all_vertices_edges_and_loops(symbols, default):
-    ax = paper_figures.draw_automaton(policy_of(symbols, default=default), axes())
-    count = symbols + default
-    circles = [p for p in ax.patches if isinstance(p, Circle)]
-    arrows = [p for p in ax.patches if isinstance(p, FancyArrowPatch)]
-    assert len(circles) == count and len(arrows) == count**2
-    for i in range(symbols):
-        assert texts(ax).count(f"$A_{{{i + 1}}}$") == (count if count <= 4 else 1)
-        assert f"$u_{{{i + 1}}}$\n{i}" in texts(ax)
-    assert ("default" in texts(ax)) == default
-    if symbols <= 8:
-        assert [to_hex(c.get_facecolor()).upper() for c in circles[:symbols]] == [
-            *PALETTE[:symbols]
-        ]
-    # every arrow ends at the circle whose colour it has
-    for arrow in arrows:
-        near = min(
-            circles, key=lambda c: np.linalg.norm(arrow._path_original.vertices[-1] - c.center)
-        )
-        same = to_hex(near.get_facecolor()) == to_hex(arrow.get_edgecolor())
-        assert same or to_hex(near.get_facecolor()) == "#ffffff"
 
 
 def test_derivative_signs():

@@ -12,8 +12,11 @@ from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.policy import Policy
 from capsyn.regions import Partitions, Region, connected_partitions, regions
-from capsyn.switching import POSSIBLE, UNDECIDED, Switching, switching
+from capsyn.switching import POSSIBLE, SLIDING, UNDECIDED, Switching, switching
 from capsyn.validation import describe
+
+TOLD = 20
+"""Most sliding faces among plain data."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,30 @@ class Edge:
     sliding: bool | None = None
     rate: float | None = None
     sliding_rate: float | None = None
+
+
+@dataclass(frozen=True)
+class SlidingFace:
+    """A face between two cells on which the loop slides: both sides push into it.
+
+    Parameters
+    ----------
+    axis : int
+        State that is constant on the face.
+    lower, upper : n floats
+        Its bounds [state units], equal on that axis.
+    below, above : int
+        The symbols on its two sides, N for the default control.
+    share : float
+        Share of the face on which the loop slides, from samples.
+    """
+
+    axis: int
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    below: int
+    above: int
+    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +183,27 @@ class Automaton:
         """
         return self.region(label).bounds(self.domain, self.counts)
 
+    def sliding_faces(self) -> list[SlidingFace]:
+        """Return the faces on which the loop slides, those with most sliding area first.
+
+        None without a model.
+        """
+        found, domain = self.switching, self.domain
+        if found is None:
+            return []
+        area = found.areas * found.shares[:, SLIDING]
+        rows = np.flatnonzero(found.found[:, 2] == POSSIBLE)
+        rows = rows[np.argsort(-area[rows], kind="stable")]
+        lower = domain.points(found.faces.lower[rows], self.counts)
+        upper = domain.points(found.faces.upper[rows], self.counts)
+        axes, pairs = found.faces.axis[rows].tolist(), found.labels[rows].tolist()
+        return [
+            SlidingFace(axis, tuple(low), tuple(high), below, above, share)
+            for axis, low, high, (below, above), share in zip(
+                axes, lower.tolist(), upper.tolist(), pairs, found.shares[rows, SLIDING].tolist()
+            )
+        ]
+
     def _vertex(self, label: int) -> int:
         if label not in self.vertices:
             used = ", ".join(map(str, self.vertices))
@@ -163,11 +211,15 @@ class Automaton:
         return self.vertices.index(label)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the automaton as plain data, without the corners of its boxes."""
+        """Return the automaton as plain data, without the corners of its boxes.
+
+        Of the sliding faces, the first `TOLD`.
+        """
         found = self.switching
         labels = self.partitions.labels
         return {
             "name": self.name,
+            "states": list(self.domain.names),
             "vertices": [
                 {
                     "symbol": region.label,
@@ -202,6 +254,7 @@ class Automaton:
                 "sliding_rate": float(found.sliding_rates.sum()),
                 "sliding_share": found.sliding_share,
                 "exit_rate": float(found.exit_rates.sum()),
+                "sliding_faces": [vars(face) for face in self.sliding_faces()[:TOLD]],
             },
         }
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from capsyn.cli_options import Backend, File, Json, Seed
-from capsyn.console import print_report, print_table, show, working
+from capsyn.console import print_automaton, print_report, print_table, show, working
 from capsyn.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def automaton(
     data = machine.to_json()
 
     def told() -> None:
-        print_table(data["edges"])
+        print_automaton(data)
         if output is not None:
             typer.echo(f"wrote {output}")
 

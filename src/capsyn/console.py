@@ -85,7 +85,8 @@ def print_table(rows: list[dict[str, Any]]) -> None:
 
     table = Table(box=box.SIMPLE_HEAD)
     for key in rows[0]:
-        right = isinstance(rows[0][key], (int, float))
+        numbers = [row[key] for row in rows if row[key] is not None]
+        right = all(isinstance(n, (int, float)) and not isinstance(n, bool) for n in numbers)
         table.add_column(key.replace("_", " "), justify="right" if right else "left")
     for row in rows:
         table.add_row(*(_text(value) for value in row.values()))
@@ -93,6 +94,8 @@ def print_table(rows: list[dict[str, Any]]) -> None:
 
 
 def _text(value: Any) -> str:
+    if value is None or isinstance(value, bool):
+        return {None: "", True: "yes", False: "no"}[value]
     if isinstance(value, float):
         return f"{value:.3g}"
     return f"{value:,}" if isinstance(value, int) else str(value)
@@ -221,6 +224,41 @@ def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
             f"second from evenly spread states; sliding on {machine['sliding_share']:.1%} of the "
             f"switching surface; {machine['switching_entropy']:.3f} bits a switch",
         )
+
+
+def print_automaton(data: dict[str, Any]) -> None:
+    """Print what ``Automaton.to_json`` returns."""
+    names = {}
+    for vertex in data["vertices"]:
+        names[vertex["symbol"]] = vertex["name"]
+        value = ", ".join(f"{v:g}" for v in vertex["value"])
+        _line(
+            f"region {vertex['region']}",
+            f"{vertex['name']} ({value}): {vertex['volume_share']:.2%} of the volume, "
+            f"{vertex['cells']:,} cells in {vertex['partitions']:,} connected partitions and "
+            f"{vertex['boxes']:,} boxes",
+        )
+    pairs = [{key: names[edge[key]] for key in ("source", "target")} for edge in data["edges"]]
+    print_table([edge | pair for edge, pair in zip(data["edges"], pairs)])
+    found = data["switching"]
+    if found is None:
+        _line("switches", "not known: the policy has no model")
+        return
+    _line(
+        "switches",
+        f"{found['rate']:.3g} per second from evenly spread states, and "
+        f"{found['sliding_rate']:.3g} arrivals where the loop slides, on "
+        f"{found['sliding_share']:.1%} of the switching surface",
+    )
+    for face in found["sliding_faces"][:5]:
+        bounds = (
+            f"{name} = {low:g}" if axis == face["axis"] else f"{name} in [{low:g}, {high:g}]"
+            for axis, (name, low, high) in enumerate(
+                zip(data["states"], face["lower"], face["upper"])
+            )
+        )
+        between = f"{names[face['below']]} below and {names[face['above']]} above"
+        _line("slides on", f"{', '.join(bounds)}, with {between}")
 
 
 def print_report(data: dict[str, Any]) -> None:

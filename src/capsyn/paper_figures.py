@@ -91,53 +91,6 @@ def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
     return axes
 
 
-def draw_automaton(policy: Policy, ax: Axes) -> Axes:
-    """Draw the finite state machine of a policy, Fig. 3 and 4a.
-
-    Vertices are the symbols, and the default where some cell is labelled with it. The edge from
-    any vertex into vertex `i` is taken where the state enters ``A_i``, the union of the cells
-    labelled with symbol `i`; ``A_d`` is that of the default. Up to four vertices, every edge bears
-    this name; with more, an edge is known by the colour of the vertex that it enters, and the name
-    stands at its loop.
-    """
-    from matplotlib.patches import Circle
-
-    n = len(policy.alphabet)
-    count = n + int(policy.volume_shares[-1] > 0)
-    colors = [*symbol_colors(n), "#FFFFFF"]
-    start = np.pi if count == 2 else np.pi / 2 + np.pi / count if count == 4 else np.pi / 2
-    angles = start - 2 * np.pi * np.arange(count) / count
-    outward = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    centers = outward if count > 1 else np.zeros((1, 2))
-    radius = 0.32 if count <= 4 else 0.55 * np.sin(np.pi / count)
-    for i in range(count):
-        name = f"$A_{{{i + 1}}}$" if i < n else "$A_d$"
-        line = colors[i] if i < n else GREY
-        _arrow(ax, _loop(centers[i], outward[i], radius), line)
-        tip = centers[i] + outward[i] * (2.35 * radius + 0.1)
-        _write(ax, tip, name, 11 if count <= 4 else 10)
-        for j in range(count):
-            if i == j:
-                continue
-            curve = _arc(centers[j], centers[i], radius)
-            _arrow(ax, curve, line)
-            if count <= 4:
-                place = _bezier(curve, 0.5 if count == 2 else 0.7)
-                _write(ax, place, name, 9).set_bbox({"fc": "white", "ec": "none", "pad": 0.8})
-    for i in range(count):
-        ax.add_patch(
-            Circle(tuple(centers[i]), radius, facecolor=colors[i], edgecolor=INK, lw=0.8, zorder=3)
-        )
-        title = f"$u_{{{i + 1}}}$\n{policy.alphabet.names[i]}" if i < n else "default"
-        size = (10 if count <= 4 else 8) - (len(title) > 15)
-        _write(ax, centers[i], title, size, _readable(colors[i])).set_zorder(4)
-    reach = np.abs(centers + outward * (2.35 * radius + 0.25)).max(axis=0)
-    reach = np.maximum(reach, radius * 1.6)
-    ax.set(xlim=(-reach[0], reach[0]), ylim=(-reach[1], reach[1]), aspect="equal")
-    ax.axis("off")
-    return ax
-
-
 def draw_derivative_signs(
     x_axis: np.ndarray, y_axis: np.ndarray, signs: np.ndarray, domain: Box, ax: Axes
 ) -> Axes:
@@ -341,49 +294,6 @@ def draw_dwell_tradeoff(
     return ax, second
 
 
-def _arc(start: np.ndarray, end: np.ndarray, radius: float) -> np.ndarray:
-    """Return the points (4, 2) of a curve between two circles that leaves room for its twin."""
-    along = (end - start) / np.linalg.norm(end - start)
-    side = np.array([along[1], -along[0]])
-    turn = 0.3
-    leave = np.cos(turn) * along + np.sin(turn) * side
-    arrive = -np.cos(turn) * along + np.sin(turn) * side
-    first, last = start + radius * leave, end + 1.06 * radius * arrive
-    reach = np.linalg.norm(last - first) / 3
-    return np.array([first, first + reach * leave, last + reach * arrive, last])
-
-
-def _loop(center: np.ndarray, outward: np.ndarray, radius: float) -> np.ndarray:
-    """Return the points (4, 2) of a curve from a circle to itself, on its outer side."""
-    side = np.array([outward[1], -outward[0]])
-    ends = [np.cos(0.45) * outward + s * np.sin(0.45) * side for s in (1, -1)]
-    far = [2.6 * outward + s * 1.1 * side for s in (1, -1)]
-    return center + radius * np.array([ends[0], far[0], far[1], 1.06 * ends[1]])
-
-
-def _bezier(points: np.ndarray, t: float) -> np.ndarray:
-    """Return the point (2,) at parameter `t` of a cubic Bezier curve (4, 2)."""
-    weights = np.array([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3])
-    return weights @ points
-
-
-def _arrow(ax: Axes, curve: np.ndarray, color: Any) -> None:
-    from matplotlib.patches import FancyArrowPatch
-    from matplotlib.path import Path
-
-    path = Path(curve, [Path.MOVETO, Path.CURVE4, Path.CURVE4, Path.CURVE4])
-    ax.add_patch(
-        FancyArrowPatch(path=path, arrowstyle="-|>", mutation_scale=11, color=color, lw=1.1)
-    )
-
-
 def _write(ax: Axes, place: Any, text: str, size: float, color: str = INK) -> Text:
     x, y = place
     return ax.text(x, y, text, ha="center", va="center", fontsize=size, color=color)
-
-
-def _readable(color: Any) -> str:
-    """Return black or white, whichever is easier to read on a colour."""
-    from matplotlib.colors import to_rgb
-
-    return "black" if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > 0.5 else "white"

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from capsyn.automaton import Automaton
+from capsyn.automaton_drawing import plot_automaton
 from capsyn.paper import RATE, Row, successes
 from capsyn.paper_figures import (
-    draw_automaton,
     draw_derivative_signs,
     draw_dwell_tradeoff,
     draw_layers,
@@ -35,7 +36,7 @@ def figure_3(policy: Policy) -> Figure:
     figure = new_figure(13, 5)
     upper, lower = halves(figure, False, (3, 2))
     draw_layers(policy, upper.subplots(1, cell_tree(policy).max_level + 1))
-    draw_automaton(policy, lower.subplots())
+    plot_automaton(Automaton.of(policy), lower.subplots())
     return figure
 
 
@@ -44,7 +45,7 @@ def figure_4a(policy: Policy) -> Figure:
     figure = new_figure(11, 4.5)
     left, right = halves(figure, True, (3, 2))
     plot_policy(policy, ax=left.subplots())
-    draw_automaton(policy, right.subplots())
+    plot_automaton(Automaton.of(policy), right.subplots())
     return figure
 
 
