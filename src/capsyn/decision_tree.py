@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -64,7 +64,8 @@ class Guarantee:
     def __post_init__(self) -> None:
         one_of("mode", self.mode, list(MODES))
         one_of("controller", self.controller, ["", "ssac", "policy"])
-        shares = (self.changed, self.confidence, self.low, self.high, self.target or 0.0)
+        shares = [self.changed, self.confidence, self.low, self.high]
+        shares += [] if self.target is None else [self.target]
         counts = (self.agreeing, self.states)
         sound = (
             isinstance(self.source, str)
@@ -73,6 +74,7 @@ class Guarantee:
             and all(type(share) in (int, float) and 0 <= share <= 1 for share in shares)
             and all(type(count) is int for count in counts)
             and 0 <= self.agreeing <= self.states < 2**63
+            and (self.states > 0) == (self.controller != "")
             and self.low <= self.high
             and isinstance(self.reached, bool)
             and (self.level is None or (type(self.level) is int and 0 <= self.level < 64))
@@ -129,9 +131,9 @@ class DecisionTree(Policy):
     cells: SplitTree
     guarantee: Guarantee = field(kw_only=True)
 
+    _structure: ClassVar[type] = SplitTree
+
     def __post_init__(self) -> None:
-        if not isinstance(self.cells, SplitTree):
-            raise ProblemError(f"`cells` must be a SplitTree; got {describe(self.cells)}")
         if not isinstance(self.guarantee, Guarantee):
             raise ProblemError(f"`guarantee` must be a Guarantee; got {describe(self.guarantee)}")
         super().__post_init__()

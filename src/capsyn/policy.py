@@ -8,7 +8,7 @@ import math
 import os
 import warnings
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -87,6 +87,8 @@ class Policy:
     timings: dict[str, float] = field(default_factory=dict)
     evidence: dict[str, Any] = field(default_factory=dict)
 
+    _structure: ClassVar[type] = CellTree
+
     def __post_init__(self) -> None:
         def keep(name: str, value: Any) -> None:
             object.__setattr__(self, name, value)
@@ -101,6 +103,10 @@ class Policy:
             keep("horizon", finite_number("horizon", self.horizon, above=0.0))
         if self.settings is not None:
             self.settings.efforts(self.alphabet.values)
+        if not isinstance(self.cells, self._structure):
+            raise ProblemError(
+                f"`cells` must be a {self._structure.__name__}; got {describe(self.cells)}"
+            )
         if self.cells.n != self.domain.n:
             raise ProblemError(
                 f"`cells` must have {self.domain.n} axes like the domain; got {self.cells.n}"

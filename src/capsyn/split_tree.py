@@ -81,7 +81,8 @@ class SplitTree:
     def rows(self) -> np.ndarray:
         """Nodes (K, 4) int32 for walks: split, threshold, children; leaves point to themselves."""
         split = np.maximum(self.split, 0)
-        return np.column_stack([split, self.threshold, self.first, self.second])
+        columns = [split, self.threshold, self.first, self.second]
+        return np.column_stack(columns).astype(np.int32, copy=False)
 
     @functools.cached_property
     def depths(self) -> np.ndarray:
@@ -204,17 +205,15 @@ class SplitTree:
             raise PolicyFormatError(f"the tree's lattice has {self.counts} steps")
         if self.planes.ndim != 2 or self.planes.shape[1] != n:
             raise PolicyFormatError(f"the tree's planes must have {n} coefficients")
-        leaf, nodes = self.split == LEAF, np.arange(count)
+        leaf = self.split == LEAF
         if (self.split < LEAF).any() or (self.split >= n + len(self.planes)).any():
             raise PolicyFormatError("a node of the tree splits an unknown axis")
         labels = self.threshold[leaf]
         if (labels < 0).any() or (labels >= label_count).any():
             raise PolicyFormatError("a leaf of the tree has an unknown label")
-        if (self.second[leaf] != nodes[leaf]).any() or (self.second[~leaf] <= nodes[~leaf]).any():
-            raise PolicyFormatError("a node of the tree comes after its children")
-        children = np.sort(np.concatenate([nodes[~leaf] + 1, self.second[~leaf]]))
-        if not np.array_equal(children, nodes[1:]):
-            raise PolicyFormatError("the nodes are no tree: each but the root has one parent")
+        expected = _second_children(leaf)
+        if expected is None or not np.array_equal(self.second, expected):
+            raise PolicyFormatError("the nodes are not one tree in depth-first order")
         if self.depth > MAX_DEPTH:
             raise PolicyFormatError(f"the tree takes more than {MAX_DEPTH} comparisons")
         sums = np.abs(self.planes.astype(np.float64)) @ np.array(self.counts, dtype=np.float64)
@@ -250,3 +249,18 @@ class SplitTree:
             nodes[rows[whole]] = np.where(beyond, self.second[at], self.first[at])[whole]
             rows = rows[whole]
         return shift, nodes
+
+
+def _second_children(leaf: np.ndarray) -> np.ndarray | None:
+    """Return the second children (K,) of nodes in depth-first order, of leaves themselves.
+
+    Nodes left to visit after node `i` are `left[i] + 1`; the first subtree of an inner node ends
+    where they have become one less. None where the nodes are not one tree.
+    """
+    nodes, left = np.arange(len(leaf)), np.cumsum(np.where(leaf, -1, 1))
+    if left[-1] != -1 or (left[:-1] < 0).any():
+        return None
+    order = np.lexsort((nodes, left))
+    keys = left[order] * len(leaf) + nodes[order]
+    ends = np.searchsorted(keys, (left - 1) * len(leaf) + nodes) % len(leaf)
+    return np.where(leaf, nodes, nodes[order][ends] + 1)

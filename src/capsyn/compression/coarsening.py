@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -23,10 +24,12 @@ def cut_off(policy: Policy, level: int) -> Policy:
     masks[cells.mixed_cells] |= cells.mixed_labels
     volumes = np.zeros((len(leaf), labels))
     volumes[np.flatnonzero(cells.entries < 0), leaf[cells.entries < 0]] = 1.0
-    children = int(np.prod(cells.refinement))
+    children = math.prod(cells.refinement)
     below = list(cells.levels())
     for _, places, _ in reversed(below[level:]):  # children before their parents
         blocks = places[cells.entries[places] >= 0]
+        if not len(blocks):  # of a policy without blocks the refinement may be any number
+            continue
         inside = cells.entries[blocks][:, None] + np.arange(children)
         volumes[blocks] = volumes[inside].sum(axis=1) / children
         masks[blocks] = np.bitwise_or.reduce(masks[inside], axis=1)

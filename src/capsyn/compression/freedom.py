@@ -61,6 +61,7 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     random = np.random.default_rng(seed)
     for _ in range(VOTES):
         masks = controller(lower + random.random(lower.shape) * (upper - lower))
+        masks = np.where(masks == 0, np.uint64(1 << (labels - 1)), masks)  # no finite answer
         for label in range(labels):
             votes[:, label] += (masks >> np.uint64(label)) & np.uint64(1) != 0
     return votes

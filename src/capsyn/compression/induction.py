@@ -26,6 +26,8 @@ BUDGETS = {1: 1_000_000, 2: 1_000_000, 3: 100_000}
 """Most sub-boxes of a box whose tree of least cost is searched, by number of axes."""
 BUDGET = 10_000
 """The same for more axes."""
+MAX_VOLUME = 2**20
+"""Finest cells that a larger cell counts as: dearer than any node, and sums do not overflow."""
 MEMORY = 200_000_000
 """Bytes that the dynamic programme may take at once, roughly."""
 
@@ -52,12 +54,16 @@ class Prices:
     leaf_price: int
 
     def of(self, entries: np.ndarray, volumes: np.ndarray) -> np.ndarray:
-        """Return the penalties (B, L) of entries (B,) of some volumes (B,) [finest cells]."""
+        """Return the penalties (B, L) of entries (B,) of some volumes (B,) [finest cells].
+
+        Volumes count up to `MAX_VOLUME`.
+        """
         found = np.zeros((len(entries), self.prices.shape[1]), dtype=np.int64)
         if len(self.priced):
             place = np.searchsorted(self.priced, entries) % len(self.priced)
             known = self.priced[place] == entries
-            found[known] = self.prices[place[known]] * volumes[known, None]
+            whole = np.minimum(volumes[known], MAX_VOLUME).astype(np.int64)
+            found[known] = self.prices[place[known]] * whole[:, None]
         found[~allowed(self.masks[entries], found.shape[1])] = FORBIDDEN
         return found
 
@@ -122,10 +128,10 @@ class _Block:
         return grid[:, np.argsort(axes)]
 
     def volumes(self) -> np.ndarray:
-        """Return the finest cells in each cell, (prod(shape),); 0 in repeated ones."""
-        total = np.ones(1, dtype=np.int64)
+        """Return the finest cells in each cell, (prod(shape),) floats; 0 in repeated ones."""
+        total = np.ones(1)
         for a, k in zip(self.order, self.shape):
-            width = np.zeros(k, dtype=np.int64)
+            width = np.zeros(k)
             width[: len(self.cuts[a])] = np.diff(np.append(self.cuts[a], self.upper[a]))
             total = np.outer(total, width).ravel()
         return total
@@ -261,7 +267,7 @@ def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:
     """Return the tree with leaves of least penalty; of equals, the label with most volume."""
     boxes = cells.boxes()
     leaf, box, lower, upper = tree.parts(boxes.lower, boxes.upper)
-    volume = np.prod(upper - lower, axis=1)
+    volume = np.prod(upper - lower, axis=1, dtype=float)
     labels = prices.prices.shape[1]
     penalty = np.zeros((tree.node_count, labels), dtype=np.int64)
     own = np.zeros((tree.node_count, labels))

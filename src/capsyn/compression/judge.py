@@ -88,8 +88,9 @@ class Judge:
         if had.agreement >= target:
             return f"{text}; more `states` may tell"
         own = self.compare(self.policy)
-        if own.low >= target:
-            return f"{text}; mode exact agrees at {own.share:.3%}"
+        if own.share >= target:
+            more = "" if own.low >= target else " (more `states` would tell)"
+            return f"{text}; mode exact agrees at {own.share:.3%}{more}"
         # what cells along a surface get wrong is in proportion to their size
         cells = cell_tree(self.policy)
         levels = math.log((1 - own.share) / (1 - target), min(cells.refinement))

@@ -121,7 +121,10 @@ class TreeArguments(ctypes.Structure):
             arrays["refinement"] = np.array(cells.refinement, dtype=np.int64)
             arrays["entries"] = np.ascontiguousarray(cells.entries, dtype=np.int32)
         else:
-            arrays["nodes"], arrays["planes"] = cells.rows, np.ascontiguousarray(cells.planes)
+            arrays["nodes"], arrays["planes"] = (
+                cells.rows,
+                np.ascontiguousarray(cells.planes, dtype=np.int32),
+            )
             made.shift, arrays["starts"] = cells.starts
             made.oblique = bool(len(cells.planes))
         for name, array in arrays.items():
