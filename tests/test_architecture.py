@@ -72,6 +72,7 @@ ORDER = [
     "compression.induction",
     "compression.freedom",
     "compression.surface",
+    "compression.plane_tree",
     "compression.oblique",
     "compression.coarsening",
     "compression.proof",

@@ -171,7 +171,8 @@ def _smallest_free_tree(judge: Judge, level: int | None, target: float) -> Decis
 
 def _linear_tree(judge: Judge, target: float) -> DecisionTree:
     policy = judge.policy
-    fit = fit_tree(judge.masks, policy.domain, len(policy.alphabet) + 1, target, seed=judge.seed)
+    labels, kept = len(policy.alphabet) + 1, {"seed": judge.seed, "states": judge.states}
+    fit = fit_tree(judge.masks, policy.domain, labels, target, **kept)
     tree = _decision_tree(policy, fit.tree, Guarantee("linear", content_hash(policy)))
     changed = 1.0 - judge.compare(tree, with_policy=True).share
     return judge.judged(tree, target, changed=changed)

@@ -1,0 +1,354 @@
+"""Small trees with oblique splits that agree with a controller on most of the domain.
+
+Trees are grown finer than the target needs, and pruned link by link with all splits fitted in
+between, see `capsyn.compression.plane_tree`. The smallest that meets the target is rounded to
+integers on a fine lattice. Trees are fitted to one set of random states, chosen by a second one,
+and judged on a third.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from capsyn.cells import MAX_COUNT
+from capsyn.compression.plane_tree import Link, Node, grow, prune, refine
+from capsyn.compression.surface import Plane, Samples, Surface, draw_samples, find_surface
+from capsyn.domain import Box
+from capsyn.errors import ProblemError
+from capsyn.masks import Label
+from capsyn.split_tree import LEAF, SplitTree
+from capsyn.validation import finite_number, whole_number
+from capsyn.verification.statistics import clopper_pearson
+
+STEPS = 8192
+"""Most lattice steps along an axis."""
+MAX_COEFFICIENT = 2**15 - 1
+"""Coefficients of planes fit 16 bits."""
+MAX_SUM = 2**30
+"""Largest size of their sums over the lattice."""
+ATTEMPTS = 12
+"""Most trees grown, each from other random planes."""
+RESTARTS = 3
+"""Trees that meet the target and are pruned."""
+POLISHED = 3
+"""Pruned trees that are fitted to more samples and pruned again."""
+FINENESS, FINER = 2.5, 1.5
+"""How much finer than a tree of the wanted agreement the first tree is grown, and a finer one."""
+LEAST = 0.25
+"""Share of the surface at which a region stays a leaf, by the share of wrong states allowed."""
+FINEST = 1e-4
+"""Least distance at which a plane explains a point of the surface [widths of the domain]."""
+MAX_NODES = 600
+"""A larger tree that still misses the target ends the search."""
+BUDGET = 5e8
+"""Work, as `_Search` counts it, after which no more trees are begun."""
+FIT_WORK = 60_000
+"""Samples that take as much work to look up in a node as its fit takes at least."""
+ERRORS, FEW = 150, 20_000
+"""Wrong samples that make a fit precise enough, and least samples of a fit."""
+POLISHED_ON = 4
+"""Polishing takes so many times the samples."""
+AT_ONCE = 0.25
+"""Share of the surplus that is spent between two fits."""
+PASSES, NEAR = 3, 0.25
+"""Fits before a tree that just misses the target is given up, and how near that is."""
+MARGIN = 3.5
+"""Standard deviations, of judged states, by which a tree must exceed the target to be chosen."""
+CONFIDENCE = 0.95
+"""Of the interval of the share of judged states."""
+JUDGEMENTS = 3
+"""Trees judged, on fresh states each, before the target counts as missed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A tree fitted to a controller, and how well.
+
+    Parameters
+    ----------
+    tree : SplitTree
+        The tree.
+    judged, right : int
+        Fresh random states, which neither made nor chose the tree, and those where it is right.
+    reached : bool
+        Whether the lower end of the Clopper-Pearson interval of the judged states, with a
+        confidence of `CONFIDENCE`, meets the target.
+    tried : tuple of (int, float)
+        Nodes of every tree on the way, and their shares on the states that trees were chosen by.
+    """
+
+    tree: SplitTree
+    judged: int
+    right: int
+    reached: bool
+    tried: tuple[tuple[int, float], ...]
+
+    @property
+    def share(self) -> float:
+        """Share of the judged states, an estimate of that of the volume, where it is right."""
+        return self.right / self.judged
+
+
+class Candidate(NamedTuple):
+    """A tree and its share of right states among those that trees are chosen by."""
+
+    root: Node
+    nodes: int
+    share: float
+
+
+def fit_tree(
+    masks: Label,
+    domain: Box,
+    labels: int,
+    agreement: float,
+    *,
+    seed: int = 0,
+    samples: int = 200_000,
+    states: int = 100_000,
+) -> Fit:
+    """Return a small tree that is right on a wanted share of the domain's volume.
+
+    Parameters
+    ----------
+    masks : callable
+        States (B, n) [state units] to bit masks (B,) of the labels that are right there. Where a
+        mask is 0 only the default is right.
+    domain : Box
+        Where the states come from.
+    labels : int
+        Number of labels, N + 1; the last is the default.
+    agreement : float
+        The wanted share, in (0, 1].
+    seed : int
+        Seed of all states and tries. The same seed gives the same tree.
+    samples : int
+        States that trees are fitted to at most, and other ones that they are chosen by.
+    states : int
+        Fresh states that the chosen tree is judged on. The fewer, the more a tree must exceed the
+        target to be chosen.
+
+    Returns
+    -------
+    Fit
+        The smallest tree found that meets the target; where none does, the one with the highest
+        share, and ``reached`` is False.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
+    """
+    labels = whole_number("labels", labels, least=1, most=64)
+    agreement = finite_number("agreement", agreement, above=0.0)
+    if agreement > 1:
+        raise ProblemError(f"`agreement` must be at most 1; got {agreement:g}")
+    seed = whole_number("seed", seed, least=0)
+    samples = whole_number("samples", samples, least=1000)
+    states = whole_number("states", states, least=1)
+
+    def cube_masks(cube: np.ndarray) -> np.ndarray:
+        found = masks(domain.lower + cube * domain.widths).astype(np.uint64)
+        return np.where(found == 0, np.uint64(1 << (labels - 1)), found)
+
+    def draw(count: int, *stream: int) -> Samples:
+        return draw_samples(cube_masks, domain.n, labels, count, [seed, *stream])
+
+    search = _Search(domain, agreement, draw(samples, 0), draw(samples, 1), states)
+    search.run(find_surface(cube_masks, search.fitted, [seed, 2]), [seed, 3])
+    for k, (tree, met) in enumerate(search.best()):
+        right = search.count_right(tree, draw(states, 4, k))
+        reached = met and clopper_pearson(right, states, CONFIDENCE)[0] >= agreement
+        if reached:
+            break
+    return Fit(tree, states, right, reached, tuple(search.tried))
+
+
+class _Search:
+    """The trees of one fit, and the samples that they are fitted to and chosen by."""
+
+    def __init__(
+        self, domain: Box, agreement: float, fitted: Samples, chosen: Samples, states: int
+    ) -> None:
+        spread = math.sqrt(agreement * (1 - agreement) / min(states, len(chosen)))
+        self.bar = min(agreement + MARGIN * spread, 1.0)
+        self.tried: list[tuple[int, float]] = []
+        self._domain, self._agreement = domain, agreement
+        self._counts = lattice_counts(domain)
+        self.fitted, self._chosen = self._centred(fitted), self._centred(chosen)
+        enough = ERRORS / max(1 - agreement, 1e-9)
+        self._few = self.fitted.first(int(np.clip(enough, FEW, max(len(fitted), FEW))))
+        self._candidates: list[Candidate] = []
+        self._work = 0
+
+    def run(self, surface: Surface, seed: list[int]) -> None:
+        """Grow trees, finer ones until they meet the target, and prune those that do."""
+        wrong = 1 - self._agreement
+        area = max(surface.area * len(surface.points), 1e-9)
+        # a plane within a tolerance of a surface errs by about an eighth of it
+        coarse = min(0.04, 8 * wrong / area)
+        fineness, pruned = FINENESS, 0
+        for attempt in range(ATTEMPTS):
+            tolerance = max(coarse / fineness, FINEST)
+            rng = np.random.default_rng([*seed, attempt])
+            root = grow(surface, self._few, tolerance, LEAST * wrong / fineness, rng)
+            self._refine(root, self._few)
+            self._refine(root, self._few)
+            if self._record(root) >= self.bar:
+                self._prune(root, self._few, whole=not pruned)
+                pruned += 1
+            elif root.node_count > MAX_NODES:
+                break
+            else:
+                fineness *= FINER
+            if pruned == RESTARTS or self._tired:
+                break
+        more = self.fitted.first(POLISHED_ON * len(self._few))
+        for candidate in self._passing()[:POLISHED]:
+            if not self._tired:
+                self._prune(candidate.root.copy(), more)
+
+    def best(self) -> Iterator[tuple[SplitTree, bool]]:
+        """Yield the trees to judge, and whether they meet the target, the smallest first.
+
+        Where none does, the best one.
+        """
+        found = self._passing()
+        told = 0
+        for candidate in found[: JUDGEMENTS - 1] + found[JUDGEMENTS - 1 :][-1:]:
+            tree = to_lattice(candidate.root, self._counts)
+            if self.count_right(tree, self._chosen) >= self.bar * len(self._chosen):
+                told += 1
+                yield tree, True
+        if not told:
+            best = min(self._candidates, key=lambda c: (-c.share, c.nodes))
+            yield to_lattice(best.root, self._counts), False
+
+    def count_right(self, tree: SplitTree, samples: Samples) -> int:
+        """Return the number of samples where a tree is right."""
+        return samples.count_right(tree.labels(self._locate(samples.states)))
+
+    def _prune(self, root: Node, samples: Samples, whole: bool = False) -> None:
+        """Prune a tree link by link while it meets the target, or as a whole."""
+        met = True
+        while met or (whole and not self._tired):
+            for _ in range(PASSES):
+                links = self._refine(root, samples)
+                share = self._record(root)
+                near = self.bar > share >= self.bar - NEAR * (1 - self.bar)
+                if not (met and near):
+                    break
+            met = share >= self.bar
+            if not root.children:
+                return
+            allowed = AT_ONCE * len(samples) * (share - self.bar if met else 1 - share)
+            prune(links, allowed)
+
+    def _passing(self) -> list[Candidate]:
+        """Return the trees that meet the target, smallest first, each better than those before."""
+        found: list[Candidate] = []
+        for candidate in sorted(self._candidates, key=lambda c: (c.nodes, -c.share)):
+            if candidate.share >= self.bar and (not found or candidate.share > found[-1].share):
+                found.append(candidate)
+        return found
+
+    @property
+    def _tired(self) -> bool:
+        return self._work > BUDGET
+
+    def _refine(self, root: Node, samples: Samples) -> list[Link]:
+        self._work += root.node_count * (FIT_WORK + len(samples))
+        return refine(root, samples)
+
+    def _record(self, root: Node) -> float:
+        share = self._chosen.count_right(root.labels(self._chosen.states)) / len(self._chosen)
+        self._candidates.append(Candidate(root.copy(), root.node_count, share))
+        self.tried.append((root.node_count, share))
+        return share
+
+    def _locate(self, cube: np.ndarray) -> np.ndarray:
+        return self._domain.locate(self._domain.lower + cube * self._domain.widths, self._counts)
+
+    def _centred(self, samples: Samples) -> Samples:
+        """Return samples with the states moved to the centres of their lattice steps.
+
+        A plane of the cube then does what its rounded one will do.
+        """
+        return Samples((self._locate(samples.states) + 0.5) / self._counts, samples.right)
+
+
+def lattice_counts(domain: Box) -> tuple[int, ...]:
+    """Return the lattice steps of a tree along each axis: powers of two, at most `STEPS`."""
+    counts = []
+    for axis in range(domain.n):
+        count = STEPS
+        while count > 1:
+            try:
+                domain.check_resolution([count if i == axis else 1 for i in range(domain.n)])
+                break
+            except ProblemError:
+                count //= 2
+        counts.append(count)
+    return tuple(counts)
+
+
+def to_lattice(root: Node, counts: tuple[int, ...]) -> SplitTree:
+    """Return a tree with its splits rounded to integers.
+
+    A lattice step ``z`` stands for its centre ``(z + 1/2) / counts`` in the unit cube.
+    """
+    n = len(counts)
+    splits: list[int] = []
+    thresholds: list[int] = []
+    second: list[int] = []
+    planes: list[list[int]] = []
+    stack: list[tuple[Node, int]] = [(root, -1)]
+    while stack:
+        node, parent = stack.pop()
+        number = len(splits)
+        if parent >= 0:
+            second[parent] = number
+        second.append(number)
+        if not node.children:
+            splits.append(LEAF)
+            thresholds.append(node.label)
+            continue
+        assert node.plane is not None
+        a, c = _integer_plane(node.plane, counts)
+        children = node.children
+        axes = [i for i in range(n) if a[i]]
+        if len(axes) == 1:
+            splits.append(axes[0])
+            if a[axes[0]] < 0:  # -z >= c exactly when not z >= 1 - c
+                children, c = children[::-1], 1 - c
+        else:
+            splits.append(n + len(planes))
+            planes.append(a)
+        thresholds.append(c)
+        # the first child comes next, then all its offspring, then the second
+        stack += [(children[1], number), (children[0], -1)]
+    return SplitTree(
+        counts,
+        np.array(splits, dtype=np.int32),
+        np.array(thresholds, dtype=np.int32),
+        np.array(second, dtype=np.int32),
+        np.array(planes, dtype=np.int32).reshape(-1, n),
+    )
+
+
+def _integer_plane(plane: Plane, counts: tuple[int, ...]) -> tuple[list[int], int]:
+    """Return coefficients (n,) and threshold, as integers without a common divisor."""
+    slope = plane[0] / np.array(counts)
+    scale = min(MAX_COEFFICIENT / np.abs(slope).max(), MAX_SUM / (np.abs(slope) * counts).sum())
+    coefficients = [int(a) for a in np.rint(slope * scale)]
+    divisor = math.gcd(*coefficients)
+    threshold = (plane[1] * scale - sum(coefficients) / 2) / divisor
+    largest = MAX_COUNT // 2 + 1
+    return [a // divisor for a in coefficients], int(
+        np.clip(math.ceil(threshold), -largest, largest)
+    )
