@@ -196,6 +196,7 @@ def test_dearer_nodes_give_no_larger_trees(grid):
         changed.append(tree.guarantee.changed)
     assert sizes == sorted(sizes, reverse=True) and sizes[0] > sizes[-1]
     assert changed == sorted(changed) and changed[0] < changed[-1]
+    assert compress(policy, "freedom", node_price=1e300, **FEW).node_count == sizes[-1]
 
 
 def test_free_trees_are_of_least_cost():
@@ -320,7 +321,7 @@ def test_an_agreement_that_takes_a_finer_policy(pendulum):
     assert more >= 1 and 0.98 < own < 0.999
     wanted = f"the policy itself agrees at {own:.3%}: synthesize it with max_level {level + more} "
     assert wanted in text and text.endswith("then compress")
-    assert tree.guarantee.agreement > 0.98
+    assert tree.guarantee.agreement > 0.993  # of the dearest nodes it is 0.989
 
 
 def test_an_agreement_that_more_states_may_tell(pendulum):

@@ -57,6 +57,7 @@ def plot_curve(points: Sequence[CurvePoint], ax: Axes) -> Axes:
     ax.set(xscale="log", xlabel="size [bytes]", ylabel="disagrees [% of the volume]")
     if all(point.agreement < 1 for point in points):
         ax.set(yscale="log")
+    ax.margins(0.12, 0.05)  # room for the numbers
     ax.grid(True, which="both", linewidth=0.3)
     ax.legend(frameon=False, title="filled: none smaller; number: nodes", title_fontsize=7)
     return ax
