@@ -23,15 +23,17 @@ def cut_off(policy: Policy, level: int) -> Policy:
     masks = np.where(cells.entries < 0, np.uint64(1) << leaf.astype(np.uint64), np.uint64(0))
     masks[cells.mixed_cells] |= cells.mixed_labels
     volumes = np.zeros((len(leaf), labels))
-    volumes[np.flatnonzero(cells.entries < 0), leaf[cells.entries < 0]] = 1.0
     children = math.prod(cells.refinement)
     below = list(cells.levels())
+    for k, places, _ in below:  # in finest cells: whole numbers, so that equals are equal
+        inside = places[cells.entries[places] < 0]
+        volumes[inside, leaf[inside]] = float(children) ** (len(below) - 1 - k)
     for _, places, _ in reversed(below[level:]):  # children before their parents
         blocks = places[cells.entries[places] >= 0]
         if not len(blocks):  # of a policy without blocks the refinement may be any number
             continue
         inside = cells.entries[blocks][:, None] + np.arange(children)
-        volumes[blocks] = volumes[inside].sum(axis=1) / children
+        volumes[blocks] = volumes[inside].sum(axis=1)
         masks[blocks] = np.bitwise_or.reduce(masks[inside], axis=1)
     kept = np.concatenate([places for _, places, _ in below[: level + 1]])
     last = below[level][1] if level < len(below) else kept[:0]

@@ -202,9 +202,7 @@ def _best_plane(inside: _Inside, lower: np.ndarray, upper: np.ndarray) -> tuple[
 def _clip(inside: _Inside, a: int, bounds: tuple[int, int]) -> _Inside:
     """Return the parts of faces strictly between bounds on an axis."""
     (axis, low, high, weight), (lower, upper) = inside, bounds
-    on = axis == a
     keep = (high[:, a] > lower) & (low[:, a] < upper)
-    keep &= ~on | ((low[:, a] > lower) & (high[:, a] < upper))
     low, high = low[keep], high[keep]
     np.maximum(low[:, a], lower, out=low[:, a])
     np.minimum(high[:, a], upper, out=high[:, a])
