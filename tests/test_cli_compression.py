@@ -130,7 +130,10 @@ def test_a_curve_is_a_table_and_a_picture(boat, tmp_path):
     [
         (("--mode", "best"), "`mode` must be one of 'exact', 'freedom', 'linear'; got 'best'"),
         (("--agreement", "0.9"), "`agreement` is for mode freedom and linear only; got 0.9"),
-        (("--mode", "linear", "--agreement", "1"), "`agreement` must be below 1; got 1"),
+        (
+            ("--mode", "linear", "--agreement", "1"),
+            "`agreement` must be above 0 and below 1; got 1",
+        ),
         (("--mode", "linear", "--level", "1"), "`level` is for mode exact and freedom only; got 1"),
         (("--level", "3"), "`level` must be a whole number >= 0 and <= 2; got 3"),
         (("--node-price", "1"), "`node_price` is for mode freedom only; got 1.0"),

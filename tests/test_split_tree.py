@@ -22,10 +22,13 @@ def int32(*values):
 
 
 def random_split_tree(counts, planes=0, labels=LABELS, depth=6, seed=0):
-    """Return a tree with random splits, some of them beyond the lattice or of no effect."""
+    """Return a tree with random splits, some of them beyond the lattice or of no effect.
+
+    Oblique ones have one of `planes` normals.
+    """
     rng, n = np.random.default_rng(seed), len(counts)
     coefficients = rng.integers(-4, 5, (planes, n)).astype(np.int32)
-    rows = []
+    rows, used = [], []
 
     def grow(left):
         here = len(rows)
@@ -35,6 +38,9 @@ def random_split_tree(counts, planes=0, labels=LABELS, depth=6, seed=0):
         split = int(rng.integers(n + planes))
         point = rng.integers(counts)
         cut = point[split] if split < n else coefficients[split - n] @ point
+        if split >= n:
+            used.append(coefficients[split - n])
+            split = n + len(used) - 1
         if rng.random() < 0.1:
             cut += rng.integers(-3, 4) * max(counts)
         rows.append([split, cut, 0])
@@ -43,7 +49,8 @@ def random_split_tree(counts, planes=0, labels=LABELS, depth=6, seed=0):
         grow(left - 1)
 
     grow(depth)
-    return SplitTree(tuple(counts), *np.array(rows, dtype=np.int32).T.copy(), coefficients)
+    used = np.array(used, dtype=np.int32).reshape(-1, n)
+    return SplitTree(tuple(counts), *np.array(rows, dtype=np.int32).T.copy(), used)
 
 
 def chain(depth, counts=(MAX_COUNT,)):

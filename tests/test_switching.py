@@ -1,15 +1,13 @@
 """Switching: relays with known sliding and crossing, tables against states moved a little."""
 
-import dataclasses
-
 import casadi as ca
 import numpy as np
 import pytest
 
 from capsyn import Box, Problem, problems, subdivide, synthesize
+from capsyn.decision_tree import DecisionTree, Guarantee
 from capsyn.errors import ProblemError
-from capsyn.split_tree import LEAF, SplitTree
-from capsyn.switching import (
+from capsyn.face_rates import (
     DOWNWARD,
     IMPOSSIBLE,
     POSSIBLE,
@@ -17,8 +15,9 @@ from capsyn.switching import (
     SLIDING,
     UNDECIDED,
     UPWARD,
-    switching,
 )
+from capsyn.split_tree import LEAF, SplitTree
+from capsyn.switching import switching
 from relays import below, relay
 
 LINE = Box([-1.0], [1.0])
@@ -194,6 +193,9 @@ def test_no_state_on_a_face_contradicts_what_is_proved(name):
     assert (found.found[found.shares[:, SLIDING] > 0, SLIDING] == POSSIBLE).all()
 
 
+GUARANTEE = Guarantee("exact", 64 * "0")
+
+
 def test_a_tree_of_splits_gives_the_same_tables():
     policy = relay(drift, PLANE, below(axis=1), partitions=4)
     tree = SplitTree(
@@ -203,7 +205,7 @@ def test_a_tree_of_splits_gives_the_same_tables():
         np.array([2, 1, 2], np.int32),
         np.empty((0, 2), np.int32),
     )
-    one, two = switching(policy), switching(dataclasses.replace(policy, cells=tree))
+    one, two = switching(policy), switching(DecisionTree.of(policy, tree, GUARANTEE))
     assert len(two.faces) == 4  # in pieces of a finest cell
     assert (two.faces.below == 1).all() and (two.faces.above == 2).all()
     assert np.array_equal(one.switches, two.switches)
@@ -213,17 +215,14 @@ def test_a_tree_of_splits_gives_the_same_tables():
 
 def test_large_faces_are_sampled_in_pieces():
     policy = relay(drift, PLANE, below(axis=1), partitions=2, max_level=0)
-    fine = dataclasses.replace(
-        policy,
-        cells=SplitTree(
-            (1000, 2),
-            np.array([1, LEAF, LEAF], np.int32),
-            np.array([1, 0, 1], np.int32),
-            np.array([2, 1, 2], np.int32),
-            np.empty((0, 2), np.int32),
-        ),
+    tree = SplitTree(
+        (1000, 2),
+        np.array([1, LEAF, LEAF], np.int32),
+        np.array([1, 0, 1], np.int32),
+        np.array([2, 1, 2], np.int32),
+        np.empty((0, 2), np.int32),
     )
-    found = switching(fine)
+    found = switching(DecisionTree.of(policy, tree, GUARANTEE))
     assert len(found.faces) == 32 and found.areas.sum() == pytest.approx(1)
     assert found.sliding_areas[0, 1] == pytest.approx(0.5, abs=2 / 32 / 8)
     assert found.switch_rates[0, 1] == pytest.approx(2.5 / 16, abs=1e-3)

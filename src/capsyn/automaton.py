@@ -10,9 +10,10 @@ import numpy as np
 
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
+from capsyn.face_rates import POSSIBLE, SLIDING, UNDECIDED
 from capsyn.policy import Policy
 from capsyn.regions import Partitions, Region, connected_partitions, regions
-from capsyn.switching import POSSIBLE, SLIDING, UNDECIDED, Switching, switching
+from capsyn.switching import Switching, switching
 from capsyn.validation import describe
 
 TOLD = 20

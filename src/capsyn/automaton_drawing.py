@@ -118,11 +118,7 @@ def save_automaton(automaton: Automaton, path: str | os.PathLike[str]) -> None:
 
     The same automaton gives the same bytes; what was at `path` is replaced only by a whole file.
     """
-    kind = Path(path).suffix.lstrip(".").lower()
-    if kind not in ("dot", *FORMATS):
-        endings = ", ".join("." + name for name in ("dot", *FORMATS))
-        raise ProblemError(f"`path` must end in {endings}; got '{path}'")
-    if kind == "dot":
+    if check_drawing(path) == "dot":
         text = automaton.to_dot(vertex_colors(automaton))
 
         def write(temporary: Path) -> None:
@@ -139,6 +135,15 @@ def save_automaton(automaton: Automaton, path: str | os.PathLike[str]) -> None:
         figure = Figure(figsize=(5.4, 2.8) if few else (6.6, 7.2), layout=layout)
         plot_automaton(automaton, figure.add_subplot())
         save_figure(figure, path)
+
+
+def check_drawing(path: str | os.PathLike[str]) -> str:
+    """Return the kind of drawing that a path ends with."""
+    kind = Path(path).suffix.lstrip(".").lower()
+    if kind not in ("dot", *FORMATS):
+        endings = ", ".join("." + name for name in ("dot", *FORMATS))
+        raise ProblemError(f"`path` must end in {endings}; got '{path}'")
+    return kind
 
 
 def _layout(count: int) -> tuple[np.ndarray, float]:

@@ -70,6 +70,8 @@ def compress(
         return
     path = _beside(file, f"-{mode}.cap") if output is None else output
     check_writable(path)
+    if Path(path).resolve() == Path(file).resolve():
+        raise ProblemError(f"the output must be another file than the policy; got '{path}'")
     with working(f"compressing, mode {mode}"):
         tree = compress(
             Policy.load(file),
@@ -147,11 +149,12 @@ def automaton(
 ) -> None:
     """Show a policy as a finite state machine, and the switches that its loop can take."""
     from capsyn.automaton import Automaton
-    from capsyn.automaton_drawing import save_automaton
+    from capsyn.automaton_drawing import check_drawing, save_automaton
     from capsyn.files import check_writable
     from capsyn.policy import Policy
 
     if output is not None:
+        check_drawing(output)
         check_writable(output)
     with working("looking at faces"):
         machine = Automaton.of(Policy.load(file))

@@ -220,7 +220,7 @@ def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
     if machine["switch_rate"] is not None:
         _line(
             "switches",
-            f"{machine['possible_edges']} edges can be taken; {machine['switch_rate']:.3g} per "
+            f"{machine['possible_edges']} edges not excluded; {machine['switch_rate']:.3g} per "
             f"second from evenly spread states; sliding on {machine['sliding_share']:.1%} of the "
             f"switching surface; {machine['switching_entropy']:.3f} bits a switch",
         )

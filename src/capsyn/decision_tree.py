@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
@@ -12,7 +13,10 @@ from capsyn.errors import ProblemError
 from capsyn.policy import Policy
 from capsyn.split_tree import SplitTree
 from capsyn.validation import describe, one_of
+from capsyn.verification.statistics import clopper_pearson
 
+CONFIDENCE = 0.95
+"""Of the interval of the share of judging states that agree."""
 MODES = ("exact", "freedom", "linear")
 SAMPLES = 100_000
 """States at which the volumes of a tree with oblique splits are estimated."""
@@ -35,17 +39,14 @@ class Guarantee:
     changed : float
         Share of the volume where the symbol is another one than the policy's; estimated at the
         `states` for ``linear``, else proved.
-    controller : "ssac", "policy" or ""
-        What the tree was judged against: sSAC with the policy's own model, or the policy.
+    controller : "ssac", "function", "policy" or ""
+        What the tree was judged against: sSAC with the policy's own model, a given function, or the
+        policy.
     states, agreeing : int
-        Random states that the tree was not fitted to, and those at which it gives a symbol of the
-        controller.
-    confidence, low, high : float
-        Clopper-Pearson interval of the share of the volume where it does.
+        Random states that the tree was neither fitted to nor chosen by, and those at which it gives
+        a symbol of the controller.
     target : float, optional
         Share that was asked for.
-    reached : bool
-        Whether it was reached.
     """
 
     mode: str
@@ -55,28 +56,20 @@ class Guarantee:
     controller: str = ""
     states: int = 0
     agreeing: int = 0
-    confidence: float = 0.95
-    low: float = 0.0
-    high: float = 1.0
     target: float | None = None
-    reached: bool = True
 
     def __post_init__(self) -> None:
         one_of("mode", self.mode, list(MODES))
-        one_of("controller", self.controller, ["", "ssac", "policy"])
-        shares = [self.changed, self.confidence, self.low, self.high]
-        shares += [] if self.target is None else [self.target]
-        counts = (self.agreeing, self.states)
+        one_of("controller", self.controller, ["", "ssac", "function", "policy"])
+        shares = [self.changed] + ([] if self.target is None else [self.target])
         sound = (
             isinstance(self.source, str)
             and len(self.source) == 64
             and set(self.source) <= set("0123456789abcdef")
             and all(type(share) in (int, float) and 0 <= share <= 1 for share in shares)
-            and all(type(count) is int for count in counts)
-            and 0 <= self.agreeing <= self.states < 2**63
+            and type(self.states) is type(self.agreeing) is int
+            and 0 <= self.agreeing <= self.states < 2**53
             and (self.states > 0) == (self.controller != "")
-            and self.low <= self.high
-            and isinstance(self.reached, bool)
             and (self.level is None or (type(self.level) is int and 0 <= self.level < 64))
         )
         if not sound:
@@ -87,30 +80,66 @@ class Guarantee:
         """Share of the judging states at which the tree agrees with the controller; else NaN."""
         return self.agreeing / self.states if self.states else float("nan")
 
+    @functools.cached_property
+    def interval(self) -> tuple[float, float]:
+        """Clopper-Pearson interval, of `CONFIDENCE`, of the volume where it agrees; else (0, 1)."""
+        if not self.states:
+            return 0.0, 1.0
+        return clopper_pearson(self.agreeing, self.states, CONFIDENCE)
+
+    @property
+    def low(self) -> float:
+        """Lower end of the interval."""
+        return self.interval[0]
+
+    @property
+    def high(self) -> float:
+        """Upper end of the interval."""
+        return self.interval[1]
+
+    @property
+    def reached(self) -> bool:
+        """Whether the interval is above the target, if there is one."""
+        return self.target is None or self.low >= self.target
+
     @property
     def text(self) -> str:
-        """What is guaranteed, in a sentence."""
+        """What is guaranteed, in a sentence; shares are rounded to the careful side."""
         policy = "the policy" if self.level is None else f"the policy cut off at level {self.level}"
         proved = {
             "exact": f"equal to {policy} in every cell (proved)",
             "freedom": f"equal to {policy} in every cell whose test points agreed, and a symbol "
             "seen in the cell elsewhere (proved)",
-            "linear": f"another symbol than the policy's in {self.changed:.2%} of the volume "
-            "(estimated)",
+            "linear": f"another symbol than the policy's in {_percent(self.changed, up=True)} of "
+            "the volume (estimated)",
         }[self.mode]
         if self.mode != "linear" and self.changed:
-            proved += f"; another symbol than the policy's in {self.changed:.2%} of the volume"
+            changed = _percent(self.changed, up=True)
+            proved += f"; another symbol than the policy's in {changed} of the volume"
         if not self.states:
             return proved
-        than = {"ssac": "sSAC", "policy": "the policy"}[self.controller]
+        than = {"ssac": "sSAC", "function": "its controller", "policy": "the policy"}[
+            self.controller
+        ]
         return (
-            f"{proved}; agrees with {than} at {self.agreement:.2%} of {self.states:,} random "
-            f"states ({self.low:.2%} to {self.high:.2%} with {self.confidence:.0%} confidence)"
+            f"{proved}; agrees with {than} at {_percent(self.agreement)} of {self.states:,} random "
+            f"states ({_percent(self.low)} to {_percent(self.high, up=True)} with {CONFIDENCE:.0%} "
+            "confidence)"
         )
 
     def to_json(self) -> dict[str, Any]:
         """Return the guarantee as plain data."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+def _percent(share: float, up: bool = False) -> str:
+    """Return a share as text, rounded down or up, with two digits or as many as tell it from 1."""
+    if share in (0.0, 1.0):
+        return f"{share:.2%}"
+    digits = 2 + max(0, math.ceil(-math.log10(min(share, 1 - share))) - 3)
+    scale = 10.0 ** (digits + 2)
+    rounded = math.ceil(share * scale - 1e-9) if up else math.floor(share * scale + 1e-9)
+    return f"{rounded / scale:.{digits}%}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +166,14 @@ class DecisionTree(Policy):
         if not isinstance(self.guarantee, Guarantee):
             raise ProblemError(f"`guarantee` must be a Guarantee; got {describe(self.guarantee)}")
         super().__post_init__()
+
+    @staticmethod
+    def of(policy: Policy, cells: SplitTree, guarantee: Guarantee) -> DecisionTree:
+        """Return a policy with its cells replaced by a tree, without its evidence."""
+        kept = {f.name: getattr(policy, f.name) for f in fields(Policy)}
+        return DecisionTree(
+            guarantee=guarantee, **kept | {"cells": cells, "evidence": {}, "timings": {}}
+        )
 
     @property
     def node_count(self) -> int:

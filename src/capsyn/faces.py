@@ -54,6 +54,8 @@ def shared_faces(
         Axes whose ends meet. Default: none.
     """
     boxes, counts = cells.boxes(), cells.counts
+    level = np.zeros(cells.node_count, dtype=np.int8)
+    level[boxes.places] = boxes.levels
     found = []
     for axis in range(cells.n):
         wraps = periodic is not None and periodic[axis]
@@ -68,8 +70,6 @@ def shared_faces(
             if isinstance(cells, CellTree):
                 # a face is told once: by the smaller cell, of equals by the upper one
                 other = cells.find(lower)
-                level = np.zeros(len(cells.entries), dtype=np.int8)
-                level[boxes.places] = boxes.levels
                 tells = boxes.levels[some] + (side < 0) > level[other]
                 some, other, lower, upper = (x[tells] for x in (some, other, lower, upper))
             else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from capsyn.cells import CellTree
-from capsyn.decision_tree import DecisionTree
+from capsyn.decision_tree import CONFIDENCE, DecisionTree, Guarantee
 from capsyn.policy import Policy
 from capsyn.policy_file import TREE_ARRAYS, content_hash
 from capsyn.targets import describe_target
@@ -73,8 +73,17 @@ def _tree(tree: DecisionTree) -> dict[str, Any]:
         "depth": tree.depth,
         "planes": len(tree.cells.planes),
         "tree_bytes": sum(getattr(tree.cells, name).nbytes for name in TREE_ARRAYS),
-        "guarantee": tree.guarantee.to_json() | {"text": tree.guarantee.text},
+        "guarantee": _guarantee(tree.guarantee),
     }
+
+
+def _guarantee(found: Guarantee) -> dict[str, Any]:
+    interval = {"low": found.low, "high": found.high, "confidence": CONFIDENCE}
+    return (
+        found.to_json()
+        | (interval if found.states else {})
+        | {"reached": found.reached, "text": found.text}
+    )
 
 
 def hints(policy: Policy) -> list[str]:

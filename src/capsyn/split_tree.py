@@ -14,6 +14,8 @@ LEAF = -1
 """What `SplitTree.split` is for a leaf."""
 MAX_DEPTH = 1000
 """Most comparisons from the root to a leaf."""
+MAX_PARTS = 10_000_000
+"""Most parts of boxes at a time."""
 START_NODES = 1 << 13
 """Most entries of `SplitTree.starts`."""
 
@@ -37,7 +39,8 @@ class SplitTree:
     second : (K,) int32
         The second child; of a leaf the leaf itself.
     planes : (R, n) int32
-        Coefficients of the oblique splits. The sums ``planes @ z`` fit 32 bits.
+        Coefficients of the oblique splits, in the order of their nodes. The sums ``planes @ z`` fit
+        32 bits.
     """
 
     counts: tuple[int, ...]
@@ -106,14 +109,32 @@ class SplitTree:
         """Return the leaves (B,) that lattice steps (B, n) end in."""
         nodes = np.zeros(len(steps), dtype=np.int32)
         rows = np.arange(len(steps))
-        z = np.hstack([steps, steps @ self.planes.T.astype(np.int64)])
         while rows.size:
             at = nodes[rows]
             inner = self.split[at] != LEAF
             rows, at = rows[inner], at[inner]
-            beyond = z[rows, self.split[at]] >= self.threshold[at]
-            nodes[rows] = np.where(beyond, self.second[at], self.first[at])
+            value, _ = self._compared(at, steps, steps, rows)
+            nodes[rows] = np.where(value >= self.threshold[at], self.second[at], self.first[at])
         return nodes
+
+    def _compared(
+        self, nodes: np.ndarray, lower: np.ndarray, last: np.ndarray, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and largest values (B,) that inner nodes (B,) compare in boxes.
+
+        The boxes are those of `rows` (B,), with lower and last lattice steps (M, n).
+        """
+        split = self.split[nodes]
+        oblique = np.flatnonzero(split >= self.n)
+        axis = split % self.n
+        least, most = lower[rows, axis], last[rows, axis]
+        if oblique.size:
+            planes = self.planes[split[oblique] - self.n].astype(np.int64)
+            low, high = lower[rows[oblique]], last[rows[oblique]]
+            up, down = np.maximum(planes, 0), np.minimum(planes, 0)
+            least[oblique] = (up * low + down * high).sum(axis=1)
+            most[oblique] = (up * high + down * low).sum(axis=1)
+        return least, most
 
     def labels(self, steps: np.ndarray) -> np.ndarray:
         """Return the labels (B,) of lattice steps (B, n)."""
@@ -143,7 +164,7 @@ class SplitTree:
         Raises
         ------
         ProblemError
-            The tree has oblique splits.
+            The tree has oblique splits, or there would be more than `MAX_PARTS` parts.
         """
         if len(self.planes):
             raise ProblemError(
@@ -152,6 +173,11 @@ class SplitTree:
         node, box = np.zeros(len(lower), dtype=np.int32), np.arange(len(lower))
         done = []
         while True:
+            if len(box) > MAX_PARTS:
+                raise ProblemError(
+                    f"the leaves of the tree cut {box[-1] + 1} boxes into more than {MAX_PARTS} "
+                    "parts: it is too large for this"
+                )
             axis, cut = self.split[node], self.threshold[node]
             leaf = axis == LEAF
             done.append((node[leaf], box[leaf], lower[leaf], upper[leaf]))
@@ -216,6 +242,8 @@ class SplitTree:
             raise PolicyFormatError("the nodes are not one tree in depth-first order")
         if self.depth > MAX_DEPTH:
             raise PolicyFormatError(f"the tree takes more than {MAX_DEPTH} comparisons")
+        if not np.array_equal(self.split[self.split >= n] - n, np.arange(len(self.planes))):
+            raise PolicyFormatError("the nodes do not use each plane of the tree once, in order")
         sums = np.abs(self.planes.astype(np.float64)) @ np.array(self.counts, dtype=np.float64)
         if (sums > MAX_COUNT).any():
             raise PolicyFormatError("a plane of the tree has sums beyond 32 bits")
@@ -233,21 +261,16 @@ class SplitTree:
         shape = tuple((((counts - 1) >> shift) + 1).tolist())
         lower = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1) << shift
         upper = np.minimum(lower + (1 << shift), counts)
-        # over a box, the sums of a plane are least and greatest at corners
         last = upper - 1
-        planes = self.planes.T.astype(np.int64)
-        positive, negative = np.maximum(planes, 0), np.minimum(planes, 0)
-        low = np.hstack([lower, lower @ positive + last @ negative])
-        high = np.hstack([last, last @ positive + lower @ negative])
         nodes = np.zeros(len(lower), dtype=np.int32)
-        rows = np.arange(len(lower))
+        rows = np.flatnonzero(self.split[nodes] != LEAF)
         while rows.size:
             at = nodes[rows]
-            axis, cut = self.split[at], self.threshold[at]
-            beyond, before = low[rows, axis] >= cut, high[rows, axis] < cut
-            whole = (axis != LEAF) & (beyond | before)
-            nodes[rows[whole]] = np.where(beyond, self.second[at], self.first[at])[whole]
-            rows = rows[whole]
+            least, most = self._compared(at, lower, last, rows)
+            beyond, before = least >= self.threshold[at], most < self.threshold[at]
+            whole = beyond | before
+            nodes[rows] = np.where(beyond, self.second[at], np.where(before, self.first[at], at))
+            rows = rows[whole & (self.split[nodes[rows]] != LEAF)]
         return shift, nodes
 
 

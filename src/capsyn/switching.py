@@ -13,10 +13,12 @@ happens there [1]_:
 < 0                > 0                leaves the face on either side (repelling)
 =================  =================  =========================================
 
-All statements are for continuous time. A loop that is sampled may jump over a thin region, and
-chatters beside a sliding face instead of sliding in it. Trajectories that pass exactly through an
-edge or corner of cells, so from one region to another that it touches in fewer than n - 1
-dimensions, start from a set of measure zero and are not counted as switches.
+All statements are for continuous time and dynamics that are locally Lipschitz on each side of a
+face. A loop that is sampled may jump over a thin region, and chatters beside a sliding face instead
+of sliding in it. A trajectory may also go through an edge or corner of cells, from one region to
+another that it touches in fewer than n - 1 dimensions. From crossings alone only a set of measure
+zero does; sliding leads many there, so that switches around a face on which the loop may slide are
+never called impossible.
 
 References
 ----------
@@ -26,39 +28,30 @@ References
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.face_rates import (
+    DOWNWARD,
+    IMPOSSIBLE,
+    MAX_PARTS,
+    SAMPLES,
+    SLIDING,
+    UNDECIDED,
+    UPWARD,
+    AxisFaces,
+)
 from capsyn.faces import Faces, shared_faces
-from capsyn.intervals import Interval, evaluate_intervals
 from capsyn.policy import Policy
-from capsyn.program import Program
-from capsyn.program_builder import ProgramBuilder
 from capsyn.validation import describe
 
-UPWARD, DOWNWARD, SLIDING, REPELLING = range(4)
-"""What the loop does at a point of a face."""
-IMPOSSIBLE, UNDECIDED, POSSIBLE = range(3)
-"""Whether it does so anywhere: proved nowhere, not known, or proved at some point."""
-
-SAMPLES = {1: 1, 2: 8, 3: 4, 4: 3}
-"""Sample points per axis on a face of n dimensions; 2 where there are more."""
 PIECES = {2: 32, 3: 16}
 """Faces are cut into pieces no longer than an axis by so many; by 8 where there are more axes."""
-SLOWEST = 1e-12
-"""Rates up to so many widths of the domain per second count as none: bounds are rounded."""
-CHUNK = 1 << 15
-"""Points that are evaluated at once."""
-BOXES = 1 << 12
-"""Boxes whose bounds are evaluated at once: their values stay in the cache."""
-DEPTH = 8
-"""Most times that a face is halved along each of its axes."""
-MAX_PARTS = 1 << 18
-"""Most parts of undecided faces at one time."""
+MAX_SAMPLES = 1 << 22
+"""On all faces; where there would be more, pieces are longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +158,7 @@ def switching(policy: Policy) -> Switching:
         at = low[own, axis]
         seam = faces.lower[own, axis] == 0
         sides = np.stack([np.where(seam, domain.upper[axis], at), at])
-        some = _AxisFaces(policy, axis, low[own].T, high[own].T, sides, labels[own].T)
+        some = AxisFaces(policy, axis, low[own].T, high[own].T, sides, labels[own].T)
         areas[own] = some.areas
         shares[own], flows[own], points = some.sampled()
         found[own] = some.decided(points)
@@ -178,6 +171,10 @@ def switching(policy: Policy) -> Switching:
 
     volumes = boxes.volumes()
     switches, slidings = _tables(labels, found, number)
+    slides = np.flatnonzero(found[:, SLIDING] != IMPOSSIBLE)
+    ends = np.where(domain.periodic, cells.counts, 0)
+    around = _around_sliding(faces, labels, slides, ends, number)
+    switches[around & (switches == IMPOSSIBLE)] = UNDECIDED
     return Switching(
         faces=faces,
         labels=labels,
@@ -198,15 +195,23 @@ def switching(policy: Policy) -> Switching:
 
 def _pieces(faces: Faces, counts: Sequence[int]) -> Faces:
     """Return faces with the large ones cut into pieces: samples are so many on each."""
+    n = len(counts)
+    per_axis = PIECES.get(n, 8)
+    while True:
+        longest = -(-np.array(counts) // per_axis)
+        numbers = np.maximum(-(-(faces.upper - faces.lower) // longest), 1)
+        samples = np.prod(numbers, axis=1, dtype=float).sum() * SAMPLES.get(n, 2) ** (n - 1)
+        if per_axis == 1 or samples <= MAX_SAMPLES:
+            break
+        per_axis //= 2
     lower, upper, source = faces.lower, faces.upper, np.arange(len(faces))
-    for axis, count in enumerate(counts):
-        longest = -(-count // PIECES.get(len(counts), 8))
-        numbers = np.maximum(-(-(upper[:, axis] - lower[:, axis]) // longest), 1)
-        row = np.repeat(np.arange(len(source)), numbers)
-        place = np.arange(len(row)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
+    for axis in range(n):
+        row = np.repeat(np.arange(len(source)), numbers[source, axis])
+        ends = np.cumsum(numbers[source, axis])
+        place = np.arange(len(row)) - np.repeat(ends - numbers[source, axis], numbers[source, axis])
         lower, upper, source = lower[row], upper[row], source[row]
-        lower[:, axis] += place * longest
-        upper[:, axis] = np.minimum(upper[:, axis], lower[:, axis] + longest)
+        lower[:, axis] += place * longest[axis]
+        upper[:, axis] = np.minimum(upper[:, axis], lower[:, axis] + longest[axis])
     return Faces(faces.axis[source], lower, upper, faces.below[source], faces.above[source])
 
 
@@ -220,146 +225,57 @@ def _tables(labels: np.ndarray, found: np.ndarray, number: int) -> tuple[np.ndar
     return switches, np.maximum(slidings, slidings.T)
 
 
-class _AxisFaces:
-    """Faces perpendicular to one axis, and the rates along it on their two sides.
+def _around_sliding(
+    faces: Faces, labels: np.ndarray, slides: np.ndarray, ends: np.ndarray, number: int
+) -> np.ndarray:
+    """Return which switches (N + 1, N + 1) sliding may lead to through edges and corners.
+
+    Sliding gathers states on the edges of a face, where other cells meet: those across another face
+    of one of its two cells that touches it.
 
     Parameters
     ----------
-    policy : Policy
-        The policy.
-    axis : int
-        The axis.
-    low, high : (n, F)
-        Corners of the faces [state units].
-    sides : (2, F)
-        Their coordinates on the axis, below and above; they differ at seams.
-    labels : (2, F)
-        Symbols below and above.
+    faces, labels
+        As in `Switching`.
+    slides : (S,) ints
+        Faces on which the loop may slide.
+    ends : (n,)
+        Finest cells along periodic axes, whose ends meet; 0 along others.
+    number : int
+        Labels, N + 1.
     """
+    table = np.zeros((number, number), dtype=bool)
+    cells, rows = np.concatenate([faces.below, faces.above]), np.tile(np.arange(len(faces)), 2)
+    order = np.argsort(cells, kind="stable")
+    cells, rows = cells[order], rows[order]
+    others = np.concatenate([labels[:, 1], labels[:, 0]])[order]  # beyond the face, from the cell
+    for side in (faces.below, faces.above):
+        start, stop = (np.searchsorted(cells, side[slides], end) for end in ("left", "right"))
+        for part in _chunks(stop - start, MAX_PARTS):
+            counts = stop[part] - start[part]
+            face = np.repeat(slides[part], counts)
+            within = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
+            place = np.repeat(start[part], counts) + within
+            low, high = faces.lower[face], faces.upper[face]
+            low_other, high_other = faces.lower[rows[place]], faces.upper[rows[place]]
+            touch = (low <= high_other) & (low_other <= high)
+            touch |= (ends > 0) & (low == 0) & (high_other == ends)
+            touch |= (ends > 0) & (low_other == 0) & (high == ends)
+            touch = touch.all(axis=1)
+            for own in labels[face[touch]].T:
+                table[own, others[place[touch]]] = True
+    return table | table.T
 
-    def __init__(
-        self,
-        policy: Policy,
-        axis: int,
-        low: np.ndarray,
-        high: np.ndarray,
-        sides: np.ndarray,
-        labels: np.ndarray,
-    ) -> None:
-        self.axis, self.low, self.high, self.sides = axis, low, high, sides
-        widths = policy.domain.widths
-        self.controls = policy.controls[labels]
-        self.others = [i for i in range(len(widths)) if i != axis]
-        self.areas = np.prod((high - low)[self.others] / widths[self.others, None], axis=0)
-        self.width = float(widths[axis])
-        assert policy.model is not None
-        self.program = axis_rate(policy.model.dynamics, axis)
 
-    def sampled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what samples of the midpoint rule on every face show.
-
-        Returns
-        -------
-        shares : (F, 4)
-            Shares of each face where the loop crosses upwards, downwards, slides, is repelled.
-        flows : (F, 4)
-            Rates [1/s] of crossings upwards and downwards, and of arrivals at where it slides, from
-            below and from above.
-        points : (3, n, F)
-            Where it crosses upwards, downwards and slides the most.
-        """
-        n, count = self.low.shape
-        each = SAMPLES.get(n, 2)
-        grid = (np.array(list(itertools.product(range(each), repeat=n - 1))) + 0.5) / each
-        unit = np.insert(grid, self.axis, 0.5, axis=1).T
-        shares, flows = np.zeros((count, 4)), np.zeros((count, 4))
-        points = np.empty((3, n, count))
-        step = max(1, CHUNK // unit.shape[1])
-        for start in range(0, count, step):
-            part = slice(start, start + step)
-            low, high = self.low[:, part, None], self.high[:, part, None]
-            states = low + unit[:, None, :] * (high - low)
-            below, above = (self._rates(side, states, part) for side in range(2))
-            up, down = (below > 0) & (above >= 0), (below <= 0) & (above < 0)
-            slides, repels = (below > 0) & (above < 0), (below < 0) & (above > 0)
-            cases = (up, down, slides, repels)
-            shares[part] = np.stack([case.mean(axis=1) for case in cases], axis=1)
-            speeds = (below * up, -above * down, below * slides, -above * slides)
-            flow = np.stack([speed.mean(axis=1) for speed in speeds], axis=1)
-            flows[part] = flow * self.areas[part, None]
-            rows = np.arange(states.shape[1])
-            for k, speed in enumerate((below, -above, np.minimum(below, -above))):
-                points[k][:, part] = states[:, rows, speed.argmax(axis=1)]
-        return shares, flows, points
-
-    def _rates(self, side: int, states: np.ndarray, part: slice) -> np.ndarray:
-        """Return the rates (F, Q) on one side [domain widths / s], 0 if too slow or undefined."""
-        states[self.axis] = self.sides[side, part, None]
-        control = self.controls[side, part].T[:, :, None]
-        rates = self.program.evaluate(states, control)[0][0] / self.width
-        return np.where(np.isfinite(rates) & (np.abs(rates) > SLOWEST), rates, 0.0)
-
-    def decided(self, points: np.ndarray) -> np.ndarray:
-        """Return `Switching.found` (F, 3).
-
-        Faces that the given points (3, n, F) do not decide are halved until bounds do.
-        """
-        count = self.low.shape[1]
-        found = np.zeros((count, 3), dtype=bool)
-        everything = np.arange(count)
-        for k in range(3):
-            found[:, k] = self._occurs(points[k], points[k], everything)[0][:, k]
-        face = np.flatnonzero(~found.all(axis=1))
-        low, high = self.low[:, face], self.high[:, face]
-        for turn in range(DEPTH * len(self.others)):
-            shown, excluded = self._occurs(low, high, face)
-            np.logical_or.at(found, face, shown)
-            busy = (~found[face] & ~excluded).any(axis=1)
-            face, low, high = face[busy], low[:, busy], high[:, busy]
-            if not len(face) or 2 * len(face) > MAX_PARTS:
-                break
-            cut = self.others[turn % len(self.others)]
-            half, middle = len(face), low[cut] + (high[cut] - low[cut]) / 2
-            low, high, face = np.tile(low, 2), np.tile(high, 2), np.tile(face, 2)
-            high[cut, :half] = low[cut, half:] = middle
-        shown, excluded = self._occurs(low, high, face)
-        np.logical_or.at(found, face, shown)
-        left = np.zeros((count, 3), dtype=bool)
-        np.logical_or.at(left, face, ~excluded)
-        return np.where(found, POSSIBLE, np.where(left, UNDECIDED, IMPOSSIBLE)).astype(np.int8)
-
-    def _occurs(
-        self, low: np.ndarray, high: np.ndarray, face: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return where each of the three is certain everywhere, and nowhere, in parts of faces.
-
-        Parameters
-        ----------
-        low, high : (n, B)
-            Corners of the parts.
-        face : (B,)
-            The faces that they are parts of.
-        """
-        (low_b, high_b), (low_a, high_a) = (self._bounds(k, low, high, face) for k in range(2))
-        slow = SLOWEST * self.width
-        up, down = low_b > slow, high_a < -slow
-        no_up, no_down = high_b <= slow, low_a >= -slow
-        return np.stack([up, down, up & down], axis=1), np.stack(
-            [no_up, no_down, no_up | no_down], axis=1
-        )
-
-    def _bounds(self, side: int, low: np.ndarray, high: np.ndarray, face: np.ndarray) -> Interval:
-        """Return bounds (B,) of the rates on one side; both NaN where they may be undefined."""
-        lower, upper = np.empty(len(face)), np.empty(len(face))
-        for start in range(0, len(face), BOXES):
-            part = slice(start, start + BOXES)
-            corners = low[:, part].copy(), high[:, part].copy()
-            for corner in corners:
-                corner[self.axis] = self.sides[side, face[part]]
-            control = self.controls[side, face[part]].T
-            ((least, most),) = evaluate_intervals(self.program, corners, (control, control))
-            lower[part], upper[part] = least[0], most[0]
-        return lower, upper
+def _chunks(sizes: np.ndarray, most: int) -> Iterator[slice]:
+    """Yield slices over sizes (K,) whose sums are at most a number, or of one size."""
+    ends = np.cumsum(sizes)
+    start = 0
+    while start < len(sizes):
+        before = ends[start - 1] if start else 0
+        stop = max(int(np.searchsorted(ends, before + most, "right")), start + 1)
+        yield slice(start, stop)
+        start = stop
 
 
 def _exits(
@@ -374,15 +290,7 @@ def _exits(
         low, high = (domain.points(corner[outer], counts) for corner in (lower, upper))
         at = (high if side == 0 else low)[:, axis]
         both = np.stack([labels[outer]] * 2)
-        faces = _AxisFaces(policy, axis, low.T, high.T, np.stack([at, at]), both)
+        faces = AxisFaces(policy, axis, low.T, high.T, np.stack([at, at]), both)
         _, flows, _ = faces.sampled()
         rates += np.bincount(both[0], flows[:, side], minlength=len(rates))
     return rates
-
-
-def axis_rate(dynamics: Program, axis: int) -> Program:
-    """Return the program ``(x, u) -> rate`` of one component of the dynamics."""
-    builder = ProgramBuilder()
-    ports = [[builder.input() for _ in range(size)] for _, size in dynamics.inputs]
-    results = builder.call(dynamics, *ports)
-    return builder.build("rate", dynamics.inputs, (("rate", 1),), [results[axis]])

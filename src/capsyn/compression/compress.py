@@ -6,25 +6,25 @@ import dataclasses
 import warnings
 from collections.abc import Iterable, Iterator
 
-import numpy as np
-
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
-from capsyn.compression.judge import Judge, aimed
+from capsyn.compression.judge import Judge
 from capsyn.compression.oblique import fit_tree
-from capsyn.compression.proof import changed_cells
+from capsyn.compression.proof import prove
 from capsyn.decision_tree import MODES, DecisionTree, Guarantee
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.policy import Policy, cell_tree
 from capsyn.policy_file import content_hash
-from capsyn.split_tree import SplitTree
 from capsyn.validation import describe, finite_number, one_of, whole_number
+from capsyn.verification.agreement import Controller
 
-NODE_PRICES = (16.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.05)
+FREE_PRICES = (16.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.05)
 """Finest cells of disagreement that a node is worth, from the smallest tree on."""
 NODE_PRICE = 0.5
 """That of mode freedom where no agreement is asked for."""
+MAX_STATES = 10_000_000
+"""Most states at which trees are judged."""
 MAX_NODE_PRICE = 1000.0
 """Larger prices make no smaller trees."""
 
@@ -38,6 +38,7 @@ def compress(
     node_price: float | None = None,
     states: int = 100_000,
     seed: int = 0,
+    controller: Controller | None = None,
     backend: str = "auto",
 ) -> DecisionTree:
     """Return a small decision tree that does the work of a policy.
@@ -51,8 +52,8 @@ def compress(
         level whose test points did not agree, may take any symbol seen in them. ``linear``: splits
         may be affine in the state, fitted to the controller that the policy came from.
     agreement : float, optional
-        Least share of the volume, above 0 and below 1, where the tree shall agree with sSAC by the
-        policy's own model, or with the policy where that has no model. For ``linear`` 0.99 by
+        Least share of the volume, above 0 and below 1, where the tree shall agree with the
+        controller. For ``linear`` 0.99 by
         default; for ``freedom`` by default what `node_price` gives. Not for ``exact``.
     level : int, optional
         Merge the cells below this level first: a smaller tree that agrees less. Not for
@@ -64,6 +65,9 @@ def compress(
         Random states at which the tree is judged.
     seed : int
         Of everything that is random; the same seed gives the same tree.
+    controller : callable, optional
+        What trees are fitted to and judged by: states (B, n) to symbol indices (B,), -1 for the
+        default. Default: sSAC with the policy's own model, or the policy where that has none.
     backend : "auto", "c" or "numpy"
         How sSAC is solved.
 
@@ -75,7 +79,8 @@ def compress(
     Warns
     -----
     CapsynWarning
-        `agreement` was not reached; the best tree found is returned.
+        `agreement` was not reached, and the best tree found is returned; or it is finer than the
+        cells of a policy without a controller, so that the tree follows their stairs.
 
     Raises
     ------
@@ -96,7 +101,7 @@ def compress(
     if agreement is not None:
         agreement = finite_number("agreement", agreement, above=0.0)
         if agreement >= 1:
-            raise ProblemError(f"`agreement` must be below 1; got {agreement:g}")
+            raise ProblemError(f"`agreement` must be above 0 and below 1; got {agreement:g}")
         if node_price is not None:
             raise ProblemError("`agreement` and `node_price` exclude each other; got both")
     if level is not None:
@@ -104,14 +109,23 @@ def compress(
     node_price = finite_number(
         "node_price", NODE_PRICE if node_price is None else node_price, least=0.0
     )
-    states = whole_number("states", states, least=1)
+    states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, ["auto", "c", "numpy"])
     if mode == "exact":
         return exact_tree(policy, level)
-    judge = Judge.of(policy, states, seed, backend)
+    judge = Judge.of(policy, states, seed, backend, controller)
     if mode == "linear":
-        tree = _linear_tree(judge, 0.99 if agreement is None else agreement)
+        target = 0.99 if agreement is None else agreement
+        if judge.source is None and policy.mixed_share > 1 - target:
+            warnings.warn(
+                f"cells whose test points disagree cover {policy.mixed_share:.2%} of the volume: "
+                f"an agreement of {target:g} follows their stairs; give a controller, or ask for "
+                "less",
+                CapsynWarning,
+                stacklevel=2,
+            )
+        tree = _linear_tree(judge, target)
     elif agreement is None:
         (tree,) = free_trees(judge, level, (node_price,))
     else:
@@ -131,48 +145,53 @@ def free_trees(
     judge: Judge, level: int | None, node_prices: Iterable[float]
 ) -> Iterator[DecisionTree]:
     """Yield the trees of mode freedom of a policy, cut off at a level, for some prices; judged."""
+    for tree in _free_trees(judge, level, node_prices):
+        yield judge.judged(tree, None)
+
+
+def _free_trees(
+    judge: Judge, level: int | None, node_prices: Iterable[float]
+) -> Iterator[DecisionTree]:
     policy = judge.policy
     base = policy if level is None else cut_off(policy, level)
-    votes = cell_votes(base, None if judge.ssac is None else judge.ssac.masks, judge.seed)
+    votes = cell_votes(base, judge.source, judge.seed)
     for node_price in node_prices:
         prices = free_prices(base, votes, min(node_price, MAX_NODE_PRICE))
-        yield judge.judged(_proved_tree(policy, base, "freedom", level, prices))
+        yield _proved_tree(policy, base, "freedom", level, prices)
 
 
 def _proved_tree(
     policy: Policy, base: Policy, mode: str, level: int | None, prices: Prices
 ) -> DecisionTree:
     """Return the tree of a cut-off policy under some prices, its guarantee proved cell by cell."""
-    cells, left = cell_tree(policy), cell_tree(base)
-    tree = induce(left, prices)
-    changed_cells(tree, left, prices.masks)  # raises where a label is not allowed
-    changed = changed_cells(tree.refined(cells.counts), cells).sum()
-    share = float(changed / np.prod(cells.counts, dtype=float))
-    guarantee = Guarantee(mode, content_hash(policy), level, share)
-    return _decision_tree(policy, tree, guarantee)
-
-
-def _decision_tree(policy: Policy, tree: SplitTree, guarantee: Guarantee) -> DecisionTree:
-    """Return a policy with its cells replaced by a tree."""
-    kept = {f.name: getattr(policy, f.name) for f in dataclasses.fields(Policy)}
-    kept |= {"cells": tree, "evidence": {}, "timings": {}}
-    return DecisionTree(guarantee=guarantee, **kept)
+    tree = induce(cell_tree(base), prices)
+    made = DecisionTree.of(policy, tree, Guarantee(mode, content_hash(policy), level))
+    guarantee = dataclasses.replace(made.guarantee, changed=prove(made, policy))
+    return dataclasses.replace(made, guarantee=guarantee)
 
 
 def _smallest_free_tree(judge: Judge, level: int | None, target: float) -> DecisionTree:
-    """Return the smallest tree of mode freedom that reaches a target, or else the best."""
+    """Return the smallest tree of mode freedom that reaches a target, or else the best.
+
+    A tree that reaches it at the states that trees are chosen by is judged at states of its own.
+    """
     tried: list[DecisionTree] = []
-    for tree in free_trees(judge, level, NODE_PRICES):
-        tried.append(aimed(tree, target))
+    own = judge.compare(judge.policy)
+    prices = FREE_PRICES if own.high >= target else FREE_PRICES[-1:]  # freedom only loses
+    for look, tree in enumerate(_free_trees(judge, level, prices), start=1):
+        tried.append(judge.judged(tree, target))
         if tried[-1].guarantee.reached:
-            return tried[-1]
-    return max(tried, key=lambda tree: tree.guarantee.agreeing)
+            tried[-1] = judge.judged(tree, target, look)
+            if tried[-1].guarantee.reached:
+                return tried[-1]
+    best = max(tried, key=lambda tree: tree.guarantee.agreeing)
+    return judge.judged(best, target, len(tried) + 1)
 
 
 def _linear_tree(judge: Judge, target: float) -> DecisionTree:
     policy = judge.policy
     labels, kept = len(policy.alphabet) + 1, {"seed": judge.seed, "states": judge.states}
     fit = fit_tree(judge.masks, policy.domain, labels, target, **kept)
-    tree = _decision_tree(policy, fit.tree, Guarantee("linear", content_hash(policy)))
+    tree = DecisionTree.of(policy, fit.tree, Guarantee("linear", content_hash(policy)))
     changed = 1.0 - judge.compare(tree, with_policy=True).share
-    return judge.judged(tree, target, changed=changed)
+    return judge.with_counts(tree, target, fit.judged, fit.right, changed=changed)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from capsyn.compression.coarsening import cut_off
-from capsyn.compression.compress import compress, exact_tree, free_trees
+from capsyn.compression.compress import MAX_STATES, compress, exact_tree, free_trees
 from capsyn.compression.judge import Judge
 from capsyn.decision_tree import DecisionTree
 from capsyn.files import atomic_write
@@ -87,7 +87,7 @@ def size_curve(
         Is told in words what is done next.
     """
     cell_tree(policy)
-    states = whole_number("states", states, least=1)
+    states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, ["auto", "c", "numpy"])
     judge = Judge.of(policy, states, seed, backend)
@@ -143,7 +143,7 @@ def _tree_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
         say(f"trees at level {level}")
         cut = None if level == last else level
         option = "" if cut is None else f" --level {level}"
-        tree = judge.judged(exact_tree(policy, cut))
+        tree = judge.judged(exact_tree(policy, cut), None)
         yield _point(tree, level, f"--mode exact{option}")
         for price, tree in zip(NODE_PRICES, free_trees(judge, cut, NODE_PRICES)):
             yield _point(tree, level, f"--mode freedom{option} --node-price {price:g}")

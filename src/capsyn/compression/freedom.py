@@ -7,7 +7,10 @@ import numpy as np
 from capsyn.compression.induction import Prices
 from capsyn.masks import Label
 from capsyn.policy import Policy, cell_tree
+from capsyn.random_streams import stream
 
+VOTING = 5
+"""Purpose of the random states at which votes are cast."""
 VOTES = 16
 """Random states of each mixed cell at which the controller is asked."""
 
@@ -15,7 +18,7 @@ VOTES = 16
 def exact_prices(policy: Policy) -> Prices:
     """Return prices under which every cell keeps its own label."""
     none = np.zeros((0, len(policy.alphabet) + 1), dtype=np.int64)
-    return Prices(_own_masks(policy), cell_tree(policy).mixed_cells[:0], none, 1)
+    return Prices(allowed_masks(policy, False), cell_tree(policy).mixed_cells[:0], none, 1)
 
 
 def free_prices(policy: Policy, votes: np.ndarray, node_price: float) -> Prices:
@@ -30,10 +33,10 @@ def free_prices(policy: Policy, votes: np.ndarray, node_price: float) -> Prices:
     node_price : float
         Finest cells of disagreement that saving one node of the tree is worth.
     """
-    cells, masks = cell_tree(policy), _own_masks(policy)
-    masks[cells.mixed_cells] |= cells.mixed_labels
     leaf_price = max(1, round(2 * VOTES * node_price))  # a leaf more is two nodes more
-    return Prices(masks, cells.mixed_cells, VOTES - votes, leaf_price)
+    return Prices(
+        allowed_masks(policy, True), cell_tree(policy).mixed_cells, VOTES - votes, leaf_price
+    )
 
 
 def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarray:
@@ -58,7 +61,7 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     place[boxes.places] = np.arange(len(boxes))
     lower = policy.domain.points(boxes.lower[place[mixed]], cells.counts)
     upper = policy.domain.points(boxes.upper[place[mixed]], cells.counts)
-    random = np.random.default_rng(seed)
+    random = stream(seed, VOTING)
     for _ in range(VOTES):
         masks = controller(lower + random.random(lower.shape) * (upper - lower))
         masks = np.where(masks == 0, np.uint64(1 << (labels - 1)), masks)  # no finite answer
@@ -67,7 +70,14 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     return votes
 
 
-def _own_masks(policy: Policy) -> np.ndarray:
-    entries = cell_tree(policy).entries
-    own = np.uint64(1) << np.maximum(-1 - entries, 0).astype(np.uint64)
-    return np.where(entries < 0, own, np.uint64(0))
+def allowed_masks(policy: Policy, freedom: bool) -> np.ndarray:
+    """Return the labels (M,) that each entry of the cells may take, as bit masks; 0 for blocks.
+
+    With `freedom`, mixed cells may take any label that was seen in them.
+    """
+    cells = cell_tree(policy)
+    own = np.uint64(1) << np.maximum(-1 - cells.entries, 0).astype(np.uint64)
+    masks = np.where(cells.entries < 0, own, np.uint64(0))
+    if freedom:
+        masks[cells.mixed_cells] |= cells.mixed_labels
+    return masks

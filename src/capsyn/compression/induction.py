@@ -22,6 +22,8 @@ CUT_PENALTY = 0.1
 """What a unit of area cut between like cells counts against one between unlike cells."""
 TOUCHING = 0.25
 """What a face counts between cells that may take a common label; 1 where they may not."""
+GREEDY_DEPTH = 40
+"""Cuts above a box from which on it is cut in half."""
 BUDGETS = {1: 1_000_000, 2: 1_000_000, 3: 100_000}
 """Most sub-boxes of a box whose tree of least cost is searched, by number of axes."""
 BUDGET = 10_000
@@ -155,11 +157,12 @@ def _cut(
     nodes: Rows = []
     blocks = []
     lower, upper = np.zeros(cells.n, dtype=np.int64), np.array(cells.counts, dtype=np.int64)
-    kind = np.int32 if max(cells.counts) < 2**31 else np.int64
-    start = (faces.axis, faces.lower.astype(kind), faces.upper.astype(kind), weight)
-    stack: list[tuple[int, np.ndarray, np.ndarray, _Inside]] = [(_new(nodes), lower, upper, start)]
+    start = (faces.axis, faces.lower.astype(np.int32), faces.upper.astype(np.int32), weight)
+    stack: list[tuple[int, int, np.ndarray, np.ndarray, _Inside]] = [
+        (_new(nodes), 0, lower, upper, start)
+    ]
     while stack:
-        node, lower, upper, inside = stack.pop()
+        node, depth, lower, upper, inside = stack.pop()
         axis, low = inside[:2]
         if not len(axis):
             continue
@@ -167,13 +170,17 @@ def _cut(
         if sub_box_count(tuple(len(c) for c in cuts)) <= budget:
             blocks.append(_Block(node, cuts, upper))
             continue
-        a, cut = _best_plane(inside, lower, upper)
+        if depth < GREEDY_DEPTH:
+            a, cut = _best_plane(inside, lower, upper)
+        else:  # in half, so that neither depth nor work grow with every plane
+            a = max(range(cells.n), key=lambda a: len(cuts[a]))
+            cut = int(cuts[a][len(cuts[a]) // 2])
         children = _new(nodes), _new(nodes)
         nodes[node] = [a, cut, *children]
         for child, bounds in zip(children, ((lower[a], cut), (cut, upper[a]))):
             below, above = lower.copy(), upper.copy()
             below[a], above[a] = bounds
-            stack.append((child, below, above, _clip(inside, a, bounds)))
+            stack.append((child, depth + 1, below, above, _clip(inside, a, bounds)))
     return nodes, blocks
 
 

@@ -7,26 +7,36 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from capsyn.decision_tree import DecisionTree
+from capsyn.decision_tree import CONFIDENCE, DecisionTree
+from capsyn.errors import ProblemError
 from capsyn.masks import Label, masks_of_symbols
 from capsyn.policy import Policy, cell_tree
-from capsyn.ssac import BatchController, policy_controller
-from capsyn.verification.agreement import Agreement, agreement
+from capsyn.random_streams import derived_seed
+from capsyn.ssac import policy_controller
+from capsyn.validation import describe
+from capsyn.verification.agreement import Agreement, Controller, agreement
 
-JUDGING = 2**32
-"""Added to the seed for the states at which trees are judged: no fit uses these."""
+MOST_CELLS = 10**7
+"""A policy with more cells is not advised."""
+JUDGING = 6
+"""Purpose of the random states at which trees are judged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """sSAC by a policy's own model, or where it has none the policy, as judge of trees.
+    """What trees of a policy are compared with: a controller, or where there is none the policy.
 
     Parameters
     ----------
     policy : Policy
         The policy.
-    ssac : BatchController or None
-        Its controller.
+    name : "ssac", "function" or "policy"
+        Which controller it is.
+    source : function or None
+        The controller as states (B, n) to masks (B,) of the symbols that are right there; None
+        for the policy.
+    controller : function or None
+        The controller as `capsyn.agreement` takes it; None for sSAC.
     states, seed : int
         How many random states a tree is judged at, and their seed.
     backend : "auto", "c" or "numpy"
@@ -34,47 +44,64 @@ class Judge:
     """
 
     policy: Policy
-    ssac: BatchController | None
+    name: str
+    source: Label | None
+    controller: Controller | None
     states: int
     seed: int
     backend: str
 
     @staticmethod
-    def of(policy: Policy, states: int, seed: int, backend: str) -> Judge:
+    def of(
+        policy: Policy, states: int, seed: int, backend: str, controller: Controller | None = None
+    ) -> Judge:
         """Return the judge of a policy."""
-        return Judge(policy, policy_controller(policy, backend), states, seed, backend)
+        if controller is not None:
+            if not callable(controller):
+                raise ProblemError(f"`controller` must be a function; got {describe(controller)}")
+            source = masks_of_symbols(controller, len(policy.alphabet), "controller")
+            return Judge(policy, "function", source, controller, states, seed, backend)
+        ssac = policy_controller(policy, backend)
+        if ssac is None:
+            return Judge(policy, "policy", None, policy, states, seed, backend)
+        return Judge(policy, "ssac", ssac.masks, None, states, seed, backend)
 
     @property
     def masks(self) -> Label:
         """States (B, n) to masks (B,) of the symbols that are right there."""
-        if self.ssac is not None:
-            return self.ssac.masks
-        return masks_of_symbols(self.policy, len(self.policy.alphabet))
+        return self.source or masks_of_symbols(self.policy, len(self.policy.alphabet))
 
-    def compare(self, policy: Policy, with_policy: bool = False) -> Agreement:
-        """Return how a policy compares with the controller, or with the judge's own policy."""
+    def compare(self, policy: Policy, look: int = 0, with_policy: bool = False) -> Agreement:
+        """Return how a policy compares with the controller, or with the judge's own policy.
+
+        Each `look` is at states of its own.
+        """
         return agreement(
             policy,
             self.states,
-            controller=self.policy if with_policy or self.ssac is None else None,
-            seed=self.seed + JUDGING,
+            controller=self.policy if with_policy else self.controller,
+            seed=derived_seed(self.seed, JUDGING, look),
             backend=self.backend,
         )
 
-    def judged(self, tree: DecisionTree, target: float | None = None, **known: Any) -> DecisionTree:
-        """Return a tree with its agreement among what it guarantees."""
-        found = self.compare(tree)
+    def judged(self, tree: DecisionTree, target: float | None, look: int = 0) -> DecisionTree:
+        """Return a tree with a target, and its agreement among what it guarantees."""
+        found = self.compare(tree, look)
+        return self.with_counts(tree, target, found.states, found.agreeing)
+
+    def with_counts(
+        self, tree: DecisionTree, target: float | None, states: int, agreeing: int, **known: Any
+    ) -> DecisionTree:
+        """Return a tree with a target and counts of judging states in what it guarantees."""
         guarantee = dataclasses.replace(
             tree.guarantee,
-            controller="policy" if self.ssac is None else "ssac",
-            states=found.states,
-            agreeing=found.agreeing,
-            confidence=found.confidence,
-            low=found.low,
-            high=found.high,
+            controller=self.name,
+            states=states,
+            agreeing=agreeing,
+            target=target,
             **known,
         )
-        return aimed(dataclasses.replace(tree, guarantee=guarantee), target)
+        return dataclasses.replace(tree, guarantee=guarantee)
 
     def advice(self, tree: DecisionTree) -> str:
         """Return that a tree has missed its target, and what would reach it."""
@@ -83,25 +110,24 @@ class Judge:
         text = (
             f"an agreement of {target:.6g} was not reached: the best tree of mode {had.mode} has "
             f"{tree.node_count} nodes and agrees at {had.agreement:.3%} of {had.states} states (at "
-            f"least {had.low:.3%} with {had.confidence:.0%} confidence)"
+            f"least {had.low:.3%} with {CONFIDENCE:.0%} confidence)"
         )
-        if had.agreement >= target:
-            return f"{text}; more `states` may tell"
         own = self.compare(self.policy)
         if own.share >= target:
             more = "" if own.low >= target else " (more `states` would tell)"
             return f"{text}; mode exact agrees at {own.share:.3%}{more}"
-        # what cells along a surface get wrong is in proportion to their size
+        if had.agreement >= target:
+            return f"{text}; more `states`, or another `seed`, may tell"
+        if had.mode == "freedom" and self.source is not None:
+            text += "; mode linear is not bound to the cells"
+        # what cells along a surface get wrong is in proportion to their size; their number grows
+        # with the area of the surface in such cells
         cells = cell_tree(self.policy)
-        levels = math.log((1 - own.share) / (1 - target), min(cells.refinement))
+        refinement = min(cells.refinement)
+        levels = max(math.ceil(math.log((1 - own.share) / (1 - target), refinement)), 1)
+        if cells.leaf_count * refinement ** ((cells.n - 1) * levels) > MOST_CELLS:
+            return f"{text}; the policy itself agrees at {own.share:.3%}: ask for less"
         return (
             f"{text}; the policy itself agrees at {own.share:.3%}: synthesize it with max_level "
-            f"{cells.max_level + max(math.ceil(levels), 1)} or so, then compress"
+            f"{cells.max_level + levels} or so, then compress"
         )
-
-
-def aimed(tree: DecisionTree, target: float | None) -> DecisionTree:
-    """Return a judged tree with a target, and whether it is reached, in what it guarantees."""
-    reached = target is None or tree.guarantee.low >= target
-    guarantee = dataclasses.replace(tree.guarantee, target=target, reached=reached)
-    return dataclasses.replace(tree, guarantee=guarantee)

@@ -21,6 +21,7 @@ from capsyn.compression.surface import Plane, Samples, Surface, draw_samples, fi
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.masks import Label
+from capsyn.random_streams import stream
 from capsyn.split_tree import LEAF, SplitTree
 from capsyn.validation import finite_number, whole_number
 from capsyn.verification.statistics import clopper_pearson
@@ -62,7 +63,9 @@ MARGIN = 3.5
 CONFIDENCE = 0.95
 """Of the interval of the share of judged states."""
 JUDGEMENTS = 3
-"""Trees judged, on fresh states each, before the target counts as missed."""
+"""Trees judged, on fresh states each, before a search counts as failed."""
+AIMS = (1.0, 0.7, 0.4)
+"""Shares of the wrong states allowed at which searches begin, each where those before failed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,23 +78,11 @@ class Fit:
         The tree.
     judged, right : int
         Fresh random states, which neither made nor chose the tree, and those where it is right.
-    reached : bool
-        Whether the lower end of the Clopper-Pearson interval of the judged states, with a
-        confidence of `CONFIDENCE`, meets the target.
-    tried : tuple of (int, float)
-        Nodes of every tree on the way, and their shares on the states that trees were chosen by.
     """
 
     tree: SplitTree
     judged: int
     right: int
-    reached: bool
-    tried: tuple[tuple[int, float], ...]
-
-    @property
-    def share(self) -> float:
-        """Share of the judged states, an estimate of that of the volume, where it is right."""
-        return self.right / self.judged
 
 
 class Candidate(NamedTuple):
@@ -136,8 +127,9 @@ def fit_tree(
     Returns
     -------
     Fit
-        The smallest tree found that meets the target; where none does, the one with the highest
-        share, and ``reached`` is False.
+        The smallest tree found of which the lower end of the Clopper-Pearson interval of the judged
+        states, with a confidence of `CONFIDENCE`, meets the target; where there is none, the best
+        that was judged.
 
     Raises
     ------
@@ -160,13 +152,18 @@ def fit_tree(
         return draw_samples(cube_masks, domain.n, labels, count, [seed, *stream])
 
     search = _Search(domain, agreement, draw(samples, 0), draw(samples, 1), states)
-    search.run(find_surface(cube_masks, search.fitted, [seed, 2]), [seed, 3])
-    for k, (tree, met) in enumerate(search.best()):
-        right = search.count_right(tree, draw(states, 4, k))
-        reached = met and clopper_pearson(right, states, CONFIDENCE)[0] >= agreement
-        if reached:
-            break
-    return Fit(tree, states, right, reached, tuple(search.tried))
+    surface = find_surface(cube_masks, search.fitted, [seed, 2])
+    judged: list[Fit] = []
+    for turn, aim in enumerate(AIMS):
+        search.run(surface, [seed, 3, turn], aim * (1 - agreement))
+        for tree in search.best():
+            right = search.count_right(tree, draw(states, 4, len(judged)))
+            judged.append(Fit(tree, states, right))
+            if clopper_pearson(right, states, CONFIDENCE)[0] >= agreement:
+                return judged[-1]
+        if max(fit.right for fit in judged) < (agreement - (1 - agreement)) * states:
+            break  # out of reach
+    return max(judged, key=lambda fit: fit.right)
 
 
 class _Search:
@@ -177,25 +174,28 @@ class _Search:
     ) -> None:
         spread = math.sqrt(agreement * (1 - agreement) / min(states, len(chosen)))
         self.bar = min(agreement + MARGIN * spread, 1.0)
-        self.tried: list[tuple[int, float]] = []
         self._domain, self._agreement = domain, agreement
-        self._counts = lattice_counts(domain)
+        self._counts = fine_lattice(domain)
         self.fitted, self._chosen = self._centred(fitted), self._centred(chosen)
         enough = ERRORS / max(1 - agreement, 1e-9)
         self._few = self.fitted.first(int(np.clip(enough, FEW, max(len(fitted), FEW))))
         self._candidates: list[Candidate] = []
-        self._work = 0
+        self._told = 0.0
+        self._work = 0.0
 
-    def run(self, surface: Surface, seed: list[int]) -> None:
-        """Grow trees, finer ones until they meet the target, and prune those that do."""
-        wrong = 1 - self._agreement
+    def run(self, surface: Surface, seed: list[int], wrong: float) -> None:
+        """Grow trees, finer ones until they meet the target, and prune those that do.
+
+        Their fineness begins at what errs at a share `wrong` of the states.
+        """
+        self._work = 0.0
         area = max(surface.area * len(surface.points), 1e-9)
         # a plane within a tolerance of a surface errs by about an eighth of it
         coarse = min(0.04, 8 * wrong / area)
         fineness, pruned = FINENESS, 0
         for attempt in range(ATTEMPTS):
             tolerance = max(coarse / fineness, FINEST)
-            rng = np.random.default_rng([*seed, attempt])
+            rng = stream(*seed, attempt)
             root = grow(surface, self._few, tolerance, LEAST * wrong / fineness, rng)
             self._refine(root, self._few)
             self._refine(root, self._few)
@@ -213,21 +213,22 @@ class _Search:
             if not self._tired:
                 self._prune(candidate.root.copy(), more)
 
-    def best(self) -> Iterator[tuple[SplitTree, bool]]:
-        """Yield the trees to judge, and whether they meet the target, the smallest first.
+    def best(self) -> Iterator[SplitTree]:
+        """Yield the trees to judge: those that meet the target, the smallest first, or the best.
 
-        Where none does, the best one.
+        None is told twice, nor one that is no better than those told before.
         """
-        found = self._passing()
+        found = [candidate for candidate in self._passing() if candidate.share > self._told]
         told = 0
         for candidate in found[: JUDGEMENTS - 1] + found[JUDGEMENTS - 1 :][-1:]:
             tree = to_lattice(candidate.root, self._counts)
             if self.count_right(tree, self._chosen) >= self.bar * len(self._chosen):
                 told += 1
-                yield tree, True
-        if not told:
+                self._told = max(self._told, candidate.share)
+                yield tree
+        if not told and not self._told:
             best = min(self._candidates, key=lambda c: (-c.share, c.nodes))
-            yield to_lattice(best.root, self._counts), False
+            yield to_lattice(best.root, self._counts)
 
     def count_right(self, tree: SplitTree, samples: Samples) -> int:
         """Return the number of samples where a tree is right."""
@@ -268,7 +269,6 @@ class _Search:
     def _record(self, root: Node) -> float:
         share = self._chosen.count_right(root.labels(self._chosen.states)) / len(self._chosen)
         self._candidates.append(Candidate(root.copy(), root.node_count, share))
-        self.tried.append((root.node_count, share))
         return share
 
     def _locate(self, cube: np.ndarray) -> np.ndarray:
@@ -282,7 +282,7 @@ class _Search:
         return Samples((self._locate(samples.states) + 0.5) / self._counts, samples.right)
 
 
-def lattice_counts(domain: Box) -> tuple[int, ...]:
+def fine_lattice(domain: Box) -> tuple[int, ...]:
     """Return the lattice steps of a tree along each axis: powers of two, at most `STEPS`."""
     counts = []
     for axis in range(domain.n):

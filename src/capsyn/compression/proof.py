@@ -4,11 +4,58 @@ from __future__ import annotations
 
 import numpy as np
 
-from capsyn.cells import CellTree
+from capsyn.cells import Boxes, CellTree
+from capsyn.compression.coarsening import cut_off
+from capsyn.compression.freedom import allowed_masks
+from capsyn.decision_tree import DecisionTree
+from capsyn.errors import ProblemError
+from capsyn.policy import Policy, cell_tree
+from capsyn.policy_file import content_hash
 from capsyn.split_tree import SplitTree
+from capsyn.validation import describe
+
+CHUNK = 100_000
+"""Cells that are cut at a time."""
 
 
-def changed_cells(tree: SplitTree, cells: CellTree, masks: np.ndarray | None = None) -> np.ndarray:
+def prove(tree: DecisionTree, policy: Policy) -> float:
+    """Prove again what a tree of mode ``exact`` or ``freedom`` guarantees of its policy.
+
+    Returns
+    -------
+    float
+        Share of the volume where the tree gives another symbol than the policy.
+
+    Raises
+    ------
+    ProblemError
+        A tree of another policy or of mode ``linear``, or one that does not keep its word.
+    """
+    cells = cell_tree(policy)
+    if not isinstance(tree, DecisionTree) or tree.guarantee.mode == "linear":
+        raise ProblemError(
+            f"`tree` must be a decision tree of mode exact or freedom; got {describe(tree)}"
+        )
+    if tree.guarantee.source != content_hash(policy):
+        raise ProblemError(f"`tree` must be made from `policy`; {tree!r} was made from another")
+    level = tree.guarantee.level
+    base = policy if level is None else cut_off(policy, level)
+    left = cell_tree(base)
+    if tree.cells.counts != left.counts or tree.domain != policy.domain:
+        raise ProblemError(f"`tree` must be on the lattice of `policy`; got {tree!r}")
+    boxes = left.boxes()
+    leaf, box, _ = _parts(tree.cells, boxes)
+    masks = allowed_masks(base, tree.guarantee.mode == "freedom")[boxes.places[box]]
+    wrong = (masks >> tree.cells.labels_at(leaf).astype(np.uint64)) & np.uint64(1) == 0
+    if wrong.any():
+        cell = boxes.places[box[np.flatnonzero(wrong)[0]]]
+        raise ProblemError(f"`tree` does not keep its word: cell {cell} gets another symbol")
+    finer = tree.cells.refined(cells.counts)
+    changed = changed_cells(finer, cells).sum()
+    return float(changed / np.prod(cells.counts, dtype=float))
+
+
+def changed_cells(tree: SplitTree, cells: CellTree) -> np.ndarray:
     """Return how much of each cell has another label in a tree than in the cells.
 
     Each cell is cut along the splits of the tree; nothing of how the tree was made is used.
@@ -19,31 +66,27 @@ def changed_cells(tree: SplitTree, cells: CellTree, masks: np.ndarray | None = N
         A tree without oblique splits, on the lattice of the cells.
     cells : CellTree
         The cells.
-    masks : (M,) uint64, optional
-        Labels that each entry of the cells may take, as bit masks.
 
     Returns
     -------
     (K,)
         Volume [finest cells], in the order of ``cells.boxes()``.
-
-    Raises
-    ------
-    AssertionError
-        The tree gives some cell a label that its mask does not hold.
     """
     boxes = cells.boxes()
-    leaf, box, lower, upper = tree.parts(boxes.lower, boxes.upper)
-    volume = np.prod(upper - lower, axis=1, dtype=float)
-    covered = np.bincount(box, volume, minlength=len(boxes))
-    if not np.allclose(
-        covered, boxes.volumes(), rtol=1e-12, atol=0
-    ):  # beyond 2^53 sums are rounded
-        raise AssertionError("the leaves of the tree do not tile the cells")
-    label = tree.labels_at(leaf)
-    if masks is not None:
-        allowed = masks[boxes.places[box]] >> label.astype(np.uint64)
-        if not (allowed & np.uint64(1)).all():
-            raise AssertionError("the tree gives a cell a label that it may not take")
-    changed = np.where(label != boxes.labels[box], volume, 0.0)
+    leaf, box, volume = _parts(tree, boxes)
+    changed = np.where(tree.labels_at(leaf) != boxes.labels[box], volume, 0.0)
     return np.bincount(box, changed, minlength=len(boxes))
+
+
+def _parts(tree: SplitTree, boxes: Boxes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return leaf, box and volume (P,) of all parts that a tree cuts boxes into."""
+    found = []
+    for start in range(0, len(boxes), CHUNK):
+        part = slice(start, start + CHUNK)
+        leaf, box, lower, upper = tree.parts(boxes.lower[part], boxes.upper[part])
+        found.append((leaf, box + start, np.prod(upper - lower, axis=1, dtype=float)))
+    leaf, box, volume = (np.concatenate(x) for x in zip(*found))
+    covered = np.bincount(box, volume, minlength=len(boxes))  # rounded beyond 2^53
+    if not np.allclose(covered, boxes.volumes(), rtol=1e-12, atol=0):
+        raise AssertionError("the leaves of the tree do not tile the cells")
+    return leaf, box, volume

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.masks import Label
+from capsyn.random_streams import stream
 
 NEEDLES = (0.05, 0.2, 0.8)
 """Mean lengths of needles [widths of the domain]; the next where the one before hits nothing."""
@@ -98,7 +99,7 @@ def draw_samples(masks: Label, n: int, labels: int, count: int, seed: list[int])
     seed : ints
         Seed of the states.
     """
-    states = np.random.default_rng(seed).random((count, n))
+    states = stream(*seed).random((count, n))
     right = (masks(states)[:, None] >> np.arange(labels, dtype=np.uint64)) & np.uint64(1)
     return Samples(states, right != 0)
 
@@ -113,7 +114,7 @@ def find_surface(masks: Label, samples: Samples, seed: list[int]) -> Surface:
     n = samples.states.shape[1]
     # E|cos| of the angle between a random direction and an axis, in n dimensions
     mean_cosine = math.exp(math.lgamma(n / 2) - math.lgamma((n + 1) / 2)) / math.sqrt(math.pi)
-    rng = np.random.default_rng(seed)
+    rng = stream(*seed)
     bits = np.uint64(1) << np.arange(samples.right.shape[1], dtype=np.uint64)
     known = np.where(samples.right, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
     size = -(-len(samples) // BATCHES)
