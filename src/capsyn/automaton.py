@@ -13,6 +13,7 @@ from capsyn.errors import ProblemError
 from capsyn.face_rates import POSSIBLE, SLIDING, UNDECIDED
 from capsyn.policy import Policy
 from capsyn.regions import Partitions, Region, connected_partitions, regions
+from capsyn.split_tree import SplitTree
 from capsyn.switching import Switching, switching
 from capsyn.validation import describe
 
@@ -137,6 +138,10 @@ class Automaton:
         """
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
+        if isinstance(policy.cells, SplitTree) and len(policy.cells.planes):
+            raise ProblemError(
+                f"`policy` must have cells or splits along the axes; {policy!r} has oblique splits"
+            )
         partitions = connected_partitions(policy.cells, policy.domain.periodic)
         found = tuple(regions(policy.cells, partitions))
         vertices = tuple(region.label for region in found)
@@ -272,11 +277,12 @@ class Automaton:
         """
         lines = [
             "// Finite state machine of a control alphabet policy; A is the region of a symbol.",
+            "// Dashed: proved impossible; dotted: undecided; *: the loop chatters somewhere.",
             f"digraph {_quoted(self.name)} {{",
             "    node [shape=circle];",
         ]
         for label, name in zip(self.vertices, self.names):
-            filled = f', style=filled, fillcolor="{colors[label]}"' if colors else ""
+            filled = _filled(colors[label]) if colors else ""
             lines.append(f"    {label} [label={_quoted(name)}{filled}];")
         for edge in self.edges:
             text = self.edge_text(edge)
@@ -344,6 +350,13 @@ def _edge(source: int, target: int, region: int, found: Switching | None) -> Edg
         float(found.switch_rates[source, target]),
         float(found.sliding_rates[source, target]),
     )
+
+
+def _filled(color: str) -> str:
+    """Return the attributes of a vertex of a colour ``#rrggbb``, with a text that can be read."""
+    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+    dark = 0.299 * red + 0.587 * green + 0.114 * blue < 128
+    return f', style=filled, fillcolor="{color}", fontcolor="{"white" if dark else "black"}"'
 
 
 def _known(status: int) -> bool | None:

@@ -12,7 +12,7 @@ import numpy as np
 from capsyn.automaton import Automaton, Edge
 from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
-from capsyn.plots import FORMATS, reproducible, save_figure, symbol_colors
+from capsyn.plots import FORMATS, literal, reproducible, save_figure, symbol_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,14 +93,14 @@ def plot_automaton(automaton: Automaton, ax: Axes | None = None) -> Axes:
         ax.text(
             x,
             y,
-            text,
+            literal(text),
             color=_text_color(color),
             fontsize=min(13.0, fit),
             ha="center",
             va="center",
             zorder=5,
         )
-    ax.set_title(automaton.name)
+    ax.set_title(literal(automaton.name))
     _draw_legend(ax, automaton, arrows, short)
     return ax
 
@@ -313,13 +313,15 @@ def _draw_legend(ax: Axes, automaton: Automaton, arrows: list[Edge], short: bool
     handles = []
     if any(edge.possible is False for edge in arrows):
         handles.append(Line2D([], [], color=GREY, lw=0.7, ls=(0, (4, 3)), label="impossible"))
-    if automaton.switching and any(edge.possible is None for edge in arrows):
+    if automaton.switching is None:
+        handles.append(Line2D([], [], ls="", label="without a model: what is possible is unknown"))
+    elif any(edge.possible is None for edge in arrows):
         handles.append(Line2D([], [], color=LINE, lw=1.0, ls=(0, (1, 2)), label="undecided"))
     if len(automaton.vertices) <= MOST_LABELLED and any(edge.sliding for edge in arrows):
         handles.append(Line2D([], [], ls="", marker="$*$", color=LINE, label="chatters somewhere"))
     if not short:
         for label, name in zip(automaton.vertices, automaton.names):
-            text = f"u{automaton.symbol_number(label)} = {name}"
+            text = literal(f"u{automaton.symbol_number(label)} = {name}")
             handles.append(Line2D([], [], ls="", label=text))
     if handles:
         ax.legend(

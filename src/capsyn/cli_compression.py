@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from capsyn.cli_options import Backend, File, Json, Seed
-from capsyn.console import print_automaton, print_report, print_table, show, working
+from capsyn.console import print_automaton, print_compression, print_table, show, working
 from capsyn.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -72,9 +72,10 @@ def compress(
     check_writable(path)
     if Path(path).resolve() == Path(file).resolve():
         raise ProblemError(f"the output must be another file than the policy; got '{path}'")
+    policy = Policy.load(file)
     with working(f"compressing, mode {mode}"):
         tree = compress(
-            Policy.load(file),
+            policy,
             mode,
             agreement=agreement,
             level=level,
@@ -87,7 +88,7 @@ def compress(
     data = report(tree) | {"file": path}
 
     def told() -> None:
-        print_report(data)
+        print_compression(data, report(policy))
         typer.echo(f"wrote {path}")
 
     show(as_json, data, told)

@@ -198,17 +198,14 @@ def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
     """Print what `capsyn.complexity.complexity` returns."""
     table, tree, machine = data["table"], data["tree"], data["automaton"]
     if from_cells:
+        _line("", f"{table['comparisons']} comparisons at most")
         _line(
-            "packed table",
-            f"{table['bytes']:,} bytes, {table['comparisons']} comparisons at most",
+            "exact tree",
+            f"{tree['nodes']:,} nodes, {tree['bytes']:,} bytes packed, {tree['comparisons']} "
+            f"comparisons at most, {tree['mean_comparisons']:.1f} on average",
         )
-    average = tree["mean_comparisons"]
-    _line(
-        "packed tree",
-        f"{tree['bytes']:,} bytes, {tree['mode']}, {tree['nodes']:,} nodes, "
-        f"{tree['comparisons']} comparisons at most"
-        + ("" if average is None else f", {average:.1f} on average"),
-    )
+    elif tree["mean_comparisons"] is not None:
+        _line("", f"{tree['mean_comparisons']:.1f} comparisons on average")
     _line("entropy", f"{data['symbol_entropy']:.3f} bits of the symbols by volume")
     if machine is None:
         return
@@ -239,7 +236,11 @@ def print_automaton(data: dict[str, Any]) -> None:
             f"{vertex['boxes']:,} boxes",
         )
     pairs = [{key: names[edge[key]] for key in ("source", "target")} for edge in data["edges"]]
-    print_table([edge | pair for edge, pair in zip(data["edges"], pairs)])
+    edges = [edge | pair for edge, pair in zip(data["edges"], pairs)]
+    for edge in edges:
+        for name in ("rate", "sliding_rate"):
+            edge[f"{name} [1/s]"] = edge.pop(name)
+    print_table(edges)
     found = data["switching"]
     if found is None:
         _line("switches", "not known: the policy has no model")
@@ -250,6 +251,8 @@ def print_automaton(data: dict[str, Any]) -> None:
         f"{found['sliding_rate']:.3g} arrivals where the loop slides, on "
         f"{found['sliding_share']:.1%} of the switching surface",
     )
+    if found["sliding_faces"]:
+        _line("", "the faces with most sliding area:")
     for face in found["sliding_faces"][:5]:
         bounds = (
             f"{name} = {low:g}" if axis == face["axis"] else f"{name} in [{low:g}, {high:g}]"
@@ -259,6 +262,23 @@ def print_automaton(data: dict[str, Any]) -> None:
         )
         between = f"{names[face['below']]} below and {names[face['above']]} above"
         _line("slides on", f"{', '.join(bounds)}, with {between}")
+
+
+def print_compression(tree: dict[str, Any], policy: dict[str, Any]) -> None:
+    """Print the reports of a tree and of the policy that it was made from."""
+    _print_tree(tree)
+    _line("instead of", f"{policy['cells']:,} cells, {policy['packed_bytes']:,} bytes packed")
+
+
+def _print_tree(data: dict[str, Any]) -> None:
+    planes = f", {data['planes']} oblique splits" if data["planes"] else ""
+    grid = " x ".join(str(state["steps"]) for state in data["states"])
+    _line(
+        "tree",
+        f"{data['nodes']:,} nodes, {data['depth']} comparisons at most{planes}, on {grid} steps; "
+        f"{data['packed_bytes']:,} bytes packed",
+    )
+    _line("guarantee", data["guarantee"]["text"])
 
 
 def print_report(data: dict[str, Any]) -> None:
@@ -286,16 +306,9 @@ def print_report(data: dict[str, Any]) -> None:
             "cells",
             f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
         )
-        line("table", f"{data['table_bytes']:,} bytes")
+        line("table", f"{data['packed_bytes']:,} bytes packed")
     else:
-        planes = f", {data['planes']} oblique splits" if data["planes"] else ""
-        grid = " x ".join(str(state["steps"]) for state in data["states"])
-        line(
-            "tree",
-            f"{data['nodes']:,} nodes, {data['depth']} comparisons at most{planes}, on "
-            f"{grid} steps; {data['tree_bytes']:,} bytes",
-        )
-        line("guarantee", data["guarantee"]["text"])
+        _print_tree(data)
     if data.get("complexity"):
         _print_complexity(data["complexity"], "cells" in data)
     if "solves" in statistics:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from capsyn.compression.curve import CurvePoint
-from capsyn.plots import PALETTE, check_format, reproducible, save_figure
+from capsyn.plots import PALETTE, check_format, literal, reproducible, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +43,8 @@ def plot_curve(points: Sequence[CurvePoint], ax: Axes) -> Axes:
         linewidth=1,
         zorder=1,
     )
-    for point in best:
+    told = {(point.bytes, point.agreement): point for point in reversed(best)}  # once at a place
+    for point in told.values():
         level = "" if point.level is None else f", level {point.level}"
         ax.annotate(
             f"{point.nodes}{level}",
@@ -57,6 +58,8 @@ def plot_curve(points: Sequence[CurvePoint], ax: Axes) -> Axes:
     ax.set(xscale="log", xlabel="size [bytes]", ylabel="disagrees [% of the volume]")
     if all(point.agreement < 1 for point in points):
         ax.set(yscale="log")
+        ax.yaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_major_formatter("{x:g}")
     ax.margins(0.12, 0.05)  # room for the numbers
     ax.grid(True, which="both", linewidth=0.3)
     ax.legend(frameon=False, title="filled: none smaller; number: nodes", title_fontsize=7)
@@ -70,5 +73,5 @@ def save_curve_plot(points: Sequence[CurvePoint], title: str, path: str | os.Pat
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(7, 4.5), layout="constrained")
-        plot_curve(points, figure.add_subplot()).set_title(title)
+        plot_curve(points, figure.add_subplot()).set_title(literal(title))
         save_figure(figure, path)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from capsyn.decision_tree import DecisionTree
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
@@ -96,21 +97,23 @@ def plot_policy(
     if legend:
         names = [*policy.alphabet.names, "default"]
         handles = [
-            Patch(facecolor=colors[k], edgecolor="#666666", label=names[k]) for k in sorted(shown)
+            Patch(facecolor=colors[k], edgecolor="#666666", label=literal(names[k]))
+            for k in sorted(shown)
         ]
         title = ", ".join(policy.alphabet.inputs)
         if policy.alphabet.m == 1 and policy.alphabet.units[0]:
             title += f" [{policy.alphabet.units[0]}]"
         ax.legend(
             handles=handles,
-            title=title,
+            title=literal(title),
             alignment="left",
             loc="upper left",
             bbox_to_anchor=(1.01, 1),
             frameon=False,
         )
     where = ", ".join(f"{domain.names[i]} = {point[i]:g}" for i in others)
-    ax.set_title(policy.name + (f" at {where}" if where else ""))
+    tree = f", {policy.guarantee.mode} tree" if isinstance(policy, DecisionTree) else ""
+    ax.set_title(literal(policy.name + tree + (f" at {where}" if where else "")))
     return ax
 
 
@@ -203,7 +206,12 @@ def outline_width(level: int) -> float:
 
 def quantity(name: str, unit: str) -> str:
     """Return the label of an axis."""
-    return f"{name} [{unit}]" if unit else name
+    return literal(f"{name} [{unit}]" if unit else name)
+
+
+def literal(text: str) -> str:
+    """Return a text that matplotlib draws as it is: a dollar begins no formula."""
+    return text.replace("$", r"\$")
 
 
 def frame(ax: Axes, domain: Box, plane: tuple[int, int] = (0, 1)) -> None:

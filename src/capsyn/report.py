@@ -6,6 +6,7 @@ from typing import Any
 
 from capsyn.cells import CellTree
 from capsyn.decision_tree import CONFIDENCE, DecisionTree, Guarantee
+from capsyn.packing import packed_bytes
 from capsyn.policy import Policy
 from capsyn.policy_file import TREE_ARRAYS, content_hash
 from capsyn.targets import describe_target
@@ -62,6 +63,7 @@ def _cells(policy: Policy, cells: CellTree) -> dict[str, Any]:
         "max_level": cells.max_level,
         "cells": cells.leaf_count,
         "table_bytes": cells.entries.nbytes,
+        "packed_bytes": packed_bytes(cells),
         "mixed_cells": len(cells.mixed_cells),
         "mixed_share": policy.mixed_share,
     }
@@ -72,6 +74,7 @@ def _tree(tree: DecisionTree) -> dict[str, Any]:
         "nodes": tree.node_count,
         "depth": tree.depth,
         "planes": len(tree.cells.planes),
+        "packed_bytes": packed_bytes(tree.cells),
         "tree_bytes": sum(getattr(tree.cells, name).nbytes for name in TREE_ARRAYS),
         "guarantee": _guarantee(tree.guarantee),
     }
