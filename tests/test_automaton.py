@@ -103,7 +103,7 @@ def test_without_a_model_nothing_is_known_of_the_dynamics():
     assert machine.switching is None
     assert machine.edge(0, 1) == Edge(0, 1, 1)
     assert machine.to_json()["switching"] is None
-    assert "dotted" not in machine.to_dot() and "dashed" not in machine.to_dot()
+    assert "style=dotted" not in machine.to_dot() and "dashed" not in machine.to_dot()
     assert len(machine.to_networkx().edges) == 9
 
 
@@ -162,7 +162,7 @@ def test_networkx_is_asked_for_where_it_is_missing(monkeypatch):
 def test_dot_text():
     text = one_way().to_dot({0: "#112233", 1: "#445566", 2: "#778899"})
     assert text == one_way().to_dot({0: "#112233", 1: "#445566", 2: "#778899"})
-    assert '    0 [label="1", style=filled, fillcolor="#112233"];' in text
+    assert '    0 [label="1", style=filled, fillcolor="#112233", fontcolor="white"];' in text
     assert '    0 -> 1 [label="A2"];' in text
     assert '    1 -> 0 [label="A1", style=dashed, color="#999999", fontcolor="#999999"];' in text
     assert text.count("->") == 9 and text.count("dashed") == 4

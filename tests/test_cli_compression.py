@@ -75,7 +75,7 @@ def test_info_tells_the_complexity_unless_it_is_quick(pendulum):
     assert data["tree"]["mode"] == "exact" and data["table"]["comparisons"] == 4 + 4 + 2 * 2
     assert "complexity" not in json.loads(capsyn("info", pendulum, "--quick", "--json")[0])
     text, _ = capsyn("info", pendulum)
-    assert "connected partitions" in text and "packed tree" in text
+    assert "connected partitions" in text and "exact tree" in text
     assert "connected partitions" not in capsyn("info", pendulum, "--quick")[0]
 
 
@@ -153,3 +153,26 @@ def test_a_tree_is_not_compressed_again(pendulum, tmp_path):
     for more in ((), ("--curve",)):
         line = error_of("compress", tmp_path / "t.cap", "-o", tmp_path / "u.png", *more)
         assert "must be one of cells" in line
+
+
+def test_a_proof_is_made_again(pendulum, tmp_path):
+    for mode in ("exact", "freedom", "linear"):
+        capsyn("compress", pendulum, "--mode", mode, "-o", tmp_path / f"{mode}.cap")
+    for mode in ("exact", "freedom"):
+        data = json.loads(
+            capsyn("info", tmp_path / f"{mode}.cap", "--proof", pendulum, "--quick", "--json")[0]
+        )
+        assert data["proof"]["changed"] == data["guarantee"]["changed"]
+    line = error_of("info", tmp_path / "linear.cap", "--proof", pendulum)
+    assert "must be a decision tree of mode exact or freedom" in line
+    other = tmp_path / "other.cap"
+    synthesize(problems.get("cart-pendulum"), max_level=1).save(other)
+    assert "was made from another" in error_of("info", tmp_path / "exact.cap", "--proof", other)
+
+
+def test_the_policy_is_not_overwritten_by_its_tree(pendulum, tmp_path):
+    before = pendulum.read_bytes()
+    (tmp_path / "link.cap").symlink_to(pendulum)
+    for output in (pendulum, tmp_path / "link.cap"):
+        assert "must be another file" in error_of("compress", pendulum, "-o", output)
+    assert pendulum.read_bytes() == before

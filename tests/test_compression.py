@@ -17,7 +17,7 @@ from capsyn.compression.judge import JUDGING
 from capsyn.compression.proof import changed_cells, prove
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.policy_file import content_hash
-from capsyn.random_streams import derived_seed
+from capsyn.random_streams import derived_seed, stream
 from capsyn.ssac import policy_controller
 from capsyn.verification.agreement import agreement
 from closed_loops import random_grid_policy, relay_problem
@@ -609,3 +609,47 @@ def test_nothing_is_warned_of_without_an_agreement(small):
         warnings.simplefilter("error")
         compress(small)
         compress(small, "freedom", node_price=1000, **FEW)
+
+
+# a controller of one's own
+
+
+def sectors(states):
+    return (np.arctan2(states[:, 1], states[:, 0]) // (np.pi / 3) % 2).astype(int)
+
+
+def test_a_given_controller_is_fitted_and_judged():
+    box = Box([-1, -1], [1, 1])
+    policy = capsyn.subdivide(sectors, box, 2, partitions=4, max_level=3)
+    tree = compress(policy, "linear", agreement=0.98, controller=sectors)
+    known = tree.guarantee
+    assert known.controller == "function" and known.reached and "its controller" in known.text
+    states = box.sample(50_000, 0)
+    assert (tree(states) == sectors(states)).mean() > 0.98
+    with pytest.warns(CapsynWarning, match="follows their stairs; give a controller"):
+        compress(policy, "linear", agreement=0.99)
+    with pytest.raises(ProblemError, match="^`controller` must be a function; got 3"):
+        compress(policy, "freedom", controller=3)
+
+
+def test_no_internal_stream_is_one_that_a_user_draws():
+    first = np.random.default_rng(0).random(3)
+    streams = [stream(0).random(3), *(stream(0, k).random(3) for k in range(8))]
+    streams += [stream(0, 3, k).random(3) for k in range(3)]
+    streams += [np.random.default_rng(derived_seed(0, JUDGING, k)).random(3) for k in range(3)]
+    known = {tuple(first)} | {tuple(x) for x in streams[1:]}
+    assert len(known) == len(streams)
+    assert np.array_equal(streams[0], first)  # the only one, and nobody uses it
+
+
+def test_combs_take_neither_depth_nor_time():
+    comb = CellTree(
+        (300, 300), (2, 2), 0, -1 - np.tile(np.arange(300) % 2, (300, 1)).ravel().astype(np.int32),
+        np.zeros(0, np.int32), np.zeros(0, np.uint64),
+    )  # fmt: skip
+    place = np.arange(300)
+    stairs = (-1 - np.add.outer(place, place) // 3 % 2).ravel().astype(np.int32)
+    tilted = dataclasses.replace(comb, entries=stairs)
+    for cells in (comb, tilted):
+        tree = compress(policy_of(((300, 300), (2, 2), 0), cells=cells, symbols=2), "exact")
+        assert tree.depth < 100

@@ -243,3 +243,25 @@ def test_a_policy_without_a_model_is_refused():
         switching(policy)
     with pytest.raises(ProblemError, match="`policy` must be a Policy; got 7"):
         switching(7)
+
+
+def crossing(below_zero, above_zero):
+    """Return what the loop does on x2 = 0 where the dynamics switch there, too."""
+
+    def dynamics(x, v):
+        return [0, v[0] + ca.if_else(x[1] < 0, below_zero, above_zero)]
+
+    found = switching(relay(dynamics, PLANE, below(axis=1), alphabet=(1e-3, -1e-3)))
+    return found.switches[0, 1], found.switches[1, 0], found.slidings[0, 1]
+
+
+@pytest.mark.parametrize(
+    "below_zero, above_zero", [(1.0, -1.0), (0.5, -1.5), (2.0, 1.0), (-1.0, 1)]
+)
+def test_dynamics_that_switch_on_a_face_are_never_excluded_wrongly(below_zero, above_zero):
+    up, down, slides = crossing(below_zero, above_zero)
+    assert up != IMPOSSIBLE or below_zero <= 0
+    assert down != IMPOSSIBLE or above_zero >= 0
+    assert slides != IMPOSSIBLE or not (below_zero > 0 > above_zero)
+    assert up != POSSIBLE or below_zero > 0
+    assert slides != POSSIBLE or below_zero > 0 > above_zero

@@ -183,6 +183,13 @@ def info(
     quick: Annotated[
         bool, typer.Option("--quick", help="Leave out how complex the policy is.")
     ] = False,
+    proof: Annotated[
+        str | None,
+        typer.Option(
+            metavar="POLICY",
+            help="Prove again what an exact or free tree guarantees of the policy in this file.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Say what a policy is, how complex, and what smells."""
@@ -191,6 +198,10 @@ def info(
 
     policy = Policy.load(file)
     data = report(policy)
+    if proof is not None:
+        from capsyn.compression.proof import prove
+
+        data["proof"] = {"policy": proof, "changed": prove(policy, Policy.load(proof))}
     if not quick:
         from capsyn.complexity import complexity
 

@@ -309,6 +309,8 @@ def print_report(data: dict[str, Any]) -> None:
         line("table", f"{data['packed_bytes']:,} bytes packed")
     else:
         _print_tree(data)
+    if "proof" in data:
+        line("proof", f"holds for {data['proof']['policy']}")
     if data.get("complexity"):
         _print_complexity(data["complexity"], "cells" in data)
     if "solves" in statistics:

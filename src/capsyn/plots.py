@@ -95,10 +95,9 @@ def plot_policy(
         shown = _draw_boxes(policy, steps, (horizontal, vertical), colors, ax, outlines)
     frame(ax, domain, (horizontal, vertical))
     if legend:
-        names = [*policy.alphabet.names, "default"]
+        names = [literal(name) for name in (*policy.alphabet.names, "default")]
         handles = [
-            Patch(facecolor=colors[k], edgecolor="#666666", label=literal(names[k]))
-            for k in sorted(shown)
+            Patch(facecolor=colors[k], edgecolor="#666666", label=names[k]) for k in sorted(shown)
         ]
         title = ", ".join(policy.alphabet.inputs)
         if policy.alphabet.m == 1 and policy.alphabet.units[0]:
@@ -112,8 +111,8 @@ def plot_policy(
             frameon=False,
         )
     where = ", ".join(f"{domain.names[i]} = {point[i]:g}" for i in others)
-    tree = f", {policy.guarantee.mode} tree" if isinstance(policy, DecisionTree) else ""
-    ax.set_title(literal(policy.name + tree + (f" at {where}" if where else "")))
+    kind = f", {policy.guarantee.mode} tree" if isinstance(policy, DecisionTree) else ""
+    ax.set_title(literal(policy.name + kind + (f" at {where}" if where else "")))
     return ax
 
 

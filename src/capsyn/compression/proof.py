@@ -18,7 +18,7 @@ CHUNK = 100_000
 """Cells that are cut at a time."""
 
 
-def prove(tree: DecisionTree, policy: Policy) -> float:
+def prove(tree: Policy, policy: Policy) -> float:
     """Prove again what a tree of mode ``exact`` or ``freedom`` guarantees of its policy.
 
     Returns
