@@ -180,6 +180,7 @@ def test_a_refined_tree_gives_the_same_on_a_finer_lattice(factors):
 @pytest.mark.parametrize("most", [1, 4, 30, START_NODES])
 def test_starts_are_the_deepest_nodes_that_hold_a_block(counts, planes, most, monkeypatch):
     monkeypatch.setattr("capsyn.split_tree.START_NODES", most)
+    monkeypatch.setattr("capsyn.split_tree.STARTS_PER_NODE", 0)
     tree = random_split_tree(counts, planes, seed=len(counts) + planes)
     shift, starts = tree.starts
     shape = tuple(((c - 1) >> shift) + 1 for c in counts)
@@ -201,6 +202,7 @@ def test_starts_are_the_deepest_nodes_that_hold_a_block(counts, planes, most, mo
 
 def test_starts_of_the_last_block_know_where_the_lattice_ends(monkeypatch):
     monkeypatch.setattr("capsyn.split_tree.START_NODES", 4)
+    monkeypatch.setattr("capsyn.split_tree.STARTS_PER_NODE", 1)
     none = np.zeros((0, 1), np.int32)
     tree = SplitTree((13,), int32(0, -1, -1), int32(14, 0, 1), int32(2, 1, 2), none)
     assert tree.starts[0] == 2 and tree.starts[1].tolist() == [1, 1, 1, 1]

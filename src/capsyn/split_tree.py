@@ -17,7 +17,8 @@ MAX_DEPTH = 1000
 MAX_PARTS = 10_000_000
 """Most parts of boxes at a time."""
 START_NODES = 1 << 13
-"""Most entries of `SplitTree.starts`."""
+STARTS_PER_NODE = 4
+"""Most entries of `SplitTree.starts`, of a small tree and by the nodes of others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,13 +251,15 @@ class SplitTree:
 
     @functools.cached_property
     def starts(self) -> tuple[int, np.ndarray]:
-        """Where lookups may begin: (shift, nodes), at most `START_NODES` of these.
+        """Where lookups may begin: (shift, nodes).
 
         The lattice is cut into blocks of ``2 ** shift`` steps along each axis; the nodes (M,)
-        int32, in C order, are the deepest that hold a whole block each.
+        int32, in C order, are the deepest that hold a whole block each. There are at most
+        `START_NODES`, or `STARTS_PER_NODE` for each node of the tree.
         """
         shift, counts = 0, np.array(self.counts, dtype=np.int64)
-        while np.prod((((counts - 1) >> shift) + 1).astype(float)) > START_NODES:
+        room = max(START_NODES, STARTS_PER_NODE * self.node_count)
+        while np.prod((((counts - 1) >> shift) + 1).astype(float)) > room:
             shift += 1
         shape = tuple((((counts - 1) >> shift) + 1).tolist())
         lower = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1) << shift
