@@ -53,8 +53,8 @@ def compress(
         may be affine in the state, fitted to the controller that the policy came from.
     agreement : float, optional
         Least share of the volume, above 0 and below 1, where the tree shall agree with the
-        controller. For ``linear`` 0.99 by
-        default; for ``freedom`` by default what `node_price` gives. Not for ``exact``.
+        controller. For ``linear`` 0.99 by default, for ``freedom`` what `node_price` gives. Not for
+        ``exact``.
     level : int, optional
         Merge the cells below this level first: a smaller tree that agrees less. Not for
         ``linear``, which makes no use of the cells where there is a model.
