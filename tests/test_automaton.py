@@ -27,7 +27,10 @@ PLANE = Box([-2.0, -2.0], [2.0, 2.0])
 
 def one_way():
     """Return the automaton of a drift through three bands: 0 to 1 to 2, never back."""
-    label = lambda x: np.digitize(x[:, 0], [-1.0, 1.0])  # noqa: E731
+
+    def label(x):
+        return np.digitize(x[:, 0], [-1.0, 1.0])
+
     policy = relay(lambda x, u: [1.0, -x[1]], PLANE, label, [1.0, 2.0, 3.0], partitions=8)
     return Automaton.of(policy)
 
@@ -36,7 +39,10 @@ def fan(symbols, names=None, model=True):
     """Return the automaton of a policy with many symbols, in bands that slide or let through."""
     alphabet = Alphabet(np.round(np.cos(np.arange(symbols) * 2.0), 3), names=names)
     edges = np.linspace(-2, 2, symbols + 1)[1:-1] - 1e-9
-    label = lambda x: np.digitize(x[:, 0], edges)  # noqa: E731
+
+    def label(x):
+        return np.digitize(x[:, 0], edges)
+
     policy = relay(lambda x, u: [u[0], 1.0], PLANE, label, alphabet, partitions=[symbols, 1])
     return Automaton.of(policy if model else dataclasses.replace(policy, model=None))
 

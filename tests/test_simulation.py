@@ -72,7 +72,10 @@ def test_trajectories_are_those_of_scipy_under_the_same_switching(case):
         problem = linear_problem(seed=5)
     if callable(push):
         signal = push
-        push = lambda t: np.array(signal(np.floor(t * rate) / rate))  # noqa: E731
+
+        def push(t):
+            return np.array(signal(np.floor(t * rate) / rate))
+
     for k, state in enumerate(states):
         timeline = [(-1.0, POLICIES[name].default)]
         timeline += [(j / rate + delay, u) for j, u in enumerate(found.controls[k])]

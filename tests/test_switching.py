@@ -85,7 +85,10 @@ def test_a_sliding_interval_across_cells_is_found_to_the_resolution(partitions):
 
 def test_a_clock_switches_one_way_round_its_seam_too():
     circle = Box([0.0], [3.0], periodic=[True])
-    third = lambda x: np.minimum((x[:, 0]).astype(int), 2)  # noqa: E731
+
+    def third(x):
+        return np.minimum((x[:, 0]).astype(int), 2)
+
     found = switching(
         relay(lambda x, u: [2.0 + 0 * u[0]], circle, third, [1.0, 2.0, 3.0], partitions=9)
     )
