@@ -11,7 +11,7 @@ from scipy import stats
 from capsyn import Alphabet, Box, Policy, Problem, SsacSettings, problems, subdivide, synthesize
 from capsyn.cells import CellTree
 from capsyn.errors import ProblemError
-from capsyn.ssac import batch_controller
+from capsyn.ssac import policy_controller
 from capsyn.verification import agreement as module
 from capsyn.verification.agreement import agreement
 from capsyn.verification.statistics import clopper_pearson
@@ -26,18 +26,6 @@ def pendulum():
 def tank():
     settings = SsacSettings(gamma=-5.0)  # of the paper
     return synthesize(problems.get("double-tank-a"), settings=settings)
-
-
-def controller_of(policy):
-    """Return sSAC as it made the policy."""
-    return batch_controller(
-        policy.model,
-        policy.domain,
-        policy.alphabet.values,
-        policy.default,
-        policy.horizon,
-        policy.settings,
-    )
 
 
 def relabeled(policy, entry, leaf):
@@ -111,14 +99,14 @@ def test_every_count_is_that_of_a_plain_recount(name, request):
     found = agreement(policy, 20_000, seed=3)
     states = policy.domain.sample(20_000, 3)
     last = len(policy.alphabet)
-    own, masks = policy(states), controller_of(policy).masks(states)
+    own, masks = policy(states), policy_controller(policy).masks(states)
     agree = (masks >> own.astype(np.uint64)) & np.uint64(1) == 1
     assert found.states == len(states) and found.agreeing == agree.sum()
     assert found.share == agree.mean() and found.low < found.share < found.high
     assert found.not_finite == 0
     assert found.ties == sum(int(mask).bit_count() > 1 for mask in masks)
 
-    other = np.where(agree, own, controller_of(policy).symbols(states))
+    other = np.where(agree, own, policy_controller(policy).symbols(states))
     pairs = [[((own == i) & (other == j)).sum() for j in range(last)] for i in range(last)]
     assert found.pairs[:last, :last].tolist() == pairs
     assert found.pairs.shape == (last + 1, last + 1) and found.pairs.sum() == len(states)
@@ -266,7 +254,7 @@ def test_only_the_default_agrees_without_a_finite_result():
 
 def test_a_policy_agrees_with_itself_and_with_its_own_controller(pendulum):
     assert agreement(pendulum, 5000, controller=pendulum).agreeing == 5000
-    symbols = controller_of(pendulum).symbols
+    symbols = policy_controller(pendulum).symbols
     mine, own = agreement(pendulum, 5000, controller=symbols), agreement(pendulum, 5000)
     assert mine.agreeing == own.agreeing and mine.ties == 0
 

@@ -61,11 +61,15 @@ def test_trajectories_are_those_of_scipy_under_the_same_switching(case):
     delay, push = options.get("delay", 0.0), options.get("disturbance", 0.0)
     dynamics = None
     if case == "function as plant":
-        dynamics = lambda x, u: GAIN @ x + u**2  # noqa: E731
+
+        def dynamics(x, u):
+            return GAIN @ x + u**2
+
     elif case == "parameters":
-        dynamics = lambda x, u: np.array(  # noqa: E731
-            [0.7 * x[1] + u[0], np.sin(-1.5 * x[2]) + u[1], u[2] - x[0]]
-        )
+
+        def dynamics(x, u):
+            return np.array([0.7 * x[1] + u[0], np.sin(-1.5 * x[2]) + u[1], u[2] - x[0]])
+
     elif case == "problem as plant":
         problem = options["model"]
     elif case == "policy as plant":

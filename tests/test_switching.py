@@ -199,15 +199,15 @@ def test_no_state_on_a_face_contradicts_what_is_proved(name):
 GUARANTEE = Guarantee("exact", 64 * "0")
 
 
+def halves(counts, cut):
+    """Return a tree of two leaves on either side of a step of the second axis."""
+    split, threshold, second = np.array([[1, LEAF, LEAF], [cut, 0, 1], [2, 1, 2]], np.int32)
+    return SplitTree(counts, split, threshold, second, np.empty((0, 2), np.int32))
+
+
 def test_a_tree_of_splits_gives_the_same_tables():
     policy = relay(drift, PLANE, below(axis=1), partitions=4)
-    tree = SplitTree(
-        (4, 4),
-        np.array([1, LEAF, LEAF], np.int32),
-        np.array([2, 0, 1], np.int32),
-        np.array([2, 1, 2], np.int32),
-        np.empty((0, 2), np.int32),
-    )
+    tree = halves((4, 4), 2)
     one, two = switching(policy), switching(DecisionTree.of(policy, tree, GUARANTEE))
     assert len(two.faces) == 4  # in pieces of a finest cell
     assert (two.faces.below == 1).all() and (two.faces.above == 2).all()
@@ -218,13 +218,7 @@ def test_a_tree_of_splits_gives_the_same_tables():
 
 def test_large_faces_are_sampled_in_pieces():
     policy = relay(drift, PLANE, below(axis=1), partitions=2, max_level=0)
-    tree = SplitTree(
-        (1000, 2),
-        np.array([1, LEAF, LEAF], np.int32),
-        np.array([1, 0, 1], np.int32),
-        np.array([2, 1, 2], np.int32),
-        np.empty((0, 2), np.int32),
-    )
+    tree = halves((1000, 2), 1)
     found = switching(DecisionTree.of(policy, tree, GUARANTEE))
     assert len(found.faces) == 32 and found.areas.sum() == pytest.approx(1)
     assert found.sliding_areas[0, 1] == pytest.approx(0.5, abs=2 / 32 / 8)

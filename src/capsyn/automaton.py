@@ -192,7 +192,7 @@ class Automaton:
     def sliding_faces(self) -> list[SlidingFace]:
         """Return the faces on which the loop slides, those with most sliding area first.
 
-        None without a model.
+        Without a model it is not known, and there are none.
         """
         found, domain = self.switching, self.domain
         if found is None:

@@ -186,12 +186,6 @@ class CellTree:
         """Number of leaf cells."""
         return int(np.count_nonzero(self.entries < 0))
 
-    def level_volumes(self) -> np.ndarray:
-        """Return the share of the domain that one cell of each level takes, (max_level + 1,)."""
-        cells = math.prod(self.partitions)
-        children = math.prod(self.refinement)
-        return 1.0 / np.array([cells * children**k for k in range(self.max_level + 1)], dtype=float)
-
     def check(self, leaf_count: int) -> None:
         """Raise `PolicyFormatError` unless the arrays are one well-formed grid of trees.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import os
 import warnings
 from dataclasses import dataclass, field
@@ -199,10 +198,9 @@ class Policy:
     def mixed_share(self) -> float:
         """Share of the volume of finest cells whose test points did not agree."""
         cells = cell_tree(self)
-        volumes = cells.level_volumes()
-        mixed = np.zeros(len(cells.entries), dtype=bool)
-        mixed[cells.mixed_cells] = True
-        return float(math.fsum(mixed[x.entries].sum() * volumes[x.level] for x in cells.leaves()))
+        boxes = cells.boxes()
+        mixed = boxes.volumes()[np.isin(boxes.places, cells.mixed_cells)]
+        return float(mixed.sum() / np.prod(cells.counts, dtype=float))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the policy to a file; what was there is replaced only by a whole new one."""

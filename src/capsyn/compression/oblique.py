@@ -18,6 +18,7 @@ import numpy as np
 from capsyn.cells import MAX_COUNT
 from capsyn.compression.plane_tree import Link, Node, grow, prune, refine
 from capsyn.compression.surface import Plane, Samples, Surface, draw_samples, find_surface
+from capsyn.decision_tree import CONFIDENCE
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.masks import Label
@@ -60,8 +61,6 @@ PASSES, NEAR = 3, 0.25
 """Fits before a tree that just misses the target is given up, and how near that is."""
 MARGIN = 3.5
 """Standard deviations, of judged states, by which a tree must exceed the target to be chosen."""
-CONFIDENCE = 0.95
-"""Of the interval of the share of judged states."""
 JUDGEMENTS = 3
 """Trees judged, on fresh states each, before a search counts as failed."""
 AIMS = (1.0, 0.7, 0.4)
