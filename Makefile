@@ -4,7 +4,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv
+DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
+  cppcheck gcc-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr binutils \
+  iverilog verilator yosys graphviz nodejs
 
 .PHONY: help demo test check bench figures debian clean
 

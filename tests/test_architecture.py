@@ -96,10 +96,37 @@ ORDER = [
     "paper_pendulum",
     "paper_tanks",
     "reproduction",
+    "exports",
+    "exports.plan",
+    "exports.golden",
+    "exports.identifiers",
+    "exports.c_language",
+    "exports.c_table",
+    "exports.c_nested",
+    "exports.c_grid",
+    "exports.c_quantiser",
+    "exports.c_dwell",
+    "exports.c",
+    "exports.c_sizes",
+    "exports.structured_text_lines",
+    "exports.structured_text",
+    "exports.verilog_ports",
+    "exports.verilog_words",
+    "exports.verilog_tree",
+    "exports.verilog_bench",
+    "exports.verilog",
+    "exports.python_module",
+    "exports.javascript",
+    "exports.policy_json",
+    "exports.dot",
+    "exports.fmu",
+    "exports.certificate",
+    "exports.export",
     "console",
     "cli_options",
     "cli_evidence",
     "cli_compression",
+    "cli_export",
     "cli",
     "__main__",
 ]
@@ -117,6 +144,7 @@ IMPORT_BY_NAME = {
     "__init__",  # the public names
     "problems",  # the built-in problems
     "problem_finder",  # the user's own
+    "exports.export",  # the targets
 }
 
 CASADI = {"problem", "transcription"}

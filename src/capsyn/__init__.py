@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from capsyn.domain import Ball as Ball
     from capsyn.domain import Box as Box
     from capsyn.errors import CapsynError as CapsynError
+    from capsyn.exports.export import export as export
     from capsyn.online import online_controller as online_controller
     from capsyn.policy import Policy as Policy
     from capsyn.problem import Problem as Problem
@@ -42,6 +43,7 @@ _PUBLIC = {
     "Uniform": "verification.monte_carlo",
     "agreement": "verification.agreement",
     "compress": "compression.compress",
+    "export": "exports.export",
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",
     "online_controller": "online",
@@ -63,6 +65,7 @@ __all__ = [
     "Uniform",
     "agreement",
     "compress",
+    "export",
     "lyapunov",
     "monte_carlo",
     "online_controller",

@@ -41,7 +41,7 @@ def complexity(policy: Policy) -> dict[str, Any]:
             "planes": len(tree.cells.planes),
             "bytes": packed_bytes(tree.cells),
             "comparisons": tree.depth,
-            "mean_comparisons": None if oblique else _mean_depth(tree),
+            "mean_comparisons": mean_depth(tree),
         },
         "automaton": None if oblique else _automaton(policy),
     }
@@ -90,7 +90,10 @@ def _levels(cells: CellTree) -> int:
     return max(level for level, _, _ in cells.levels())
 
 
-def _mean_depth(tree: DecisionTree) -> float:
+def mean_depth(tree: DecisionTree) -> float | None:
+    """Return a lookup's mean comparisons over the volume; None where splits are oblique."""
+    if len(tree.cells.planes):
+        return None
     boxes = tree.cells.boxes()
     volumes = boxes.volumes()
     return float((tree.cells.depths[boxes.places] * volumes).sum() / volumes.sum())

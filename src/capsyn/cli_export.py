@@ -1,0 +1,118 @@
+"""The command that writes a policy in other languages."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from capsyn.cli_options import File, Json, assignments, number, one_or_list
+from capsyn.console import show, working
+
+TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
+
+
+def export(
+    file: File,
+    to: Annotated[str, typer.Option("--to", metavar="TARGET", help=f"One of {TARGETS}.")],
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="DIR", help="Where; made if need be.")
+    ],
+    safe: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SYMBOL",
+            help="Symbol of states that have no other: its name, index, or default [default: the "
+            "policy's own safe symbol, else default].",
+        ),
+    ] = None,
+    dwell: Annotated[
+        float | None, typer.Option(help="Least time between switches [s] [default: the policy's].")
+    ] = None,
+    scale: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S[,S..]", help="A state is reading * scale + offset, for all or each [1]."
+        ),
+    ] = None,
+    offset: Annotated[str | None, typer.Option(metavar="O[,O..]", help="See --scale [0].")] = None,
+    style: Annotated[
+        str | None, typer.Option(help="How the tree is laid out, of targets that have a choice.")
+    ] = None,
+    arithmetic: Annotated[
+        str | None, typer.Option(help="Of numbers, of targets that have a choice.")
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(help="What files and functions are called [default: the policy's name]."),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Another option of the target, such as sources_only=yes of fmu; may be repeated.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a policy or a tree in another language, with golden vectors and what it costs."""
+    from capsyn.exports.export import check_options, export
+    from capsyn.policy import Policy
+
+    options: dict[str, Any] = {
+        key.replace("-", "_"): _value(text)
+        for key, text in assignments("--option", option or []).items()
+    }
+    own = {"style": style, "arithmetic": arithmetic, "name": name}
+    options |= {key: value for key, value in own.items() if value is not None}
+    check_options(to, options)
+    given = {
+        "safe": safe,
+        "dwell": dwell,
+        "scale": None if scale is None else one_or_list("--scale", scale),
+        "offset": None if offset is None else one_or_list("--offset", offset),
+    }
+    options |= {key: value for key, value in given.items() if value is not None}
+    policy = Policy.load(file)
+    with working(f"exporting to {to}"):
+        written = export(policy, to, output, **options)
+    certificate = next(path for path in written if path.name == "certificate.json")
+    data = {
+        "files": [str(path) for path in written],
+        "certificate": json.loads(certificate.read_bytes()),
+    }
+
+    def told() -> None:
+        print_export(data)
+
+    show(as_json, data, told)
+
+
+def _value(text: str) -> Any:
+    """Return a whole number, a number, a truth value, a list of numbers, or the text itself."""
+    words = {"true": True, "yes": True, "false": False, "no": False}
+    if text.lower() in words:
+        return words[text.lower()]
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    if "," in text:
+        return [number("--option", part) for part in text.split(",")]
+    return text
+
+
+def print_export(data: dict[str, Any]) -> None:
+    """Print which files were written, and what a decision costs."""
+    figures = data["certificate"]
+    compared = figures["comparisons"]
+    mean = "" if compared["mean"] is None else f", {compared['mean']:.1f} on average"
+    typer.echo(
+        f"{figures['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
+        f"{figures['tree_bytes']:,} bytes"
+    )
+    typer.echo(figures["guarantee"])
+    for name in data["files"]:
+        typer.echo(f"wrote {name}")

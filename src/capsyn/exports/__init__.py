@@ -1,0 +1,1 @@
+"""Policies in other languages, one module per target."""

@@ -1,0 +1,91 @@
+"""The minimum dwell time in C: a state of a few bytes between decisions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.exports.c_language import Part, rows
+from capsyn.exports.plan import Plan
+from capsyn.validation import finite_number
+
+
+def ticks_of(plan: Plan, tick: float) -> int:
+    """Return the least whole ticks of the dwell time, by the rule of capsyn's closed loop."""
+    tick = finite_number("tick", tick, above=0.0)
+    ticks = plan.dwell / tick
+    if ticks >= 1 << 32:
+        raise ProblemError(f"`tick` must be more than {plan.dwell / 2**32:g} s; got {tick:g}")
+    return max(1, math.ceil(ticks - 1e-9))
+
+
+def declarations(prefix: str, real: str, n: int, dwell: float, tick: float, ticks: int) -> str:
+    """Return what the header says of the state and its functions, but for ``_step``."""
+    return f"""
+#define {prefix.upper()}_DWELL {ticks}uL /* ticks of {tick!r} s: {dwell!r} s */
+
+/* Between decisions; the caller has one for each plant. */
+typedef struct {{
+    uint32_t since; /* tick of the last change */
+    int16_t symbol; /* in force */
+    uint8_t phase;  /* 0: none yet, 1: must hold, 2: may change */
+}} {prefix}_state;
+
+/* Forget all symbols: the next one is taken at once. */
+void {prefix}_init({prefix}_state *state);
+
+/*
+ * Return the symbol in force when `symbol` is wanted at tick `now`: another control is taken only
+ * when the one before was held for at least {prefix.upper()}_DWELL ticks. Ticks may wrap around to
+ * 0 after 2^32 - 1; call it at least once in so many.
+ */
+int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now);
+"""
+
+
+def functions(plan: Plan, prefix: str) -> Part:
+    """Return ``_init`` and ``_hold``."""
+    # equal controls are no change, whatever their symbols
+    _, classes = np.unique(plan.policy.controls + 0.0, axis=0, return_inverse=True)
+    classes = classes.ravel()
+    same, table, reads = "symbol == state->symbol", "", set()
+    if len(set(classes.tolist())) < plan.labels:
+        kind, integer = ("BYTE", "uint8_t") if plan.labels <= 256 else ("INT16", "int16_t")
+        entries = rows([f"{k}u" if kind == "BYTE" else str(k) for k in classes.tolist()])
+        table = (
+            f"    /* symbols of the same number have the same control */\n"
+            f"    static const {integer} {prefix}_same[{plan.labels}] CAPSYN_ROM = {{\n{entries}\n"
+            "    };\n"
+        )
+        read = f"CAPSYN_{kind}(&{prefix}_same[{{}}])"
+        same = f"{read.format('symbol')} == {read.format('state->symbol')}"
+        reads = {kind}
+    text = f"""
+void {prefix}_init({prefix}_state *state)
+{{
+    state->since = 0u;
+    state->symbol = 0;
+    state->phase = 0u;
+}}
+
+int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now)
+{{
+{table}    const bool same = {same};
+    if ((state->phase == 1u) && ((uint32_t)(now - state->since) >= {prefix.upper()}_DWELL)) {{
+        state->phase = 2u;
+    }}
+    if ((state->phase == 0u) || ((state->phase == 2u) && (!same))) {{
+        state->symbol = symbol;
+        state->since = now;
+        state->phase = 1u;
+    }} else if (same) {{
+        state->symbol = symbol;
+    }} else {{
+        /* the one before is held */
+    }}
+    return state->symbol;
+}}
+"""
+    return Part(text, frozenset(reads))

@@ -1,0 +1,102 @@
+"""C as text: comments, literals, tables in program memory, reserved words."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+KEYWORDS = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if "
+    "inline int long register restrict return short signed sizeof static struct switch typedef "
+    "union unsigned void volatile while bool true false main example errno assert "
+    "and or not xor class new delete this template typename namespace operator private protected "
+    "public friend virtual explicit export using try catch throw".split()
+)
+"""Words of C and C++, and names that no library of ours may have."""
+LONGEST_PREFIX = 18
+"""Names that differ do so within 31 characters, as C99 and MISRA ask: a prefix gets this many."""
+WIDTH = 100
+"""Columns of a line."""
+ENTRIES = {
+    "BYTE": "pgm_read_byte(place)",
+    "INT16": "((int16_t)pgm_read_word(place))",
+    "INT32": "((int32_t)pgm_read_dword(place))",
+    "FLOAT": "pgm_read_float(place)",
+}
+"""Kinds of table entries, and how an AVR reads them from program memory."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Functions of C.
+
+    Parameters
+    ----------
+    text : str
+        Their definitions.
+    reads : subset of `ENTRIES`
+        What they read from tables.
+    """
+
+    text: str
+    reads: frozenset[str] = frozenset()
+
+
+def comment(lines: Iterable[str]) -> str:
+    """Return lines as a comment, which nothing within them can end."""
+    safe = []
+    for line in lines:
+        for told in ("*/", "/*", "//", "??"):
+            while told in line:
+                line = line.replace(told, f"{told[0]} {told[1]}")
+        line = line.replace("\\", "/ ").rstrip()
+        safe += textwrap.wrap(line, WIDTH - 6, subsequent_indent="  ") or [""]
+    return "\n".join(["/*", *(f" * {line}".rstrip() for line in safe), " */"])
+
+
+def macros(reads: Iterable[str]) -> str:
+    """Return the macros for tables in program memory; on an AVR they are there by themselves."""
+    used = [kind for kind in ENTRIES if kind in reads]
+    flash = "".join(f"#define CAPSYN_{kind}(place) {ENTRIES[kind]}\n" for kind in used)
+    plain = "".join(f"#define CAPSYN_{kind}(place) (*(place))\n" for kind in used)
+    return f"""#if defined(__AVR__) /* tables stay in program memory */
+#include <avr/pgmspace.h>
+#define CAPSYN_ROM PROGMEM
+{flash}#else
+#define CAPSYN_ROM
+{plain}#endif
+"""
+
+
+def double_literal(value: float) -> str:
+    """Return the shortest literal of a double."""
+    return repr(float(value))
+
+
+def float_literal(value: np.float32) -> str:
+    """Return the shortest literal of a float."""
+    text = str(np.float32(value))
+    return text + ("f" if "." in text or "e" in text else ".0f")
+
+
+def round_up(values: np.ndarray) -> np.ndarray:
+    """Return the least floats not below doubles: a float is ``>= value`` just when ``>= up``."""
+    nearest = np.asarray(values, dtype=np.float64).astype(np.float32)
+    above = np.nextafter(nearest, np.float32(np.inf))
+    return np.where(nearest.astype(np.float64) >= values, nearest, above).astype(np.float32)
+
+
+def rows(entries: Sequence[str], indent: int = 8) -> str:
+    """Return entries of a table, separated by commas, in lines."""
+    pad = " " * indent
+    return textwrap.fill(
+        ", ".join(entries), WIDTH, initial_indent=pad, subsequent_indent=pad, break_on_hyphens=False
+    )
+
+
+def z_type(counts: Sequence[int]) -> str:
+    """Return the integer type of lattice steps."""
+    return "int16_t" if max(counts) <= 32767 else "int32_t"

@@ -1,0 +1,121 @@
+"""Golden vectors: states with the symbols and the statuses that an export must give."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
+from capsyn.random_streams import stream
+
+INSIDE = 1000
+"""Random states in the domain."""
+AT_FACES = 300
+"""States per axis on random faces of the lattice, and as many one rounding before and behind."""
+GOLDEN = 7
+"""Purpose of the random states."""
+
+
+@dataclass(frozen=True, eq=False)
+class Golden:
+    """States (K, n) [state units], lattice steps (K, n), labels (K,) and statuses (K,).
+
+    Steps are those of the nearest state in the domain, 0 where a state is not finite. Readings
+    (K, n) are what an export gets: the states themselves, or, where a plan has a scale or an
+    offset, numbers of which the states are ``reading * scale + offset``.
+    """
+
+    states: np.ndarray
+    steps: np.ndarray
+    labels: np.ndarray
+    statuses: np.ndarray
+    readings: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def to_csv(self, names: tuple[str, ...]) -> bytes:
+        """Return the vectors as CSV: readings in full precision, steps, symbol, status."""
+        steps = (f"step_{i}" for i in range(self.steps.shape[1]))
+        head = io.StringIO()
+        csv.writer(head, lineterminator="").writerow([*names, *steps, "symbol", "status"])
+        rows = [head.getvalue()]
+        columns = (self.readings, self.steps, self.labels, self.statuses)
+        for reading, step, label, status in zip(*(column.tolist() for column in columns)):
+            rows.append(",".join([*map(repr, reading), *map(str, [*step, label, status])]))
+        return ("\n".join(rows) + "\n").encode()
+
+
+def golden_vectors(plan: Plan) -> Golden:
+    """Return vectors in cells, on faces, edges, corners and seams, outside, NaN and infinite.
+
+    At least 2,000, the same for the same policy.
+    """
+    domain, counts, n = plan.policy.domain, plan.tree.cells.counts, plan.n
+    rng = stream(0, GOLDEN)
+    inside = domain.lower + rng.random((INSIDE, n)) * domain.widths
+    # on faces of some axes (all of them: corners), and the floats beside them
+    at = np.repeat(inside[rng.integers(INSIDE, size=AT_FACES * n)], 3, axis=0)
+    for i, count in enumerate(counts):
+        on = np.repeat(rng.random(AT_FACES * n) < (0.5 if n > 1 else 1), 3)
+        on[3 * AT_FACES * i : 3 * AT_FACES * (i + 1)] = True
+        face = np.repeat(rng.integers(count + 1, size=AT_FACES * n), 3)
+        place = domain.faces(i, face, count)
+        beside = np.stack(
+            [np.nextafter(place[::3], -np.inf), place[1::3], np.nextafter(place[2::3], np.inf)]
+        )
+        at[on, i] = beside.T.ravel()[on]
+    outside = domain.lower + (3 * rng.random((200, n)) - 1) * domain.widths
+    bounds = np.stack(
+        [domain.lower, domain.upper, domain.lower - domain.widths, domain.upper + domain.widths]
+    )
+    corners = bounds[rng.integers(4, size=(200, n)), np.arange(n)]
+    lost = inside[:60].copy()
+    lost[np.arange(60), rng.integers(n, size=60)] = np.resize([np.nan, np.inf, -np.inf], 60)
+    if plan.folded:
+        at = np.repeat(at[1::3], 3, axis=0)  # readings are told apart below
+    states = np.concatenate([inside, at, outside, corners])
+    if plan.folded:
+        readings = _readings(plan, states)
+        readings[INSIDE // 2 : INSIDE] = np.rint(readings[INSIDE // 2 : INSIDE])  # as counts
+        states = readings
+    return decide(plan, np.concatenate([states, lost]))
+
+
+def _readings(plan: Plan, states: np.ndarray) -> np.ndarray:
+    """Return readings (K, n) at which the rounded state passes the states (K, n).
+
+    In turn the last one before, and the next two, so that three equal states are told apart.
+    """
+    lower, upper = plan.policy.domain.lower, plan.policy.domain.upper
+    most = np.maximum(np.maximum(abs(lower), abs(upper)), np.maximum(abs(states), abs(plan.offset)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        near = (states - plan.offset) / plan.scale
+        reach = 8 * (np.spacing(most) / abs(plan.scale) + np.spacing(abs(near)))
+    before, behind = near - reach, near + reach
+    while True:
+        middle = before + (behind - before) / 2
+        between = (before < middle) & (middle < behind)
+        if not between.any():
+            break
+        passed = (plan.states(middle) >= states) == (plan.scale > 0)
+        behind = np.where(between & passed, middle, behind)
+        before = np.where(between & ~passed, middle, before)
+    turn = np.arange(len(states))[:, None] % 3
+    return np.where(turn == 0, before, np.where(turn == 1, behind, np.nextafter(behind, np.inf)))
+
+
+def decide(plan: Plan, readings: np.ndarray) -> Golden:
+    """Return what an export must give for readings (K, n), which are states by default."""
+    domain, tree, states = plan.policy.domain, plan.tree.cells, plan.states(readings)
+    finite = np.isfinite(states).all(axis=1)
+    steps = np.zeros(states.shape, dtype=np.int64)
+    steps[finite] = domain.locate(states[finite], tree.counts)
+    inside = domain.contains(states)
+    known = finite if plan.nearest else inside
+    labels = np.where(known, tree.labels(steps), plan.safe)
+    statuses = np.where(finite, np.where(inside, OK, OUTSIDE), NOT_FINITE)
+    return Golden(states, steps, labels, statuses, readings)

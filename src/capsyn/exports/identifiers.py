@@ -1,0 +1,60 @@
+"""Names of states, inputs and symbols as identifiers of a target language."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Collection, Sequence
+
+from capsyn.errors import ProblemError
+from capsyn.validation import describe
+
+
+def identifiers(
+    names: Sequence[str], keywords: Collection[str] = (), fold: bool = False
+) -> tuple[str, ...]:
+    """Return identifiers for names, in order, each different.
+
+    Letters are taken without accents, everything else than letters, digits and underscores becomes
+    an underscore, a digit in front gets an ``n``, a minus sign of a number becomes
+    ``minus_``; keywords, names in use and names that end up empty get a number.
+
+    Parameters
+    ----------
+    names : texts
+        The names.
+    keywords : texts
+        Words that the language keeps for itself, and names in use.
+    fold : bool
+        Whether the language takes capital and small letters as the same.
+    """
+
+    def key(text: str) -> str:
+        return text.lower() if fold else text
+
+    taken = {key(word) for word in keywords}
+    found = []
+    for name in names:
+        plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+        plain = re.sub(r"(?<![A-Za-z0-9])-(?=[0-9.])", "minus_", plain)
+        plain = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9_]", "_", plain)).strip("_")
+        if not plain or plain[0].isdigit():
+            plain = f"n{plain}"
+        chosen, k = plain, 2
+        while key(chosen) in taken:
+            chosen, k = f"{plain}_{k}", k + 1
+        taken.add(key(chosen))
+        found.append(chosen)
+    return tuple(found)
+
+
+def file_name(name: str | None, policy: str, keywords: Collection[str] = ()) -> str:
+    """Return an identifier of a name that is asked for, or else of a policy's."""
+    if name is not None and (not isinstance(name, str) or not name.isprintable()):
+        raise ProblemError(f"`name` must be a printable text; got {describe(name)}")
+    return identifiers([policy if name is None else name], keywords)[0]
+
+
+def renamed(names: Sequence[str], chosen: Sequence[str]) -> dict[str, str]:
+    """Return the names that had to change, and into what."""
+    return {name: new for name, new in zip(names, chosen) if name != new}

@@ -1,0 +1,143 @@
+"""Target ``javascript``: one ES module without dependencies, for Node and browsers."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from typing import Any
+
+from capsyn.exports.golden import Golden
+from capsyn.exports.identifiers import file_name
+from capsyn.exports.plan import Files, Plan
+
+CODE = """
+/** Return the lattice steps of a state of finite numbers; beyond the bounds the nearest. */
+export function quantise(state) {
+  return COUNTS.map((count, i) => {
+    const low = LOWER[i], high = UPPER[i], width = high - low;
+    let x = state[i];
+    if (PERIODIC[i] && !(x >= low && x < high)) {
+      let rest = (x - low) % width;
+      if (rest < 0) rest += width;
+      rest += low;
+      x = rest >= high ? low : rest;
+    }
+    x = Math.min(Math.max(x, low), high);
+    let k = Math.floor(Math.min((x - low) * (count / width), count - 1));
+    if (x < low + width * (k / count)) k -= 1;
+    if (k + 1 < count && x >= low + width * ((k + 1) / count)) k += 1;
+    return k;
+  });
+}
+
+/** Return [symbol, status] of a state: an index into CONTROLS, and OK, OUTSIDE or NOT_FINITE. */
+export function decide(state) {
+  if (state.length !== LOWER.length) throw new RangeError(`a state is ${LOWER.length} numbers`);
+  const x = LOWER.map((_, i) => state[i] * SCALE[i] + OFFSET[i]);
+  for (let i = 0; i < x.length; i++) {
+    if (!Number.isFinite(state[i]) || !Number.isFinite(x[i])) return [SAFE, NOT_FINITE];
+  }
+  const inside = x.every((v, i) => PERIODIC[i] || (v >= LOWER[i] && v <= UPPER[i]));
+  if (!inside && !NEAREST) return [SAFE, OUTSIDE];
+  const z = quantise(x);
+  let i = 0;
+  while (SPLIT[i] >= 0) {
+    let value = z[SPLIT[i]];
+    if (SPLIT[i] >= z.length) {
+      const plane = PLANES[SPLIT[i] - z.length];
+      value = 0;
+      for (let j = 0; j < z.length; j++) value += plane[j] * z[j];
+    }
+    i = value >= THRESHOLD[i] ? SECOND[i] : i + 1;
+  }
+  return [THRESHOLD[i], inside ? OK : OUTSIDE];
+}
+
+/** Return the control vector of a state [input units]. */
+export function control(state) {
+  return CONTROLS[decide(state)[0]];
+}
+
+/** The policy with a least time between switches, MIN_DWELL by default [s]. */
+export class Controller {
+  constructor(minDwell = MIN_DWELL) {
+    this.minDwell = minDwell;
+    this.reset();
+  }
+
+  /** Forget what is held: the next step takes its symbol at once. */
+  reset() {
+    this.symbol = null;
+    this.since = 0;
+  }
+
+  /**
+   * Return [symbol, status] at a time [s]; a control is held for minDwell before another. Times do
+   * not decrease; a millionth of the dwell time is allowed for their rounding.
+   */
+  step(state, time) {
+    const [symbol, status] = decide(state);
+    const same = this.symbol !== null &&
+      CONTROLS[symbol].every((v, i) => v === CONTROLS[this.symbol][i]);
+    if (same) {
+      this.symbol = symbol;
+    } else if (this.symbol === null || time - this.since >= this.minDwell * (1 - 1e-6)) {
+      this.symbol = symbol;
+      this.since = time;
+    }
+    return [this.symbol, status];
+  }
+
+  /** Return the control vector that is held [input units]; the default before any step. */
+  control() {
+    return CONTROLS[this.symbol === null ? DEFAULT : this.symbol];
+  }
+}
+"""
+
+
+def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
+    """Return an ES module, ``NAME.mjs``.
+
+    Parameters
+    ----------
+    name : str, optional
+        What it is called, made an identifier. Default: the policy's name.
+    """
+    policy, tree = plan.policy, plan.tree.cells
+    domain, alphabet = policy.domain, policy.alphabet
+    constants: list[tuple[str, Any, str]] = [
+        ("STATES", domain.names, "Names of the states."),
+        ("UNITS", domain.units, "Their units."),
+        ("LOWER", domain.lower.tolist(), "Bounds of the domain."),
+        ("UPPER", domain.upper.tolist(), ""),
+        ("PERIODIC", domain.periodic, "Whether the upper bound is the same point as the lower."),
+        ("SCALE", plan.scale.tolist(), "A state is what decide gets * SCALE + OFFSET."),
+        ("OFFSET", plan.offset.tolist(), ""),
+        ("COUNTS", tree.counts, "Lattice steps along each axis."),
+        ("INPUTS", alphabet.inputs, "Names of the inputs."),
+        ("INPUT_UNITS", alphabet.units, "Their units."),
+        ("SYMBOLS", plan.symbol_names, "Names of the symbols, the default control last."),
+        ("CONTROLS", policy.controls.tolist(), "Their control vectors."),
+        ("DEFAULT", plan.labels - 1, "The symbol of the default control."),
+        ("SAFE", plan.safe, "The symbol of states that have no other."),
+        ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
+        ("MIN_DWELL", plan.dwell, "Least time between switches [s]."),
+        ("OK", 0, "Statuses."),
+        ("OUTSIDE", 1, ""),
+        ("NOT_FINITE", 2, ""),
+    ]
+    tables = [
+        ("SPLIT", tree.split.tolist(), "What a node compares: a state, then PLANES; -1: a leaf."),
+        ("THRESHOLD", tree.threshold.tolist(), "From where it goes to SECOND; a leaf's symbol."),
+        ("SECOND", tree.second.tolist(), "Its second child; the first is the next node."),
+        ("PLANES", tree.planes.tolist(), "Coefficients of the steps."),
+    ]
+    lines = [*(f"// {line}" for line in plan.header), ""]
+    for constant, value, note in constants:
+        lines += [f"// {note}"] * bool(note)
+        lines.append(f"export const {constant} = {json.dumps(value)};")
+    for constant, value, note in tables:
+        lines += [f"// {note}", f"const {constant} ="]
+        lines += textwrap.wrap(f"{json.dumps(value)};", 100)
+    return {f"{file_name(name, policy.name)}.mjs": ("\n".join(lines) + "\n" + CODE).encode()}

@@ -1,0 +1,188 @@
+"""What every target needs of a policy: its tree, constants, names and a header."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn import __version__
+from capsyn.alphabet import Alphabet
+from capsyn.compression.compress import exact_tree
+from capsyn.decision_tree import DecisionTree
+from capsyn.errors import ProblemError
+from capsyn.policy import Policy, check_outside
+from capsyn.policy_file import content_hash
+from capsyn.validation import describe, finite_array, finite_number, numbers
+
+Files = dict[str, bytes]
+"""Contents of files by name."""
+OK, OUTSIDE, NOT_FINITE = 0, 1, 2
+"""Status of a decision: a state in the domain, outside it, or with a NaN or infinite component."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A policy on its way to a target.
+
+    A decision gives a symbol and a status. In the domain it is the policy's symbol. Outside, it is
+    the policy's symbol of the nearest cell where the policy's rule is ``nearest``, else the safe
+    symbol; of a state that is not finite always the safe symbol.
+
+    Parameters
+    ----------
+    policy : Policy
+        What is exported.
+    tree : DecisionTree
+        The policy itself where it is one, else its exact tree.
+    safe : int
+        Symbol where there is no other: 0 .. N-1, or N for the default control.
+    nearest : bool
+        Whether a state outside the domain takes the symbol of the nearest cell.
+    dwell : float
+        Least time between switches [s]; 0 for none.
+    scale, offset : (n,)
+        A state is ``reading * scale + offset``, rounded as written in double precision.
+    """
+
+    policy: Policy
+    tree: DecisionTree
+    safe: int
+    nearest: bool
+    dwell: float
+    scale: np.ndarray
+    offset: np.ndarray
+
+    @staticmethod
+    def of(
+        policy: Policy,
+        *,
+        safe: int | str | None = None,
+        dwell: float | None = None,
+        scale: object = None,
+        offset: object = None,
+    ) -> Plan:
+        """Return the plan of a policy.
+
+        Parameters
+        ----------
+        safe : symbol index or name, optional
+            Default: the policy's own safe symbol where it has one, else the default control.
+        dwell : float, optional
+            Default: the policy's.
+        scale, offset : (n,) or float, optional
+            Default: 1 and 0: readings are states.
+        """
+        if not isinstance(policy, Policy):
+            raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
+        labels = len(policy.alphabet)
+        own = policy.outside if isinstance(policy.outside, int) else -1
+        chosen = own if safe is None else _symbol(safe, policy.alphabet)
+        n = policy.domain.n
+        factors = [
+            np.full(n, default) if given is None else _per_state(name, given, n)
+            for name, given, default in (("scale", scale, 1.0), ("offset", offset, 0.0))
+        ]
+        if (factors[0] == 0).any():
+            raise ProblemError(f"`scale` must not be 0; got {describe(scale)}")
+        return Plan(
+            policy,
+            policy if isinstance(policy, DecisionTree) else _exact_tree(policy),
+            chosen % (labels + 1),
+            policy.outside == "nearest",
+            policy.min_dwell if dwell is None else finite_number("dwell", dwell, least=0.0),
+            factors[0],
+            factors[1],
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return self.policy.domain.n
+
+    @property
+    def labels(self) -> int:
+        """Number of labels, N + 1; the last is the default control."""
+        return len(self.policy.alphabet) + 1
+
+    @property
+    def symbol_names(self) -> tuple[str, ...]:
+        """Names of the labels, "default" last."""
+        return (*self.policy.alphabet.names, "default")
+
+    @property
+    def folded(self) -> bool:
+        """Whether readings are other numbers than states."""
+        return bool((self.scale != 1).any() or (self.offset != 0).any())
+
+    def states(self, readings: np.ndarray) -> np.ndarray:
+        """Return the states (K, n) of readings (K, n)."""
+        if not self.folded:
+            return readings
+        with np.errstate(over="ignore", invalid="ignore"):
+            return readings * self.scale + self.offset
+
+    @functools.cached_property
+    def header(self) -> tuple[str, ...]:
+        """Lines that every file begins with: what it is, and from what; printable text."""
+        policy, domain = self.policy, self.policy.domain
+        lines = [f"Control alphabet policy '{policy.name}', by capsyn {__version__}."]
+        for i in range(self.n):
+            unit = f" {domain.units[i]}" if domain.units[i] else ""
+            periodic = ", periodic" if domain.periodic[i] else ""
+            bounds = f"[{float(domain.lower[i])!r}, {float(domain.upper[i])!r}]"
+            lines.append(f"State {i}: {domain.names[i]} in {bounds}{unit}{periodic}")
+        if self.folded:
+            pairs = zip(self.scale.tolist(), self.offset.tolist())
+            for i, (scale, offset) in enumerate(pairs):
+                lines.append(f"State {i} is reading {i} * {scale!r} + {offset!r}")
+        inputs = [
+            name + (f" [{unit}]" if unit else "")
+            for name, unit in zip(policy.alphabet.inputs, policy.alphabet.units)
+        ]
+        lines.append(f"Inputs: {', '.join(inputs)}")
+        for k, name in enumerate(self.symbol_names):
+            value = ", ".join(f"{v!r}" for v in policy.controls[k].tolist())
+            lines.append(f"Symbol {k}: {name} ({value})")
+        lost = f"symbol {self.safe} ({self.symbol_names[self.safe]})"
+        rule = f"the symbol of the nearest cell; not finite: {lost}" if self.nearest else lost
+        lines.append(f"Outside: {rule}")
+        lines.append(f"Least time between switches: {self.dwell!r} s")
+        if policy.settings is not None and policy.horizon is not None:
+            settings = policy.settings
+            made = f"rule {settings.rule}, horizon {policy.horizon!r} s, {settings.steps} steps"
+            lines.append(f"Made by {made}")
+        lines.append(f"Tree: {self.tree.node_count} nodes; {self.tree.guarantee.text}.")
+        lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
+        return tuple(lines)
+
+
+@functools.lru_cache(maxsize=1)
+def _exact_tree(policy: Policy) -> DecisionTree:
+    """Return the exact tree of a policy; kept for the next target."""
+    return exact_tree(policy)
+
+
+def _symbol(safe: object, alphabet: Alphabet) -> int:
+    """Return the index of a safe symbol, -1 for the default control."""
+    if safe == "default":
+        return -1
+    try:
+        chosen = check_outside(safe, alphabet)
+    except ProblemError:
+        chosen = "error"
+    if isinstance(chosen, str):
+        names = ", ".join(alphabet.names)
+        raise ProblemError(
+            f"`safe` must be a symbol: default, its name ({names}) or its index, -1 to "
+            f"{len(alphabet) - 1}; got {describe(safe)}"
+        )
+    return chosen
+
+
+def _per_state(name: str, given: object, n: int) -> np.ndarray:
+    values = finite_array(name, given, 1 if numbers(name, given).ndim else 0).reshape(-1)
+    if len(values) not in (1, n):
+        raise ProblemError(f"`{name}` must be one number or {n}; got {describe(given)}")
+    return np.array(np.broadcast_to(values, n))

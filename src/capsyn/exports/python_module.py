@@ -1,0 +1,153 @@
+"""Target ``python``: one module that needs nothing but the standard library."""
+
+from __future__ import annotations
+
+import keyword
+import sys
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from capsyn.exports.golden import Golden
+from capsyn.exports.identifiers import file_name
+from capsyn.exports.plan import Files, Plan
+
+KEYWORDS = {*keyword.kwlist, *keyword.softkwlist, *sys.stdlib_module_names}
+"""Names that the module cannot have, or that would hide another."""
+
+CODE = '''
+
+def quantise(state):
+    """Return the lattice steps of a state of finite numbers; beyond the bounds the nearest."""
+    steps = []
+    for x, low, high, periodic, count in zip(state, LOWER, UPPER, PERIODIC, COUNTS):
+        width = high - low
+        if periodic and not low <= x < high:
+            rest = math.fmod(x - low, width)
+            if rest < 0:
+                rest += width
+            rest += low
+            x = low if rest >= high else rest
+        x = min(max(x, low), high)
+        k = int(min((x - low) * (count / width), count - 1))
+        if x < low + width * (k / count):
+            k -= 1
+        if k + 1 < count and x >= low + width * ((k + 1) / count):
+            k += 1
+        steps.append(k)
+    return steps
+
+
+def decide(state):
+    """Return (symbol, status) of a state: an index into CONTROLS, and OK, OUTSIDE or NOT_FINITE."""
+    if len(state) != len(LOWER):
+        raise ValueError("a state is {} numbers".format(len(LOWER)))
+    x = [float(v) * scale + offset for v, scale, offset in zip(state, SCALE, OFFSET)]
+    if not all(map(math.isfinite, x)):
+        return SAFE, NOT_FINITE
+    inside = all(
+        periodic or low <= v <= high for v, low, high, periodic in zip(x, LOWER, UPPER, PERIODIC)
+    )
+    if not inside and not NEAREST:
+        return SAFE, OUTSIDE
+    z = quantise(x)
+    i = 0
+    while SPLIT[i] >= 0:
+        if SPLIT[i] < len(z):
+            value = z[SPLIT[i]]
+        else:
+            value = sum(a * b for a, b in zip(PLANES[SPLIT[i] - len(z)], z))
+        i = SECOND[i] if value >= THRESHOLD[i] else i + 1
+    return THRESHOLD[i], OK if inside else OUTSIDE
+
+
+def control(state):
+    """Return the control vector of a state [input units]."""
+    return CONTROLS[decide(state)[0]]
+
+
+class Controller:
+    """The policy with a least time between switches, MIN_DWELL by default [s]."""
+
+    def __init__(self, min_dwell=MIN_DWELL):
+        self.min_dwell = float(min_dwell)
+        self.reset()
+
+    def reset(self):
+        """Forget what is held: the next step takes its symbol at once."""
+        self.symbol = None
+        self.since = 0.0
+
+    def step(self, state, time):
+        """Return (symbol, status) at a time [s]; a control is held for MIN_DWELL before another.
+
+        Times do not decrease; a millionth of the dwell time is allowed for their rounding.
+        """
+        symbol, status = decide(state)
+        if self.symbol is None:
+            self.symbol, self.since = symbol, time
+        elif CONTROLS[symbol] == CONTROLS[self.symbol]:
+            self.symbol = symbol
+        elif time - self.since >= self.min_dwell * (1 - 1e-6):
+            self.symbol, self.since = symbol, time
+        return self.symbol, status
+
+    def control(self):
+        """Return the control vector that is held [input units]; the default before any step."""
+        return CONTROLS[DEFAULT if self.symbol is None else self.symbol]
+'''
+
+
+def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
+    """Return a module of Python 3.8 or later.
+
+    Parameters
+    ----------
+    name : str, optional
+        What it is called, made an identifier. Default: the policy's name.
+    """
+    policy, tree = plan.policy, plan.tree.cells
+    domain, alphabet = policy.domain, policy.alphabet
+    constants: list[tuple[str, Sequence[Any], str]] = [
+        ("STATES", domain.names, "Names of the states."),
+        ("UNITS", domain.units, "Their units."),
+        ("LOWER", domain.lower.tolist(), "Bounds of the domain."),
+        ("UPPER", domain.upper.tolist(), ""),
+        ("PERIODIC", domain.periodic, "Whether the upper bound is the same point as the lower."),
+        ("SCALE", plan.scale.tolist(), "A state is what decide gets * SCALE + OFFSET."),
+        ("OFFSET", plan.offset.tolist(), ""),
+        ("COUNTS", tree.counts, "Lattice steps along each axis."),
+        ("INPUTS", alphabet.inputs, "Names of the inputs."),
+        ("INPUT_UNITS", alphabet.units, "Their units."),
+        ("SYMBOLS", plan.symbol_names, "Names of the symbols, the default control last."),
+        ("CONTROLS", [tuple(v) for v in policy.controls.tolist()], "Their control vectors."),
+        ("SPLIT", tree.split.tolist(), "What a node compares: a state, then PLANES; -1: a leaf."),
+        ("THRESHOLD", tree.threshold.tolist(), "From where it goes to SECOND; a leaf's symbol."),
+        ("SECOND", tree.second.tolist(), "Its second child; the first is the next node."),
+        ("PLANES", [tuple(row) for row in tree.planes.tolist()], "Coefficients of the steps."),
+    ]
+    lines = [f"# {line}" for line in plan.header]
+    title = f"Control alphabet policy {policy.name}: states to symbols."
+    lines += [repr(title), "", "import math", ""]
+    for constant, values, note in constants:
+        lines += [f"# {note}"] * bool(note) + [_tuple(constant, values)]
+    lines += [
+        f"DEFAULT = {plan.labels - 1}  # the symbol of the default control",
+        f"SAFE = {plan.safe}  # the symbol of states that have no other",
+        f"NEAREST = {plan.nearest}  # whether a state outside has the symbol of the nearest step",
+        f"MIN_DWELL = {plan.dwell!r}  # least time between switches [s]",
+        "OK, OUTSIDE, NOT_FINITE = 0, 1, 2  # statuses",
+    ]
+    return {f"{file_name(name, policy.name, KEYWORDS)}.py": ("\n".join(lines) + CODE).encode()}
+
+
+def _tuple(name: str, values: Sequence[Any]) -> str:
+    """Return an assignment of a tuple, in lines that are short where items are."""
+    items = [repr(v) for v in values]
+    line = f"{name} = ({', '.join(items)}{',' * (len(items) == 1)})"
+    if len(line) <= 100:
+        return line
+    if all(isinstance(v, int) for v in values):
+        items = textwrap.wrap(", ".join(items), 95)
+        return "\n    ".join([f"{name} = (", *items]) + ",\n)"
+    return "\n    ".join([f"{name} = (", *(f"{item}," for item in items)]) + "\n)"

@@ -1,0 +1,202 @@
+"""Ports of a circuit: what numbers they carry, and where on them the faces of the lattice lie."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.exports.plan import Plan
+from capsyn.random_streams import stream
+
+LEAST_UNITS = 64
+"""Units of the last place that a lattice step has at least by default."""
+MAX_BITS = 48
+"""Widest port; its numbers are exact in double precision."""
+MAX_TURNS = 16
+"""Most turns of a periodic axis that a port may hold."""
+SHARED = 100_000
+"""Random states at which the effect of the quantisation is counted."""
+QUANTISED = 8
+"""Purpose of these states."""
+MAX_SHIFT = 40
+
+
+def width_of(most: int) -> int:
+    """Return the bits of an unsigned number from 0 to `most`."""
+    return max(1, int(most).bit_length())
+
+
+@dataclass(frozen=True, eq=False)
+class Port:
+    """A signed fixed-point port: it carries the reading ``v * 2 ** -fraction``.
+
+    Parameters
+    ----------
+    axis : int
+        Whose state it is.
+    bits, fraction : int
+        Width with the sign, and the bits behind the point.
+    negative : bool
+        Whether the state falls as the reading rises: the circuit works with ``-v - 1``.
+    faces : (count - 1,) int64
+        Least numbers of the steps 1 .. count - 1; a number on a periodic axis is brought into
+        ``first .. last`` first.
+    first, last : int
+        Least and largest number of a state in the domain.
+    step : float
+        Numbers of a lattice step, not rounded.
+    """
+
+    axis: int
+    bits: int
+    fraction: int
+    negative: bool
+    faces: np.ndarray
+    first: int
+    last: int
+    step: float
+
+    @property
+    def least(self) -> int:
+        """Smallest number of the port."""
+        return -(2 ** (self.bits - 1))
+
+    @property
+    def most(self) -> int:
+        """Largest number of the port."""
+        return 2 ** (self.bits - 1) - 1
+
+    @property
+    def turn(self) -> int:
+        """Numbers of one turn of a periodic axis."""
+        return self.last + 1 - self.first
+
+    def quantised(self, readings: np.ndarray) -> np.ndarray:
+        """Return the numbers (K,) of finite readings: nearest, up at ties, saturated."""
+        with np.errstate(over="ignore"):
+            found = np.floor(readings * 2.0**self.fraction + 0.5)
+        return np.clip(found, self.least, self.most).astype(np.int64)
+
+    def readings(self, numbers: np.ndarray, periodic: bool) -> np.ndarray:
+        """Return the readings (K,) that numbers stand for, a periodic axis within one turn."""
+        inner = -1 - numbers if self.negative else numbers
+        if periodic:
+            inner = self.first + (inner - self.first) % self.turn
+        return (-1 - inner if self.negative else inner) * 2.0**-self.fraction
+
+
+def fixed_ports(
+    plan: Plan, bits: tuple[int | None, ...], fraction: tuple[int | None, ...]
+) -> tuple[Port, ...]:
+    """Return the ports of the states; `ProblemError` where steps fall together or do not fit."""
+    return tuple(_port(plan, i, bits[i], fraction[i]) for i in range(plan.n))
+
+
+def _port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port:
+    domain, count = plan.policy.domain, plan.tree.cells.counts[axis]
+    name, periodic = domain.names[axis], domain.periodic[axis]
+    scale, offset = float(plan.scale[axis]), float(plan.offset[axis])
+    low, high = float(domain.lower[axis]), float(domain.upper[axis])
+    ends = [(low - offset) / scale, (high - offset) / scale]
+    step = abs(ends[1] - ends[0]) / count
+    if fraction is None:
+        fraction = max(0, math.ceil(math.log2(LEAST_UNITS / step)))
+    reach = max(abs(end) for end in ends) * 2.0**fraction
+    # beyond the bounds there is room for states outside, to be told as such
+    wanted = 1 + max(1, math.ceil(math.log2(max(reach * 1.25, 1.0))))
+    bits = wanted if bits is None else bits
+    if bits > MAX_BITS or wanted > 1000:
+        raise ProblemError(
+            f"a port of axis '{name}' would need {wanted} bits with {fraction} of them behind the "
+            f"point; more than {MAX_BITS} are not possible: give fewer by `fraction`"
+        )
+    negative, least, most = scale < 0, -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
+
+    def states(numbers: np.ndarray) -> np.ndarray:
+        values = (-1.0 - numbers if negative else numbers.astype(np.float64)) * 2.0**-fraction
+        return values * scale + offset if plan.folded else values
+
+    def first_from(reached: Callable[[np.ndarray], np.ndarray], size: int) -> np.ndarray:
+        """Return the least numbers (size,) where `reached` is true, ``most + 1`` for nowhere."""
+        below, above = np.full(size, least - 1), np.full(size, most + 1)
+        while (above - below > 1).any():
+            middle = (below + above) // 2
+            inner = above - below > 1
+            passed = reached(states(middle)) & inner
+            above = np.where(passed, middle, above)
+            below = np.where(~passed & inner, middle, below)
+        return above
+
+    places = domain.faces(axis, np.arange(1, count), count)
+    faces = first_from(lambda x: x >= places, count - 1)
+    first = int(first_from(lambda x: x >= low, 1)[0])
+    end = first_from(lambda x: x >= high if periodic else x > high, 1)
+    last = int(end[0]) - 1
+    inner = np.concatenate([[first], faces, [last + 1]])
+    if (np.diff(inner) < 1).any():
+        narrow = fraction + max(0, math.ceil(math.log2(2.0**-fraction / step)))
+        whole = 1 + max(1, math.ceil(math.log2(max(abs(end) for end in ends) * 2.0**narrow)))
+        raise ProblemError(
+            f"the steps of axis '{name}' would fall together, or lie beyond the port of "
+            f"{bits} bits with {fraction} behind the point: at least {whole} bits with {narrow} "
+            "behind the point are needed"
+        )
+    port = Port(axis, bits, fraction, negative, faces, first, last, step * 2.0**fraction)
+    if periodic and 2**bits > MAX_TURNS * port.turn:
+        raise ProblemError(
+            f"a port of axis '{name}' would hold more than {MAX_TURNS} turns; give `bits` and "
+            "`fraction` for it"
+        )
+    return port
+
+
+def changed_share(plan: Plan, ports: tuple[Port, ...]) -> float:
+    """Return the share of random states in the domain whose label the ports' rounding changes."""
+    domain, tree = plan.policy.domain, plan.tree.cells
+    rng = stream(0, QUANTISED)
+    states = domain.lower + rng.random((SHARED, plan.n)) * domain.widths
+    before = tree.labels(domain.locate(states, tree.counts))
+    numbers = port_numbers(ports, (states - plan.offset) / plan.scale)
+    after = tree.labels(domain.locate(quantised_states(plan, ports, numbers), tree.counts))
+    return float(np.mean(before != after))
+
+
+def port_numbers(ports: tuple[Port, ...], readings: np.ndarray) -> np.ndarray:
+    """Return the numbers (K, n) of finite readings (K, n)."""
+    return np.stack([port.quantised(readings[:, port.axis]) for port in ports], axis=1)
+
+
+def quantised_readings(plan: Plan, ports: tuple[Port, ...], numbers: np.ndarray) -> np.ndarray:
+    """Return the readings (K, n) that numbers (K, n) stand for."""
+    periodic = plan.policy.domain.periodic
+    return np.stack([p.readings(numbers[:, p.axis], periodic[p.axis]) for p in ports], axis=1)
+
+
+def quantised_states(plan: Plan, ports: tuple[Port, ...], numbers: np.ndarray) -> np.ndarray:
+    """Return the states (K, n) that numbers (K, n) stand for."""
+    return plan.states(quantised_readings(plan, ports, numbers))
+
+
+def fold(port: Port, name: str) -> tuple[int, int, int]:
+    """Return (M, A, S) with ``(v * M + A) >> S`` the step of every number of the domain."""
+    count = len(port.faces) + 1
+    k = np.arange(1, count)
+    for shift in range(MAX_SHIFT + 1):
+        slope = 2**shift / port.step
+        if slope * max(abs(port.first), abs(port.last)) > 2.0**60 or count * 2.0**shift > 2.0**60:
+            break
+        for factor in sorted({max(1, math.floor(slope) + d) for d in (0, 1)}):
+            lower = (k << shift) - factor * port.faces
+            upper = (k << shift) - 1 - factor * (port.faces - 1)
+            least = max([-factor * port.first, *lower.tolist()])
+            most = min([(count << shift) - 1 - factor * port.last, *upper.tolist()])
+            if least <= most:
+                return factor, least, shift
+    raise ProblemError(
+        f"the faces of axis '{name}' fall on numbers of its port so that no product finds the "
+        "steps; give another `fraction`, or take inputs lattice"
+    )

@@ -1,0 +1,224 @@
+"""Compilers and machines that run the C of an export: this computer, a Cortex-M3, an AVR."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+WARNINGS = (
+    "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wcast-qual -Wundef "
+    "-Wdouble-promotion -Wfloat-equal -Werror"
+).split()
+
+ENTRY = """
+#include "{p}.h"
+void decide(long count, const {real} *x, int16_t *symbols, int32_t *statuses);
+void decide(long count, const {real} *x, int16_t *symbols, int32_t *statuses)
+{{
+    for (long i = 0; i < count; ++i) {{
+        {p}_status status;
+        symbols[i] = {p}_decide(x + {n} * i, &status);
+        statuses[i] = (int32_t)status;
+    }}
+}}
+"""
+LOOKUP = """
+void look(long count, const {z} *z, int16_t *symbols);
+void look(long count, const {z} *z, int16_t *symbols)
+{{
+    for (long i = 0; i < count; ++i) {{ symbols[i] = {p}_symbol(z + {n} * i); }}
+}}
+"""
+STEPS = """
+void run(long count, const {real} *x, const uint32_t *now, int16_t *symbols);
+void run(long count, const {real} *x, const uint32_t *now, int16_t *symbols)
+{{
+    {p}_state state;
+    {p}_init(&state);
+    for (long i = 0; i < count; ++i) {{
+        {p}_status status;
+        symbols[i] = {p}_step(&state, x + {n} * i, now[i], &status);
+    }}
+}}
+"""
+CORTEX_M = """
+#include <stdint.h>
+#include "{p}.h"
+extern uint32_t stack_top;
+int main(void);
+void reset(void);
+static int semihost(int operation, const void *argument)
+{{
+    register int r0 __asm__("r0") = operation;
+    register const void *r1 __asm__("r1") = argument;
+    __asm__ volatile("bkpt 0xab" : "+r"(r0) : "r"(r1) : "memory");
+    return r0;
+}}
+void reset(void)
+{{
+    const uint32_t block[2] = {{0x20026u, (uint32_t)main()}};
+    (void)semihost(0x20, block);
+    for (;;) {{}}
+}}
+__attribute__((section(".vectors"), used)) const void *const vectors[] = {{
+    &stack_top, (void *)reset
+}};
+static const int16_t steps[] = {{{steps}}};
+static const uint8_t labels[] = {{{labels}}};
+int main(void)
+{{
+    int wrong = 0;
+    for (int i = 0; i < {count}; ++i) {{ wrong += {p}_symbol(steps + {n} * i) != labels[i]; }}
+    return wrong > 99 ? 99 : wrong;
+}}
+"""
+LINK = """
+MEMORY {{ flash (rx) : ORIGIN = 0, LENGTH = 256K  ram (rw) : ORIGIN = 0x20000000, LENGTH = 16K }}
+SECTIONS {{
+  .text : {{ KEEP(*(.vectors)) *(.text*) *(.rodata*) }} > flash
+  .data : {{ *(.data*) }} > ram
+  .bss : {{ *(.bss*) *(COMMON) }} > ram
+  stack_top = ORIGIN(ram) + LENGTH(ram);
+}}
+"""
+AVR = """
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <avr/pgmspace.h>
+#include <avr/sleep.h>
+#include "{p}.h"
+static const int16_t steps[] PROGMEM = {{{steps}}};
+static const uint8_t labels[] PROGMEM = {{{labels}}};
+static void put(char c) {{ while (!(UCSR0A & (1 << UDRE0))) {{}} UDR0 = (uint8_t)c; }}
+int main(void)
+{{
+    uint16_t wrong = 0;
+    UCSR0B = 1 << TXEN0;
+    for (uint16_t i = 0; i < {count}; ++i) {{
+        int16_t z[{n}];
+        for (uint8_t j = 0; j < {n}; ++j) {{ z[j] = (int16_t)pgm_read_word(steps + {n} * i + j); }}
+        wrong += {p}_symbol(z) != pgm_read_byte(labels + i);
+    }}
+    put('w'); put('r'); put('o'); put('n'); put('g');
+    for (int8_t digit = 15; digit >= 0; --digit) {{ put((char)('0' + ((wrong >> digit) & 1))); }}
+    put('\\n');
+    cli();
+    sleep_mode();
+    for (;;) {{}}
+}}
+"""
+
+
+def need(*tools):
+    for tool in tools:
+        if not shutil.which(tool):
+            pytest.skip(f"{tool} is not installed")
+
+
+def prefix_of(files):
+    (name,) = [name for name in files if name.endswith(".h")]
+    return name[:-2]
+
+
+def write(files, directory, **more):
+    directory.mkdir(parents=True, exist_ok=True)
+    for name, content in {**files, **more}.items():
+        (directory / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+def call(command, directory, **options):
+    done = subprocess.run(
+        command, cwd=directory, capture_output=True, text=True, timeout=60, **options
+    )
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
+    return done.stdout + done.stderr
+
+
+class Library:
+    """The C of an export on this computer."""
+
+    def __init__(self, files, directory, n, compiler="gcc", options=("-O1",), wide=False):
+        need(compiler)
+        self.prefix = p = prefix_of(files)
+        header = files[f"{p}.h"].decode()
+        self.real = np.float32 if f"{p}_decide(const float" in header else np.float64
+        self.integer = np.int32 if "const int32_t z[" in header else np.int16
+        names = {"p": p, "n": n, "real": "float" if self.real is np.float32 else "double"}
+        names["z"] = self.integer.__name__ + "_t"
+        text = ENTRY + LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
+        write(files, directory, **{"entry.c": text.format(**names)})
+        flags = ["-std=c99", *options, *WARNINGS, "-shared", "-fPIC"]
+        call([compiler, *flags, f"{p}.c", "entry.c", "-o", "library.so"], directory)
+        self.library = ctypes.CDLL(str(directory / "library.so"))
+
+    def _call(self, name, *arrays):
+        pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in arrays]
+        getattr(self.library, name)(ctypes.c_long(len(arrays[0])), *pointers)
+
+    def decide(self, states):
+        x = np.ascontiguousarray(states, dtype=self.real)
+        symbols, statuses = np.empty(len(x), np.int16), np.empty(len(x), np.int32)
+        self._call("decide", x, symbols, statuses)
+        return symbols, statuses
+
+    def look(self, steps):
+        symbols = np.empty(len(steps), np.int16)
+        self._call("look", np.ascontiguousarray(steps, dtype=self.integer), symbols)
+        return symbols
+
+    def run(self, states, now):
+        x, symbols = np.ascontiguousarray(states, dtype=self.real), np.empty(len(states), np.int16)
+        self._call("run", x, np.ascontiguousarray(now, dtype=np.uint32), symbols)
+        return symbols
+
+
+def _vectors(golden, count):
+    steps, labels = golden.steps[:count], golden.labels[:count]
+    return {
+        "steps": ", ".join(map(str, steps.ravel().tolist())),
+        "labels": ", ".join(map(str, labels.tolist())),
+        "count": len(labels),
+        "n": steps.shape[1],
+    }
+
+
+def cortex_m3(files, golden, directory):
+    """Return how many golden vectors a Cortex-M3 gets wrong."""
+    need("arm-none-eabi-gcc", "qemu-system-arm")
+    p = prefix_of(files)
+    main = CORTEX_M.format(p=p, **_vectors(golden, len(golden)))
+    write(files, directory, **{"main.c": main, "link.ld": LINK.format()})
+    command = "arm-none-eabi-gcc -std=gnu99 -mcpu=cortex-m3 -mthumb -Os -ffreestanding -nostdlib"
+    more = ["-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections", "-T", "link.ld"]
+    more += ["main.c", f"{p}.c", "-lgcc", "-o", "main.elf"]
+    call([*command.split(), *more], directory)
+    machine = (
+        "qemu-system-arm -M lm3s6965evb -nographic -monitor none -serial none -kernel main.elf"
+    )
+    target = ["-semihosting-config", "enable=on,target=native"]
+    return subprocess.run([*machine.split(), *target], cwd=directory, timeout=60).returncode
+
+
+def avr(files, golden, directory):
+    """Return how many of 1,000 golden vectors an ATmega328P gets wrong: as many as it holds."""
+    need("avr-gcc", "simavr")
+    p = prefix_of(files)
+    write(files, directory, **{"main.c": AVR.format(p=p, **_vectors(golden, 1000))})
+    command = "avr-gcc -std=gnu99 -mmcu=atmega328p -Os -ffunction-sections -fdata-sections"
+    more = [
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-Wl,--gc-sections",
+        "main.c",
+        f"{p}.c",
+        "-o",
+        "main.elf",
+    ]
+    call([*command.split(), *more], directory)
+    told = call(["simavr", "-m", "atmega328p", "-f", "16000000", "main.elf"], directory)
+    (digits,) = re.findall(r"wrong([01]{16})", told)
+    return int(digits, 2)
