@@ -122,8 +122,8 @@ def test_wrong_options_are_told(options, words, tmp_path):
 
 
 def test_unknown_targets_list_the_known(tmp_path):
-    for wrong in ("fortran", None, ["c"]):
-        with pytest.raises(ProblemError, match="c, structured-text, .*json; got"):
+    for wrong in ("fortran", None, ["python", "fortran"], [], {"c"}):
+        with pytest.raises(ProblemError, match="c, structured-text, .*json, or several; got"):
             export(small(), wrong, tmp_path)
     with pytest.raises(ProblemError, match="`policy` must be a capsyn.Policy"):
         export("p.cap", "python", tmp_path)

@@ -10,8 +10,7 @@ from c_machines import WARNINGS, Library, avr, call, cortex_m3, need, prefix_of,
 from capsyn import problems
 from capsyn.decision_tree import DecisionTree, Guarantee
 from capsyn.errors import ProblemError
-from capsyn.exports import c_table
-from capsyn.exports.c import files
+from capsyn.exports import c, c_table
 from capsyn.exports.c_language import round_up
 from capsyn.exports.c_sizes import sizes
 from capsyn.exports.golden import decide, golden_vectors
@@ -28,6 +27,11 @@ POLICIES = {
 STYLES = ("table", "nested", "grid")
 COMPILERS = ("gcc", "clang")
 NESTED = ("linear", "nested")
+
+
+def files(plan, golden, **options):
+    """Return the files of target c."""
+    return c.files(plan, golden, **options).files
 
 
 @functools.cache

@@ -33,7 +33,7 @@ def policies():
 
 
 def source(plan, **options):
-    (text,) = target.files(plan, golden_vectors(plan), **options).values()
+    (text,) = target.files(plan, golden_vectors(plan), **options).files.values()
     return text
 
 

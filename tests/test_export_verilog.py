@@ -54,7 +54,7 @@ def simulate(folder, files):
 
 def check(folder, plan, **options):
     golden = golden_vectors(plan)
-    files = target.files(plan, golden, **options)
+    files = target.files(plan, golden, **options).files
     name = next(iter(files))
     finite = int((golden.statuses != 2).sum())
     assert simulate(folder, files) == f"PASS: {finite} vectors\n"
@@ -152,7 +152,7 @@ def test_counts_of_a_sensor_fill_a_port(tmp_path):
 def test_expected_symbols_are_the_policys_at_the_quantised_states(periodic):
     policy = random_policy(3, periodic=periodic)
     plan, domain = Plan.of(policy), policy.domain
-    files = target.files(plan, golden_vectors(plan), inputs="fixed")
+    files = target.files(plan, golden_vectors(plan), inputs="fixed").files
     about = re.findall(r"^// x\d: (\d+) bits, fraction (\d+)", files["random.v"].decode(), re.M)
     seen = 0
     for line in files["random.mem"].decode().splitlines():
@@ -186,7 +186,7 @@ def test_a_single_leaf(tmp_path):
 
 def test_a_wrong_symbol_is_found(policies, tmp_path):
     plan = Plan.of(policies["double-tank-b"])
-    files = target.files(plan, golden_vectors(plan))
+    files = target.files(plan, golden_vectors(plan)).files
     lines = files["double_tank_b.mem"].decode().splitlines()
     lines[-1] = f"{int(lines[-1], 16) ^ 1:0{len(lines[-1])}x}"
     files["double_tank_b.mem"] = ("\n".join(lines) + "\n").encode()
@@ -253,7 +253,7 @@ def test_synthesis(policies, tmp_path):
     cells = {}
     for inputs in ("lattice", "fixed"):
         plan = Plan.of(policies["double-tank-b"])
-        files = target.files(plan, golden_vectors(plan), inputs=inputs, name="top")
+        files = target.files(plan, golden_vectors(plan), inputs=inputs, name="top").files
         (tmp_path / "top.v").write_bytes(files["top.v"])
         told = run(tmp_path, "yosys", "-p", "read_verilog top.v; synth_ice40 -top top; stat")
         warnings = re.findall("^.*warning.*$", told, re.M | re.I)
@@ -283,7 +283,7 @@ def test_names_that_the_language_keeps(tmp_path):
 def test_same_input_same_bytes_and_header(policies):
     plan = Plan.of(policies["double-tank-b"])
     for inputs in ("lattice", "fixed"):
-        made = [target.files(plan, golden_vectors(plan), inputs=inputs) for _ in range(2)]
+        made = [target.files(plan, golden_vectors(plan), inputs=inputs).files for _ in range(2)]
         assert made[0] == made[1]
         for content in made[0].values():
             for line in plan.header:
@@ -293,7 +293,7 @@ def test_same_input_same_bytes_and_header(policies):
 def test_bad_options(policies):
     def files(name="double-tank-a", **options):
         plan = Plan.of(policies[name])
-        return target.files(plan, golden_vectors(plan), **options)
+        return target.files(plan, golden_vectors(plan), **options).files
 
     with pytest.raises(ProblemError, match="would fall together.*at least 9 bits with 8"):
         files(inputs="fixed", bits=8, fraction=6)

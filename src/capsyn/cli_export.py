@@ -15,7 +15,13 @@ TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
 
 def export(
     file: File,
-    to: Annotated[str, typer.Option("--to", metavar="TARGET", help=f"One of {TARGETS}.")],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="TARGET[,..]",
+            help=f"One of {TARGETS}; several, or all, into a folder each.",
+        ),
+    ],
     output: Annotated[
         str, typer.Option("--output", "-o", metavar="DIR", help="Where; made if need be.")
     ],
@@ -57,7 +63,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a policy or a tree in another language, with golden vectors and what it costs."""
-    from capsyn.exports.export import check_options, export
+    from capsyn.exports.export import CERTIFICATE, check_options, export
     from capsyn.policy import Policy
 
     options: dict[str, Any] = {
@@ -66,7 +72,8 @@ def export(
     }
     own = {"style": style, "arithmetic": arithmetic, "name": name}
     options |= {key: value for key, value in own.items() if value is not None}
-    check_options(to, options)
+    targets = TARGETS.split(", ") if to == "all" else to.split(",")
+    check_options(targets, options)
     given = {
         "safe": safe,
         "dwell": dwell,
@@ -75,16 +82,17 @@ def export(
     }
     options |= {key: value for key, value in given.items() if value is not None}
     policy = Policy.load(file)
+    one = len(targets) == 1
     with working(f"exporting to {to}"):
-        written = export(policy, to, output, **options)
-    certificate = next(path for path in written if path.name == "certificate.json")
+        written = export(policy, targets[0] if one else targets, output, **options)
+    found = [json.loads(path.read_bytes()) for path in written if path.name == CERTIFICATE]
     data = {
         "files": [str(path) for path in written],
-        "certificate": json.loads(certificate.read_bytes()),
+        "certificate": found[0] if one else dict(zip(targets, found)),
     }
 
     def told() -> None:
-        print_export(data)
+        print_export(list(map(str, written)), found)
 
     show(as_json, data, told)
 
@@ -104,15 +112,26 @@ def _value(text: str) -> Any:
     return text
 
 
-def print_export(data: dict[str, Any]) -> None:
-    """Print which files were written, and what a decision costs."""
-    figures = data["certificate"]
-    compared = figures["comparisons"]
+def print_export(files: list[str], certificates: list[dict[str, Any]]) -> None:
+    """Print what a decision costs, and which files were written."""
+    tree = certificates[0]
+    compared = tree["comparisons"]
     mean = "" if compared["mean"] is None else f", {compared['mean']:.1f} on average"
     typer.echo(
-        f"{figures['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
-        f"{figures['tree_bytes']:,} bytes"
+        f"{tree['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
+        f"{tree['tree_bytes']:,} bytes"
     )
-    typer.echo(figures["guarantee"])
-    for name in data["files"]:
+    typer.echo(tree["guarantee"])
+    for figures in certificates:
+        changed = f"{figures['changed_by_rounding']:.2%}"
+        typer.echo(f"{figures['target']}: quantisation changes the symbol of {changed} of states")
+        for note in figures["notes"]:
+            typer.echo(f"  {note}")
+        if figures["renamed"]:
+            pairs = (f"{old!r} is {new}" for old, new in figures["renamed"].items())
+            typer.echo(f"  renamed: {', '.join(pairs)}")
+        for processor, found in figures.get("measured", {}).items():
+            words = [f"{name.replace('_', ' ')} {value:,}" for name, value in found.items()]
+            typer.echo(f"  {processor}: {', '.join(words)} bytes")
+    for name in files:
         typer.echo(f"wrote {name}")

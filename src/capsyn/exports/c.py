@@ -29,8 +29,8 @@ from capsyn.exports.c_quantiser import (
 )
 from capsyn.exports.c_table import table
 from capsyn.exports.golden import Golden
-from capsyn.exports.identifiers import file_name, identifiers
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.identifiers import file_name, identifiers, renamed
+from capsyn.exports.plan import Made, Plan
 from capsyn.split_tree import SplitTree
 from capsyn.validation import one_of
 
@@ -46,7 +46,7 @@ def files(
     arithmetic: str = "lattice",
     name: str | None = None,
     tick: float = 1e-6,
-) -> Files:
+) -> Made:
     """Return a header, a source, a snippet for CMake and an example.
 
     Parameters
@@ -68,12 +68,14 @@ def files(
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
     code = Code.of(plan, style, arithmetic, name, tick)
     prefix = code.prefix
-    return {
+    written = {
         f"{prefix}.h": code.header().encode(),
         f"{prefix}.c": code.source().encode(),
         "example.c": code.example().encode(),
         "CMakeLists.txt": code.cmake().encode(),
     }
+    changed = share_changed_by_single_precision(plan) if code.real == "float" else 0.0
+    return Made(written, code.renamed, code.wide(), changed)
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,25 @@ class Code:
         """Type of lattice steps."""
         return z_type(self.tree.counts)
 
+    @property
+    def symbols(self) -> list[str]:
+        """Names of the symbols in capital letters."""
+        return [name.upper() for name in identifiers(self.plan.symbol_names, fold=True)]
+
+    @property
+    def renamed(self) -> dict[str, str]:
+        """Names that are no identifiers, and what they became."""
+        symbols = zip(self.plan.symbol_names, self.symbols)
+        changed = {old: new for old, new in symbols if old.upper() != new}
+        return renamed([self.wanted], [self.prefix]) | changed
+
+    def wide(self) -> tuple[str, ...]:
+        """Return that lattice steps need 32 bits, where they do."""
+        many = max(self.tree.counts)
+        if self.integer == "int16_t":
+            return ()
+        return (f"lattice steps are {self.integer}: an axis has {many:,} steps, beyond 16 bits",)
+
     def about(self, role: str) -> str:
         """Return the comment that a file begins with."""
         return comment([*self.plan.header, f"Target c, {self.style}, {self.arithmetic}: {role}."])
@@ -127,10 +148,7 @@ class Code:
     def header(self) -> str:
         """Return the header file."""
         plan, p, upper = self.plan, self.prefix, self.prefix.upper()
-        names = identifiers(plan.symbol_names, fold=True)
-        symbols = ",\n".join(
-            f"    {upper}_SYMBOL_{name.upper()} = {k}" for k, name in enumerate(names)
-        )
+        symbols = ",\n".join(f"    {upper}_SYMBOL_{s} = {k}" for k, s in enumerate(self.symbols))
         n = plan.n
         inputs = len(plan.policy.alphabet.inputs)
         lattice = self.arithmetic == "lattice"
@@ -249,17 +267,11 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
         lines.append(
             "Status: OUTSIDE of the domain, or NOT_FINITE, or OK. Symbols outside are those above."
         )
-        if self.prefix != self.wanted:
-            lines.append(f"Name '{self.wanted}' became {self.prefix}.")
         lines.append(
             "MISRA C:2012: deviations, of the category advisory only: 2.4 (symbols are for "
             "callers), 8.7 (callers may call every function of this file)."
         )
-        names = identifiers(plan.symbol_names, fold=True)
-        for k, name in enumerate(names):
-            if name != plan.symbol_names[k]:
-                lines.append(f"Symbol '{plan.symbol_names[k]}' became {name.upper()}.")
-        return lines
+        return lines + [f"Name '{old}' became {new}." for old, new in self.renamed.items()]
 
     def source(self) -> str:
         """Return the source file."""

@@ -6,10 +6,10 @@ from capsyn.automaton import Automaton
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import Made, Plan
 
 
-def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
+def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     """Return the graph, ``NAME.dot``; see `Automaton.to_dot`.
 
     Parameters
@@ -24,4 +24,4 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
         )
     header = "".join(f"// {line}\n" for line in plan.header)
     file = f"{file_name(name, plan.policy.name)}.dot"
-    return {file: (header + Automaton.of(plan.policy).to_dot()).encode()}
+    return Made({file: (header + Automaton.of(plan.policy).to_dot()).encode()})

@@ -10,6 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from capsyn.errors import ProblemError
@@ -29,25 +30,36 @@ TARGETS = {
     "dot": "dot",
     "json": "policy_json",
 }
-"""Targets and their modules, each with ``files(plan, golden, **options) -> Files``."""
+"""Targets and their modules, each with ``files(plan, golden, **options) -> Made``."""
+
+CERTIFICATE = "certificate.json"
+"""File of what a decision costs; see `certificate`."""
 
 
-def check_options(to: str, names: Iterable[str]) -> None:
-    """Raise unless a target is known, and has options of these names of its own."""
-    if not isinstance(to, str) or to not in TARGETS:
-        raise ProblemError(f"`to` must be one of {', '.join(TARGETS)}; got {describe(to)}")
-    module = importlib.import_module(f"capsyn.exports.{TARGETS[to]}")
-    known = list(inspect.signature(module.files).parameters)[2:]
-    for name in names:
-        if name not in known:
+def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
+    """Return the targets; raise unless they are known, and have options of these names."""
+    targets = tuple(to) if isinstance(to, (list, tuple)) else (to,)
+    for target in targets or (to,):
+        if not isinstance(target, str) or target not in TARGETS:
             raise ProblemError(
-                f"`{name}` is no option of target {to}, which has {', '.join(known) or 'none'}"
+                f"`to` must be one of {', '.join(TARGETS)}, or several; got {describe(target)}"
             )
+        known = list(inspect.signature(_module(target).files).parameters)[2:]
+        for name in names:
+            if name not in known:
+                raise ProblemError(
+                    f"`{name}` is no option of target {target}, which has {', '.join(known)}"
+                )
+    return targets
+
+
+def _module(target: str) -> ModuleType:
+    return importlib.import_module(f"capsyn.exports.{TARGETS[target]}")
 
 
 def export(
     policy: Policy,
-    to: str,
+    to: str | list[str] | tuple[str, ...],
     directory: str | os.PathLike[str],
     *,
     safe: int | str | None = None,
@@ -62,10 +74,11 @@ def export(
     ----------
     policy : Policy
         A policy of cells, of which the exact tree is exported, or a decision tree.
-    to : str
-        One of `TARGETS`.
+    to : str, or list of str
+        One of `TARGETS`; or several, each into a folder of its name.
     directory : path
-        Where; it is made if need be. Files of the same names are replaced, others left alone.
+        Where; it is made if need be. Files of the same names are replaced, others left alone; if
+        anything fails, everything is as it was.
     safe : symbol index or name, optional
         Symbol of states that have no other. Default: the policy's own safe symbol, or the default.
     dwell : float, optional
@@ -80,14 +93,18 @@ def export(
     ProblemError
         An unknown target or option, or one that the policy does not allow.
     """
-    check_options(to, options)
-    module = importlib.import_module(f"capsyn.exports.{TARGETS[to]}")
+    targets = check_options(to, options)
     plan = Plan.of(policy, safe=safe, dwell=dwell, scale=scale, offset=offset)
     golden = golden_vectors(plan)
-    files = module.files(plan, golden, **options)
-    files["golden.csv"] = golden.to_csv(policy.domain.names)
-    figures = certificate(plan, files, to)
-    files["certificate.json"] = (json.dumps(figures, indent=2, sort_keys=True) + "\n").encode()
+    vectors = golden.to_csv(policy.domain.names)
+    files: Files = {}
+    for target in targets:
+        made = _module(target).files(plan, golden, **options)
+        made.files["golden.csv"] = vectors
+        figures = certificate(plan, made, target)
+        made.files[CERTIFICATE] = (json.dumps(figures, indent=2, sort_keys=True) + "\n").encode()
+        folder = "" if isinstance(to, str) else f"{target}/"
+        files |= {folder + name: content for name, content in made.files.items()}
     return _write(files, Path(directory))
 
 

@@ -26,8 +26,8 @@ import numpy as np
 from capsyn import __version__
 from capsyn.errors import CapsynWarning, KernelBuildError
 from capsyn.exports.golden import Golden
-from capsyn.exports.identifiers import file_name, identifiers
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.identifiers import file_name, identifiers, renamed
+from capsyn.exports.plan import Files, Made, Plan
 from capsyn.native.build import find_compiler
 from capsyn.policy_file import content_hash
 
@@ -45,7 +45,7 @@ OWN = ("symbol", "status", "min_dwell", "time")
 
 def files(
     plan: Plan, golden: Golden, *, name: str | None = None, sources_only: bool = False
-) -> Files:
+) -> Made:
     """Return the unit, ``NAME.fmu``.
 
     Parameters
@@ -65,7 +65,8 @@ def files(
     }
     if not sources_only:
         content |= _binary(name, source)
-    return {f"{name}.fmu": _zip(content)}
+    given = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
+    return Made({f"{name}.fmu": _zip(content)}, renamed(given, _variables(plan)))
 
 
 def _guid(plan: Plan) -> str:
@@ -123,11 +124,17 @@ def _warn(reason: str) -> None:
     warnings.warn(f"the FMU has no binary, only sources: {reason}", CapsynWarning, stacklevel=4)
 
 
+def _variables(plan: Plan) -> tuple[str, ...]:
+    """Return the names of the variables of states and inputs."""
+    policy = plan.policy
+    return identifiers([*policy.domain.names, *policy.alphabet.inputs], [*C_KEYWORDS, *OWN])
+
+
 def _description(plan: Plan, name: str, guid: str) -> str:
     policy = plan.policy
     domain, alphabet = policy.domain, policy.alphabet
     n, m = domain.n, alphabet.m
-    own = identifiers([*domain.names, *alphabet.inputs], [*C_KEYWORDS, *OWN])
+    own = _variables(plan)
     variables, units = [], set()
 
     def variable(

@@ -8,7 +8,7 @@ from typing import Any
 
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import Made, Plan
 
 CODE = """
 /** Return the lattice steps of a state of finite numbers; beyond the bounds the nearest. */
@@ -96,7 +96,7 @@ export class Controller {
 """
 
 
-def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
+def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     """Return an ES module, ``NAME.mjs``.
 
     Parameters
@@ -140,4 +140,5 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
     for constant, value, note in tables:
         lines += [f"// {note}", f"const {constant} ="]
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
-    return {f"{file_name(name, policy.name)}.mjs": ("\n".join(lines) + "\n" + CODE).encode()}
+    file = f"{file_name(name, policy.name)}.mjs"
+    return Made({file: ("\n".join(lines) + "\n" + CODE).encode()})

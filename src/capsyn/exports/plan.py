@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,6 +21,29 @@ Files = dict[str, bytes]
 """Contents of files by name."""
 OK, OUTSIDE, NOT_FINITE = 0, 1, 2
 """Status of a decision: a state in the domain, outside it, or with a NaN or infinite component."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a target makes of a plan.
+
+    Parameters
+    ----------
+    files : dict of bytes by name
+        Its files.
+    renamed : dict, optional
+        Names that are no identifiers of the language, and what they became.
+    notes : tuple of texts, optional
+        What a user must be told.
+    changed : float, optional
+        Share of states in the domain whose symbol is another than the policy's, as numbers are
+        rounded for the target; 0 where the target rounds to the policy's own lattice.
+    """
+
+    files: Files
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    changed: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Any
 from capsyn import __version__
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import Made, Plan
 from capsyn.policy_file import content_hash
 
 FORMAT, VERSION = "capsyn-policy-json", 1
@@ -36,7 +36,7 @@ WALK = (
 )
 
 
-def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
+def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     """Return the policy, ``NAME.json``, and the schema of all such files.
 
     Parameters
@@ -48,7 +48,8 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
     text = json.dumps(document(plan), indent=2, allow_nan=False)
     # lists of numbers in one line each
     text = re.sub(r"\[\n\s+(-?\d[^\[\]{}\"]*?)\n\s+\]", _line, text)
-    return {f"{file_name(name, plan.policy.name)}.json": (text + "\n").encode(), SCHEMA: schema}
+    file = f"{file_name(name, plan.policy.name)}.json"
+    return Made({file: (text + "\n").encode(), SCHEMA: schema})
 
 
 def _line(found: re.Match[str]) -> str:

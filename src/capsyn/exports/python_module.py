@@ -10,7 +10,7 @@ from typing import Any
 
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import Made, Plan
 
 KEYWORDS = {*keyword.kwlist, *keyword.softkwlist, *sys.stdlib_module_names}
 """Names that the module cannot have, or that would hide another."""
@@ -98,7 +98,7 @@ class Controller:
 '''
 
 
-def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
+def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     """Return a module of Python 3.8 or later.
 
     Parameters
@@ -138,7 +138,8 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
         f"MIN_DWELL = {plan.dwell!r}  # least time between switches [s]",
         "OK, OUTSIDE, NOT_FINITE = 0, 1, 2  # statuses",
     ]
-    return {f"{file_name(name, policy.name, KEYWORDS)}.py": ("\n".join(lines) + CODE).encode()}
+    file = f"{file_name(name, policy.name, KEYWORDS)}.py"
+    return Made({file: ("\n".join(lines) + CODE).encode()})
 
 
 def _tuple(name: str, values: Sequence[Any]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Files, Plan
+from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Files, Made, Plan
 from capsyn.exports.structured_text_lines import (
     KEYWORDS,
     WIDTH,
@@ -36,7 +36,7 @@ LOCAL = ("z", "wanted", "started", "elapsed", "node", "value", "axis", "i")
 TABLES = ("splits", "thresholds", "seconds", "planes")
 
 
-def files(plan: Plan, golden: Golden, *, style: str = "nested", name: str | None = None) -> Files:
+def files(plan: Plan, golden: Golden, *, style: str = "nested", name: str | None = None) -> Made:
     """Return a function block and the functions that it calls, as one file.
 
     The inputs are readings in LREAL, the outputs the symbol, the status (0 in the domain, 1
@@ -51,7 +51,8 @@ def files(plan: Plan, golden: Golden, *, style: str = "nested", name: str | None
         Name of the block. Default: that of the policy.
     """
     one_of("style", style, ["nested", "table"])
-    return _Block(plan, style, name).files()
+    block = _Block(plan, style, name)
+    return Made(block.files(), block.renamed, block.notes)
 
 
 class _Block:
@@ -246,13 +247,23 @@ END_FUNCTION""".splitlines()
     def _raw(self) -> list[bool]:
         return ((self.plan.scale != 1) | (self.plan.offset != 0)).tolist()
 
-    def _tables(self) -> list[str]:
+    @property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """The tables by name."""
         tree = self.plan.tree.cells
         arrays = [tree.split, tree.threshold, tree.second]
-        arrays += [tree.planes.ravel()] * bool(len(tree.planes))
+        return dict(zip(TABLES, arrays + [tree.planes.ravel()] * bool(len(tree.planes))))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user must be told."""
+        wide = [name for name, values in self._arrays.items() if _wide(values)] * self.table
+        return (f"tables of 32-bit numbers (DINT): {', '.join(wide)}",) if wide else ()
+
+    def _tables(self) -> list[str]:
         lines = []
-        for name, values in zip(TABLES, arrays):
-            wide = np.abs(values.astype(np.int64)).max() > SHORT
+        for name, values in self._arrays.items():
+            wide = _wide(values)
             kind = "DINT" if wide else "INT"
             if wide:
                 lines.append("    (* numbers beyond 16 bits *)")
@@ -361,3 +372,8 @@ END_FUNCTION""".splitlines()
             "    END_IF;",
             "END_IF;",
         ]
+
+
+def _wide(values: np.ndarray) -> bool:
+    """Return whether numbers need more than 16 bits."""
+    return bool(np.abs(values.astype(np.int64)).max() > SHORT)

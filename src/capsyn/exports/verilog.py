@@ -10,7 +10,7 @@ from decimal import Decimal
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import Made, Plan
 from capsyn.exports.verilog_bench import Interface, bench
 from capsyn.exports.verilog_ports import Port, changed_share, fixed_ports, fold, width_of
 from capsyn.exports.verilog_tree import TreeCircuit
@@ -43,7 +43,7 @@ def files(
     fraction: int | Sequence[int | None] | None = None,
     clock_hz: float = 50e6,
     name: str | None = None,
-) -> Files:
+) -> Made:
     """Return a module, its test bench and the golden vectors that this reads.
 
     Parameters
@@ -73,11 +73,12 @@ def files(
     module = _Module(plan, ports, pipeline, clock, name)
     made, vectors, about = bench(module.interface, golden)
     text = "\n".join(module.lines(about)) + "\n"
-    return {
+    written = {
         f"{module.name}.v": text.encode("ascii"),
         f"{module.name}_tb.v": made,
         f"{module.name}.mem": vectors,
     }
+    return Made(written, module.renamed, changed=changed_share(plan, ports) if ports else 0.0)
 
 
 def _per_state(name: str, given: object, n: int, least: int) -> tuple[int | None, ...]:
