@@ -80,8 +80,11 @@ def test_readings_pass_faces_where_states_do(scale, offset):
 def test_golden_vectors_as_csv():
     policy = random_policy(4)
     domain = dataclasses.replace(policy.domain, names=["a, b", 'say "x"'])
-    golden = golden_vectors(Plan.of(dataclasses.replace(policy, domain=domain)))
-    rows = list(csv.reader(golden.to_csv(domain.names).decode().splitlines()))
+    plan = Plan.of(dataclasses.replace(policy, domain=domain))
+    golden = golden_vectors(plan)
+    text = golden.to_csv(plan).decode().splitlines()
+    assert [line[2:] for line in text if line[0] == "#"] == list(plan.header)
+    rows = list(csv.reader(text[len(plan.header) :]))
     assert rows[0] == ["a, b", 'say "x"', "step_0", "step_1", "symbol", "status"]
     data = np.array(rows[1:], dtype=float)
     np.testing.assert_array_equal(data[:, :2], golden.readings)

@@ -23,6 +23,16 @@ def test_links_and_pictures_exist():
             assert (document.parent / link).exists(), f"{document.name}: {link}"
 
 
+def test_the_code_of_the_guide_to_exports_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs" / "exports.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    names = {}
+    exec(compile(code, "exports.md", "exec"), names)
+    assert {path.name for path in names["files"]} >= {"cart_pendulum.c", "golden.csv"}
+    assert (tmp_path / "build" / "structured-text" / "cart_pendulum.st").exists()
+
+
 def test_the_code_of_the_guide_to_evidence_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "docs" / "evidence.md").read_text()

@@ -44,11 +44,12 @@ def export(
     ] = None,
     offset: Annotated[str | None, typer.Option(metavar="O[,O..]", help="See --scale [0].")] = None,
     style: Annotated[
-        str | None, typer.Option(help="How the tree is laid out, of targets that have a choice.")
+        str | None,
+        typer.Option(
+            help="c: table (smallest), nested, grid (fastest); structured-text: nested, table."
+        ),
     ] = None,
-    arithmetic: Annotated[
-        str | None, typer.Option(help="Of numbers, of targets that have a choice.")
-    ] = None,
+    arithmetic: Annotated[str | None, typer.Option(help="c: lattice, double, float.")] = None,
     name: Annotated[
         str | None,
         typer.Option(help="What files and functions are called [default: the policy's name]."),

@@ -21,6 +21,7 @@ def certificate(plan: Plan, made: Made, target: str) -> dict[str, Any]:
     """
     tree = plan.tree
     figures = {
+        "header": list(plan.header),
         "target": target,
         "policy": plan.policy.name,
         "sha256": content_hash(plan.policy),

@@ -96,7 +96,7 @@ def export(
     targets = check_options(to, options)
     plan = Plan.of(policy, safe=safe, dwell=dwell, scale=scale, offset=offset)
     golden = golden_vectors(plan)
-    vectors = golden.to_csv(policy.domain.names)
+    vectors = golden.to_csv(plan)
     files: Files = {}
     for target in targets:
         made = _module(target).files(plan, golden, **options)

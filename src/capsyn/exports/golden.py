@@ -37,12 +37,16 @@ class Golden:
     def __len__(self) -> int:
         return len(self.labels)
 
-    def to_csv(self, names: tuple[str, ...]) -> bytes:
-        """Return the vectors as CSV: readings in full precision, steps, symbol, status."""
+    def to_csv(self, plan: Plan) -> bytes:
+        """Return the vectors as CSV: readings in full precision, steps, symbol, status.
+
+        First come the lines of the plan's header, each after a ``#``.
+        """
+        names = plan.policy.domain.names
         steps = (f"step_{i}" for i in range(self.steps.shape[1]))
         head = io.StringIO()
         csv.writer(head, lineterminator="").writerow([*names, *steps, "symbol", "status"])
-        rows = [head.getvalue()]
+        rows = [*(f"# {line}" for line in plan.header), head.getvalue()]
         columns = (self.readings, self.steps, self.labels, self.statuses)
         for reading, step, label, status in zip(*(column.tolist() for column in columns)):
             rows.append(",".join([*map(repr, reading), *map(str, [*step, label, status])]))

@@ -175,8 +175,16 @@ class Plan:
         lines.append(f"Least time between switches: {self.dwell!r} s")
         if policy.settings is not None and policy.horizon is not None:
             settings = policy.settings
-            made = f"rule {settings.rule}, horizon {policy.horizon!r} s, {settings.steps} steps"
-            lines.append(f"Made by {made}")
+            wanted = f"alpha_d {settings.alpha_d!r}"
+            if settings.alpha_d is None:
+                wanted = f"gamma {settings.gamma!r}"
+            weight = np.asarray(settings.control_weight).tolist()
+            lines.append(
+                f"Made by sSAC: rule {settings.rule}, "
+                + (f"{wanted}, " if settings.rule == "schedule" else "")
+                + f"control weight {weight!r}, {settings.on_no_descent} where none descends, "
+                f"horizon {policy.horizon!r} s, {settings.steps} steps, {settings.precision}"
+            )
         lines.append(f"Tree: {self.tree.node_count} nodes; {self.tree.guarantee.text}.")
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
         return tuple(lines)
