@@ -107,7 +107,9 @@ class _Module:
         names = [text[:LONGEST_NAME] + end for text in domain.names]
         own |= {text for text in names if _is_inner(text)}
         self.inputs = identifiers(names, {*KEYWORDS, *own})
-        self.renamed = renamed([given, *names], [self.name, *self.inputs])
+        ports_of = zip(domain.names, names, self.inputs)
+        changed = {name: port for name, wanted, port in ports_of if port != wanted}
+        self.renamed = renamed([given], [self.name]) | changed
         self.symbol_bits = width_of(plan.labels - 1)
         # of fixed-point ports the numbers themselves are compared, unless sums need steps
         self.direct = ports is not None and not len(self.tree.planes)
