@@ -98,6 +98,7 @@ ORDER = [
     "reproduction",
     "exports",
     "exports.plan",
+    "exports.constants",
     "exports.golden",
     "exports.identifiers",
     "exports.c_language",

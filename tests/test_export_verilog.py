@@ -7,26 +7,16 @@ import numpy as np
 import pytest
 
 import capsyn
-from capsyn import Alphabet, Box, Policy, problems
+from capsyn import Alphabet, Box, Policy
 from capsyn.errors import ProblemError
 from capsyn.exports import verilog as target
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.split_tree import LEAF, SplitTree
+from exported import PROBLEMS, built_in
 from trees import GRIDS, random_policy, random_tree
 
-NAMES = ["cart-pendulum", "cart-pendulum-4", "double-tank-a", "double-tank-b", "cart-pole"]
 KINDS = [(inputs, pipeline) for inputs in ("lattice", "fixed") for pipeline in (False, True)]
-
-
-@pytest.fixture(scope="module")
-def policies():
-    return {
-        name: capsyn.synthesize(
-            problems.get(name), **({"max_level": 2} if name == "cart-pole" else {})
-        )
-        for name in NAMES
-    }
 
 
 def tool(name):
@@ -112,9 +102,9 @@ def oblique(n=3, size=40, seed=0, periodic=False):
 
 
 @pytest.mark.parametrize("inputs, pipeline", KINDS)
-@pytest.mark.parametrize("name", NAMES)
-def test_every_golden_vector_has_its_symbol(policies, name, inputs, pipeline, tmp_path):
-    text = check(tmp_path, Plan.of(policies[name]), inputs=inputs, pipeline=pipeline)
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_every_golden_vector_has_its_symbol(name, inputs, pipeline, tmp_path):
+    text = check(tmp_path, Plan.of(built_in(name)), inputs=inputs, pipeline=pipeline)
     if inputs == "fixed":
         share = float(re.search(r"whose symbol the rounding changes: (\S+)", text)[1])
         assert share < 0.01
@@ -172,9 +162,9 @@ def test_expected_symbols_are_the_policys_at_the_quantised_states(periodic):
     assert seen > 1000
 
 
-def test_outside_takes_the_nearest_or_the_safe_symbol(policies, tmp_path):
-    assert policies["cart-pendulum"].outside == "nearest"
-    check(tmp_path, Plan.of(policies["double-tank-b"], safe=1), inputs="fixed")
+def test_outside_takes_the_nearest_or_the_safe_symbol(tmp_path):
+    assert built_in("cart-pendulum").outside == "nearest"
+    check(tmp_path, Plan.of(built_in("double-tank-b"), safe=1), inputs="fixed")
 
 
 def test_a_single_leaf(tmp_path):
@@ -184,8 +174,8 @@ def test_a_single_leaf(tmp_path):
         check(tmp_path, Plan.of(policy), inputs=inputs, pipeline=pipeline)
 
 
-def test_a_wrong_symbol_is_found(policies, tmp_path):
-    plan = Plan.of(policies["double-tank-b"])
+def test_a_wrong_symbol_is_found(tmp_path):
+    plan = Plan.of(built_in("double-tank-b"))
     files = target.files(plan, golden_vectors(plan)).files
     lines = files["double_tank_b.mem"].decode().splitlines()
     lines[-1] = f"{int(lines[-1], 16) ^ 1:0{len(lines[-1])}x}"
@@ -248,11 +238,11 @@ def test_dwell_time_with_fixed_point_ports(tmp_path):
         check(tmp_path, plan, inputs="fixed", pipeline=pipeline)
 
 
-def test_synthesis(policies, tmp_path):
+def test_synthesis(tmp_path):
     tool("yosys")
     cells = {}
     for inputs in ("lattice", "fixed"):
-        plan = Plan.of(policies["double-tank-b"])
+        plan = Plan.of(built_in("double-tank-b"))
         files = target.files(plan, golden_vectors(plan), inputs=inputs, name="top").files
         (tmp_path / "top.v").write_bytes(files["top.v"])
         told = run(tmp_path, "yosys", "-p", "read_verilog top.v; synth_ice40 -top top; stat")
@@ -280,8 +270,8 @@ def test_names_that_the_language_keeps(tmp_path):
     assert "// Renamed: 'reg' is reg_2" in text
 
 
-def test_same_input_same_bytes_and_header(policies):
-    plan = Plan.of(policies["double-tank-b"])
+def test_same_input_same_bytes_and_header():
+    plan = Plan.of(built_in("double-tank-b"))
     for inputs in ("lattice", "fixed"):
         made = [target.files(plan, golden_vectors(plan), inputs=inputs).files for _ in range(2)]
         assert made[0] == made[1]
@@ -290,9 +280,9 @@ def test_same_input_same_bytes_and_header(policies):
                 assert line[:60] in content.decode()
 
 
-def test_bad_options(policies):
+def test_bad_options():
     def files(name="double-tank-a", **options):
-        plan = Plan.of(policies[name])
+        plan = Plan.of(built_in(name))
         return target.files(plan, golden_vectors(plan), **options).files
 
     with pytest.raises(ProblemError, match="would fall together.*at least 9 bits with 8"):
