@@ -105,6 +105,8 @@ ORDER = [
     "exports.c_nested",
     "exports.c_grid",
     "exports.c_quantiser",
+    "exports.c_counts",
+    "exports.c_notes",
     "exports.c_dwell",
     "exports.c",
     "exports.c_sizes",
