@@ -132,7 +132,7 @@ def print_export(files: list[str], certificates: list[dict[str, Any]]) -> None:
             pairs = (f"{old!r} is {new}" for old, new in figures["renamed"].items())
             typer.echo(f"  renamed: {', '.join(pairs)}")
         for processor, found in figures.get("measured", {}).items():
-            words = [f"{name.replace('_', ' ')} {value:,}" for name, value in found.items()]
-            typer.echo(f"  {processor}: {', '.join(words)} bytes")
+            words = [f"{k.replace('_', ' ')} {v:,}" for k, v in found.items() if k != "compiler"]
+            typer.echo(f"  {processor} ({found['compiler']}): {', '.join(words)} bytes")
     for name in files:
         typer.echo(f"wrote {name}")

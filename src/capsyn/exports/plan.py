@@ -183,7 +183,7 @@ class Plan:
                 f"Made by sSAC: rule {settings.rule}, "
                 + (f"{wanted}, " if settings.rule == "schedule" else "")
                 + f"control weight {weight!r}, {settings.on_no_descent} where none descends, "
-                f"horizon {policy.horizon!r} s, {settings.steps} steps, {settings.precision}"
+                f"horizon {policy.horizon!r} s, {settings.steps} steps, {settings.precision} precision"
             )
         lines.append(f"Tree: {self.tree.node_count} nodes; {self.tree.guarantee.text}.")
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
