@@ -20,8 +20,8 @@ from capsyn.exports.c import files
 from capsyn.exports.c_sizes import sizes
 from capsyn.exports.plan import Plan
 
-STATES = 1_000_000
-ROUNDS = 7
+STATES = 100_000
+ROUNDS = 50
 CASES = [
     ("cart-pendulum", 4, "exact"),
     ("cart-pendulum", 4, "freedom"),
