@@ -475,6 +475,16 @@ def test_same_input_same_bytes():
     assert [line for line in lines if len(line) > 100] == []
 
 
+@pytest.mark.parametrize("roundings", [9, 40, 1000])
+def test_steps_of_a_few_roundings(tmp_path, roundings):
+    tree = random_plan(1 << 12).policy
+    lower, width = np.array([3e5, -7e5]), (1 << 12) * roundings * np.spacing(7e5)
+    domain = capsyn.Box(lower, lower + width, periodic=(True, False))
+    domain.check_resolution(tree.cells.counts)
+    plan = Plan.of(dataclasses.replace(tree, domain=domain))
+    assert_golden(Library(files(plan, None), tmp_path, 2), golden_vectors(plan), True)
+
+
 @pytest.mark.parametrize("count", [1 << 12, 1 << 15, 1 << 20, 1 << 30])
 @pytest.mark.parametrize("style", ["table", "nested"])
 def test_large_lattices(tmp_path, count, style):
