@@ -540,7 +540,8 @@ def test_names(tmp_path):
     p = prefix_of(written)
     assert p == "n7_int_under_the_s"
     header = written[f"{p}.h"].decode()
-    assert f"became {p}." in header and "Symbol '-5' became MINUS_5." in header
+    told = " ".join(header.replace("\n *", " ").split())
+    assert f"became {p}." in told and "Name '-5' became MINUS_5." in told
     assert f"{p.upper()}_SYMBOL_MINUS_5 = 1" in header
     Library(written, tmp_path, 2)
     assert prefix_of(files(Plan.of(source), None, name="double")) == "double_2"
