@@ -125,7 +125,7 @@ def measure(name, level, mode):
         for style, arithmetic in itertools.product(STYLES, ARITHMETICS):
             options, kind = ARITHMETICS[arithmetic]
             plan = counted if arithmetic == "counts" else plain
-            written = files(plan, None, style=style, **options)
+            written = files(plan, None, style=style, **options).files
             what = f"export c: {name} level {level} {mode}, {style} {arithmetic}"
             default = (style, arithmetic) == ("table", "lattice")
             if name == "cart-pendulum" or default:
