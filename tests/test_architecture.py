@@ -105,6 +105,7 @@ ORDER = [
     "exports.c_table",
     "exports.c_nested",
     "exports.c_grid",
+    "exports.c_single",
     "exports.c_quantiser",
     "exports.c_counts",
     "exports.c_notes",

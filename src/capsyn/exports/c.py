@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.exports import c_dwell
+from capsyn.exports import c_counts, c_dwell
 from capsyn.exports.c_cmake import cmake
-from capsyn.exports.c_counts import READINGS, CountAxis, count_axes, counts_quantiser
 from capsyn.exports.c_grid import grid
 from capsyn.exports.c_language import (
-    KEYWORDS,
     LONGEST_PREFIX,
+    RESERVED,
     Part,
     comment,
     double_literal,
@@ -23,20 +22,16 @@ from capsyn.exports.c_language import (
     rows,
     z_type,
 )
-from capsyn.exports.c_nested import nested
+from capsyn.exports.c_nested import nearest, nested
 from capsyn.exports.c_notes import count_lines, notes
-from capsyn.exports.c_quantiser import (
-    check_single_precision,
-    quantiser,
-    ranked,
-    share_changed_by_single_precision,
-)
+from capsyn.exports.c_quantiser import quantiser, ranked
+from capsyn.exports.c_single import check_single_precision, decide_single, share_changed
 from capsyn.exports.c_table import table
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
 from capsyn.exports.plan import Made, Plan
 from capsyn.split_tree import SplitTree
-from capsyn.validation import one_of
+from capsyn.validation import finite_number, one_of
 
 STYLES = ("table", "nested", "grid")
 ARITHMETICS = ("lattice", "double", "float")
@@ -77,9 +72,10 @@ def files(
     """
     one_of("style", style, list(STYLES))
     one_of("arithmetic", arithmetic, list(ARITHMETICS))
-    one_of("readings", readings, list(READINGS))
+    one_of("readings", readings, list(c_counts.READINGS))
     if readings != "real" and arithmetic != "lattice":
         raise ProblemError(f"`readings` {readings} needs `arithmetic` lattice; got {arithmetic}")
+    tick = finite_number("tick", tick, above=0.0)
     if plan.labels > 1 << 15:
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
     code = Code.of(plan, style, arithmetic, readings, name, tick)
@@ -90,7 +86,10 @@ def files(
         "example.c": code.example().encode(),
         "CMakeLists.txt": cmake(plan, prefix).encode(),
     }
-    return Made(written, code.renamed, code.told(), code.changed)
+    vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
+    if code.axes:
+        vectors = c_counts.golden_counts(plan, code.axes, readings)
+    return Made(written, code.renamed, code.told(), code.changed, vectors)
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,7 @@ class Code:
     tree: SplitTree
     faces: list[np.ndarray] | None
     readings: str
-    axes: list[CountAxis]
+    axes: list[c_counts.CountAxis]
 
     @staticmethod
     def of(
@@ -114,16 +113,16 @@ class Code:
     ) -> Code:
         """Return the code of a plan, its tree over faces where floats are looked up in tables."""
         wanted = plan.policy.name if name is None else name
-        prefix = file_name(name, wanted, KEYWORDS)
-        (prefix,) = identifiers([prefix[:LONGEST_PREFIX]], KEYWORDS)
+        prefix = file_name(name, wanted)[:LONGEST_PREFIX]
+        (prefix,) = identifiers([prefix], RESERVED, fold=True)
         tree, faces = plan.tree.cells, None
         if tree.depth == 0:
             style = "nested"  # nothing to look up
         if arithmetic == "float":
-            check_single_precision(tree, plan.policy.domain)
+            check_single_precision(plan, tree)
             if style != "nested" or len(tree.planes):
                 tree, faces = ranked(tree, plan.policy.domain)
-        axes = [] if readings == "real" else count_axes(plan, readings)
+        axes = [] if readings == "real" else c_counts.count_axes(plan, readings)
         return Code(plan, style, arithmetic, prefix, wanted, tick, tree, faces, readings, axes)
 
     @property
@@ -162,7 +161,7 @@ class Code:
     @functools.cached_property
     def changed(self) -> float:
         """Share of states whose symbol rounding changes."""
-        return share_changed_by_single_precision(self.plan) if self.real == "float" else 0.0
+        return share_changed(self.plan) if self.real == "float" else 0.0
 
     def told(self) -> tuple[str, ...]:
         """Return what a user is told as the export is made."""
@@ -313,12 +312,19 @@ int16_t {p}_step({p}_state *state, const {self.reading} x[{n}], uint32_t now,
         argument = f"const {self.real} x[{n}]" if self.direct else f"const {self.integer} z[{n}]"
         static = "" if self.arithmetic == "lattice" else "static "
         opening = f"{static}int16_t {p}_symbol({argument})"
-        if self.style == "table":
-            return table(self.tree, p, opening)
         if self.style == "grid":
             return grid(self.tree, p, opening)
-        compares = self.arithmetic if self.direct else "lattice"
-        return nested(self.tree, self.plan.policy.domain, p, opening, argument, compares)
+        public, planes = opening, not static and len(self.tree.planes)
+        if planes:
+            opening = f"static int16_t {p}_within({argument})"
+        if self.style == "table":
+            part = table(self.tree, p, opening)
+        else:
+            compares = self.arithmetic if self.direct else "lattice"
+            part = nested(self.tree, self.plan.policy.domain, p, opening, argument, compares)
+        if planes:
+            part = replace(part, text=part.text + nearest(self.tree, p, public))
+        return part
 
     def quantiser(self) -> Part:
         """Return the function from states to lattice steps, or to states in the period."""
@@ -327,7 +333,7 @@ int16_t {p}_step({p}_state *state, const {self.reading} x[{n}], uint32_t now,
         static = "" if self.arithmetic == "lattice" else "static "
         opening = f"{static}{p}_status {p}_quantise(const {self.reading} x[{n}], {places})"
         if self.axes:
-            return counts_quantiser(self.plan, p, opening, self.axes)
+            return c_counts.counts_quantiser(self.plan, p, opening, self.axes)
         return quantiser(self.plan, p, opening, single, self.faces)
 
     def decide(self) -> str:

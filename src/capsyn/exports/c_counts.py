@@ -13,6 +13,7 @@ in other turns are brought into one by integer arithmetic.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,7 +21,9 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.exports.c_language import Part, rows, z_type
+from capsyn.exports.golden import GOLDEN, Golden, decide
 from capsyn.exports.plan import Plan
+from capsyn.random_streams import stream
 
 READINGS = ("real", "int16", "int32")
 """What readings may be."""
@@ -36,6 +39,7 @@ class CountAxis:
     ----------
     falling : bool
         Whether the state falls as the count rises: counts are turned around.
+    start, first, top : int
     first, top : int
         Turned counts from ``first`` on are places 0 .. top; others are taken as the nearest place,
         or, where ``turn`` is given, brought into the turn.
@@ -44,7 +48,8 @@ class CountAxis:
     changes : (C - 1,)
         The least place of each step from 1 on, ``top + 1`` where there is none.
     inside : (int, int)
-        The least and the largest turned count in the domain; on axes that are not periodic.
+        The least and the largest turned count in the domain; on a periodic axis in the turn that
+        begins at the lower bound.
     affine : (factor, addend, shift), optional
         The steps of places, where such integers exist.
     """
@@ -125,7 +130,7 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
         near = int(min(-1 - e if falling else e for e in ends))
         start = int(_least(states, np.array([lower]), near - 8, near + 8)[0])
         changes = _least(states, faces, start, start + turn - 1) - start
-        first, top, inside = start % turn, turn - 1, (0, 0)
+        first, top, inside = start % turn, turn - 1, (start, start + turn - 1)
     else:
         turn, low, high = 0, -(1 << (bits - 1)), (1 << (bits - 1)) - 1
         at = _least(states, faces, low, high)
@@ -202,6 +207,34 @@ def _affine(changes: np.ndarray, top: int) -> tuple[int, int, int] | None:
         if addend <= most and low * top + addend < 1 << 32:
             return low, addend, shift
     return None
+
+
+def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
+    """Return golden vectors of counts: inside, around changes and bounds, anywhere, at limits."""
+    limit = 1 << (int(readings.removeprefix("int")) - 1)
+    rng = stream(0, GOLDEN)
+    given, near = [], []
+    for axis in axes:
+        least, most = axis.inside
+        begins = axis.changes[axis.changes <= axis.top] + (least if axis.turn else axis.first)
+        beside = np.concatenate([begins, [least, most + 1]])
+        turned = np.concatenate(
+            [
+                rng.integers(least, most + 1, 1000),
+                rng.choice(beside, 1000) + rng.integers(-2, 2, 1000),
+                rng.integers(-limit, limit, 400),
+            ]
+        )
+        if axis.turn:  # in all turns
+            turned = (turned + limit) % axis.turn - limit
+            turned += axis.turn * rng.integers(2 * limit // axis.turn, size=len(turned))
+        limits = np.resize([-limit, 1 - limit, -1, 0, limit - 2, limit - 1], 100)
+        turned = rng.permutation(np.concatenate([np.clip(turned, -limit, limit - 1), limits]))
+        inner = least + (turned - least) % axis.turn if axis.turn else turned
+        given.append(-1 - turned if axis.falling else turned)
+        near.append(-1 - inner if axis.falling else inner)
+    found = decide(plan, np.column_stack(near).astype(np.float64))
+    return dataclasses.replace(found, readings=np.column_stack(given))
 
 
 def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis]) -> Part:

@@ -9,16 +9,15 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.exports.c_language import Part, rows
 from capsyn.exports.plan import Plan
-from capsyn.validation import finite_number
 
 
 def ticks_of(plan: Plan, tick: float) -> int:
     """Return the least whole ticks of the dwell time, by the rule of capsyn's closed loop."""
-    tick = finite_number("tick", tick, above=0.0)
-    ticks = plan.dwell / tick
-    if ticks >= 1 << 32:
-        raise ProblemError(f"`tick` must be more than {plan.dwell / 2**32:g} s; got {tick:g}")
-    return max(1, math.ceil(ticks - 1e-9))
+    ticks = plan.dwell / tick - 1e-9
+    if ticks > (1 << 32) - 1:
+        least = plan.dwell / ((1 << 32) - 1)
+        raise ProblemError(f"`tick` must be at least {least:.10g} s; got {tick!r}")
+    return max(1, math.ceil(ticks))
 
 
 def declarations(prefix: str, dwell: float, tick: float, ticks: int) -> str:

@@ -11,11 +11,21 @@ import numpy as np
 KEYWORDS = frozenset(
     "auto break case char const continue default do double else enum extern float for goto if "
     "inline int long register restrict return short signed sizeof static struct switch typedef "
-    "union unsigned void volatile while bool true false main example errno assert "
-    "and or not xor class new delete this template typename namespace operator private protected "
-    "public friend virtual explicit export using try catch throw".split()
+    "union unsigned void volatile while".split()
 )
-"""Words of C and C++, and names that no library of ours may have."""
+"""Words of C."""
+RESERVED = KEYWORDS | frozenset(
+    "bool true false main example "
+    "and or not xor class new delete this template typename namespace operator private protected "
+    "public friend virtual explicit export using try catch throw "
+    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal "
+    "stdalign stdarg stdatomic stdbool stddef stdint stdio stdlib stdnoreturn string tgmath "
+    "threads time uchar wchar wctype "
+    "all all_build clean depend edit_cache help install list_install_components none package "
+    "package_source preinstall rebuild_cache run_tests test zero_check".split()
+)
+"""Names that no library of ours may have, in capital or small letters: words of C and C++, names
+of their headers, and targets that CMake keeps for itself."""
 LONGEST_PREFIX = 18
 """Names that differ do so within 31 characters, as C99 and MISRA ask: a prefix gets this many."""
 WIDTH = 100
@@ -49,10 +59,10 @@ def comment(lines: Iterable[str]) -> str:
     """Return lines as a comment, which nothing within them can end."""
     safe = []
     for line in lines:
+        line = line.replace("\\", "/")
         for told in ("*/", "/*", "//", "??"):
             while told in line:
                 line = line.replace(told, f"{told[0]} {told[1]}")
-        line = line.replace("\\", "/ ").rstrip()
         safe += textwrap.wrap(line, WIDTH - 6, subsequent_indent="  ") or [""]
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in safe), " */"])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from capsyn.domain import Box
-from capsyn.exports.c_language import Part, double_literal, float_literal, round_up
+from capsyn.exports.c_language import Part, double_literal, float_literal, round_up, z_type
 from capsyn.split_tree import LEAF, SplitTree
 
 LEVELS = 20
@@ -57,9 +57,10 @@ def nested(
                 lines.append(f"{pad}if ({condition(item)}) {{")
                 todo += [("}", level), (int(tree.second[item]), level + 1)]
                 todo += [("} else {", level), (item + 1, level + 1)]
-        if tree.split[root] == LEAF:
-            lines.insert(0, f"    (void){name};")
-        return "\n".join(lines), calls
+        text = "\n".join(lines)
+        if f"{name}[" not in text and not calls:
+            text = f"    (void){name};\n{text}"
+        return text, calls
 
     functions, roots = [], [0]
     while roots:
@@ -69,3 +70,38 @@ def nested(
         functions.append(f"\n{head}\n{{\n    int16_t symbol;\n{text}\n    return symbol;\n}}\n")
         roots += calls
     return Part("".join(reversed(functions)))
+
+
+def nearest(tree: SplitTree, prefix: str, opening: str) -> str:
+    """Return the function ``opening(z)`` that gives ``<prefix>_within`` steps within the lattice.
+
+    A tree that compares axes alone gives the symbol of the nearest step anyway, one with planes
+    does not.
+    """
+    integer = z_type(tree.counts)
+    lines = [
+        f"    inner[{i}] = {prefix}_nearest(z[{i}], {count - 1});"
+        for i, count in enumerate(tree.counts)
+    ]
+    body = "\n".join(lines)
+    return f"""
+static {integer} {prefix}_nearest({integer} step, {integer} last)
+{{
+    {integer} inner = step;
+    if (step < 0) {{
+        inner = 0;
+    }} else if (step > last) {{
+        inner = last;
+    }} else {{
+        /* in the lattice */
+    }}
+    return inner;
+}}
+
+{opening}
+{{
+    {integer} inner[{tree.n}];
+{body}
+    return {prefix}_within(inner);
+}}
+"""

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from capsyn.exports.c_counts import CountAxis
 from capsyn.exports.c_language import z_type
+from capsyn.exports.c_single import SAMPLES
 from capsyn.exports.plan import Plan
 
 
@@ -47,10 +50,24 @@ def notes(
     if arithmetic == "lattice":
         lines.append(f"Steps are {z_type(plan.tree.cells.counts)}: 0 to C - 1 fit.")
     if arithmetic == "float":
+        state, what = "the float state", "states"
+        if plan.folded:
+            state += ", reading * scale + offset in single precision"
+            what = "readings, scale and offset"
         lines.append(
-            "Single precision: the symbol is the policy's at the float state. Rounding states "
-            f"to floats changed the symbol of {changed:.3%} of 20,000 random states. A periodic "
-            "state beyond its bounds is brought back in single precision."
+            f"Single precision: the symbol is the policy's at {state}. Rounding {what} to floats "
+            f"changed the symbol or the status of {changed:.3%} of {SAMPLES:,} random states. A "
+            "periodic state beyond its bounds is brought back in single precision."
+        )
+    domain = plan.policy.domain
+    if any(domain.periodic) and not axes:
+        most = np.finfo(np.float32 if arithmetic == "float" else np.float64).max
+        narrowest = domain.widths[list(domain.periodic)].min()
+        turns = 2 * int(np.ceil(np.log2(most) - np.log2(narrowest))) + 1
+        lines.append(
+            "Time: a periodic state between 2^k and 2^(k + 1) periods off takes 2 k + 1 turns of "
+            f"a loop, the farthest that is finite up to {turns:,}. Where time counts, bring "
+            "states near first."
         )
     lines += [line for _, line in count_lines(axes)]
     lines.append(

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from capsyn.domain import Box
-from capsyn.errors import ProblemError
 from capsyn.exports.c_language import (
     Part,
     double_literal,
@@ -42,20 +41,6 @@ def ranked(tree: SplitTree, domain: Box) -> tuple[SplitTree, list[np.ndarray]]:
     counts = tuple(len(k) + 1 for k in numbers)
     faces = [domain.faces(i, k, tree.counts[i]) for i, k in enumerate(numbers)]
     return SplitTree(counts, tree.split, threshold, tree.second, tree.planes), faces
-
-
-def check_single_precision(tree: SplitTree, domain: Box) -> None:
-    """Raise `ProblemError` where single precision does not tell the faces of the lattice apart."""
-    for i, count in enumerate(tree.counts):
-        apart = count < 1 << 25 and max(abs(domain.lower[i]), abs(domain.upper[i])) < 3e38
-        if apart:
-            faces = round_up(domain.faces(i, np.arange(count + 1), count))
-            apart = bool((np.diff(faces) > 0).all())
-        if not apart:
-            raise ProblemError(
-                f"`arithmetic` float does not tell the {count} steps of axis '{domain.names[i]}' "
-                f"apart, in [{domain.lower[i]!r}, {domain.upper[i]!r}]: it has 24 bits; take double"
-            )
 
 
 def quantiser(
@@ -279,7 +264,7 @@ static {integer} {prefix}_axis_step(float x, const float faces[], {integer} coun
     {integer} low = 0;
     {integer} high = count;
     while ((high - low) > 1) {{
-        const {integer} middle = ({integer})((low + high) / 2);
+        const {integer} middle = ({integer})(low + ((high - low) / 2));
         if (x >= CAPSYN_FLOAT(&faces[middle - 1])) {{
             low = middle;
         }} else {{
@@ -289,12 +274,3 @@ static {integer} {prefix}_axis_step(float x, const float faces[], {integer} coun
     return low;
 }}
 """
-
-
-def share_changed_by_single_precision(plan: Plan, count: int = 20_000) -> float:
-    """Return the share of random states whose label changes as they are rounded to floats."""
-    domain, tree = plan.policy.domain, plan.tree.cells
-    states = domain.sample(count)
-    single = states.astype(np.float32).astype(np.float64)
-    labels = [tree.labels(domain.locate(x, tree.counts)) for x in (states, single)]
-    return float((labels[0] != labels[1]).mean())

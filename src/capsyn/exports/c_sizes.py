@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import signal
 import subprocess
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +20,8 @@ COMPILERS = {
     "host": ["gcc"],
 }
 """Processors and their compilers."""
+SECONDS = 20
+"""Longest that a compiler may take; a processor whose compiler takes longer is left out."""
 FLASH = (".text", ".rodata", ".progmem")
 RAM = (".data", ".bss")
 
@@ -63,12 +67,21 @@ def _of_compiler(command: list[str], files: Files, prefix: str) -> dict[str, int
 def _run(command: list[str], directory: Path) -> str | None:
     """Return what a command says; none where it fails, is missing or does not end."""
     try:
-        done = subprocess.run(
-            command, cwd=directory, capture_output=True, text=True, check=False, timeout=60
-        )
-    except (OSError, subprocess.TimeoutExpired):
+        process = subprocess.Popen(
+            command, cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            start_new_session=True,
+        )  # fmt: skip
+    except OSError:
         return None
-    return done.stdout if done.returncode == 0 else None
+    with process:
+        try:
+            told, _ = process.communicate(timeout=SECONDS)
+        except BaseException as error:
+            os.killpg(process.pid, signal.SIGKILL)  # the driver and the compiler that it started
+            if isinstance(error, subprocess.TimeoutExpired):
+                return None
+            raise
+    return told if process.returncode == 0 else None
 
 
 def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]:

@@ -8,6 +8,7 @@ subtree is passed over node by node. A window of some bytes from any bit on hold
 
 from __future__ import annotations
 
+import bisect
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +54,8 @@ class Layout:
     @property
     def apart(self) -> bool:
         """Whether a skip takes a window of its own."""
-        return self.node <= 25 < self.node + self.skip <= 50
+        both = self.node + self.skip
+        return self.node <= 25 < both <= 50 or both > WINDOW_BITS[8]
 
     @property
     def window(self) -> int:
@@ -65,11 +67,14 @@ class Layout:
 def nodes_read(tree: SplitTree, skips: int) -> int:
     """Return the nodes that a decision reads at most where nodes above a depth carry skips."""
     read = np.ones(tree.node_count, dtype=np.int64)
-    for i in np.flatnonzero(tree.split != LEAF):
-        second = tree.second[i]
-        read[i + 1] = read[second] = read[i] + 1
-        if tree.depths[i] >= skips:
-            read[second] += second - i - 1
+    nodes = np.zeros(1, dtype=np.int32)
+    for depth in range(tree.depth):
+        nodes = nodes[tree.split[nodes] != LEAF]
+        first, second = tree.first[nodes], tree.second[nodes]
+        read[first] = read[second] = read[nodes] + 1
+        if depth >= skips:
+            read[second] += second - first
+        nodes = np.concatenate([first, second])
     return int(read.max())
 
 
@@ -77,14 +82,13 @@ def best_skips(tree: SplitTree) -> int:
     """Return the least depth of skips with at most `MOST_READ` nodes read, else the tree's own."""
     if len(tree.planes):
         return tree.depth
-    for skips in range(tree.depth):
-        if nodes_read(tree, skips) <= MOST_READ:
-            return skips
-    return tree.depth
+    # the more nodes carry skips, the fewer are read
+    depths = range(tree.depth)
+    return bisect.bisect_left(depths, True, key=lambda skips: nodes_read(tree, skips) <= MOST_READ)
 
 
-def layout(tree: SplitTree, skips: int) -> Layout:
-    """Return how the nodes of a tree are written."""
+def layout(tree: SplitTree, skips: int, skip: int = 0) -> Layout:
+    """Return how the nodes of a tree are written, with at least some bits for a skip."""
     inner = tree.split != LEAF
     cuts: tuple[tuple[int, int], ...] = ()
     axis, threshold = (tree.n - 1).bit_length(), int(tree.threshold[inner].max(initial=0))
@@ -94,7 +98,6 @@ def layout(tree: SplitTree, skips: int) -> Layout:
     label = int(tree.threshold[~inner].max()).bit_length()
     node = 1 + axis + threshold.bit_length()
     carries = inner & (tree.depths < skips)
-    skip = 0
     while True:
         own = np.where(inner, node + skip * carries, 1 + label)
         ends = np.concatenate([[0], np.cumsum(own)])

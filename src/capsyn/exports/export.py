@@ -15,7 +15,7 @@ from typing import Any
 
 from capsyn.errors import ProblemError
 from capsyn.exports.certificate import certificate
-from capsyn.exports.golden import golden_vectors
+from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import Files, Plan
 from capsyn.policy import Policy
 from capsyn.validation import describe
@@ -100,7 +100,8 @@ def export(
     files: Files = {}
     for target in targets:
         made = _module(target).files(plan, golden, **options)
-        made.files["golden.csv"] = vectors
+        own = made.golden
+        made.files["golden.csv"] = own.to_csv(plan) if isinstance(own, Golden) else vectors
         figures = certificate(plan, made, target)
         made.files[CERTIFICATE] = (json.dumps(figures, indent=2, sort_keys=True) + "\n").encode()
         folder = "" if isinstance(to, str) else f"{target}/"

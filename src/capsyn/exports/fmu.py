@@ -25,6 +25,7 @@ import numpy as np
 
 from capsyn import __version__
 from capsyn.errors import CapsynWarning, KernelBuildError
+from capsyn.exports.c_language import KEYWORDS
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
 from capsyn.exports.plan import Files, Made, Plan
@@ -34,11 +35,6 @@ from capsyn.policy_file import content_hash
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
 BUILD_SECONDS = 120
 """Longest that the compiler may take."""
-C_KEYWORDS = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if "
-    "inline int long register restrict return short signed sizeof static struct switch typedef "
-    "union unsigned void volatile while".split()
-)
 OWN = ("symbol", "status", "min_dwell", "time")
 """Variables beside states and inputs, and the independent one."""
 
@@ -56,7 +52,7 @@ def files(
         Whether to leave out the binary; the unit then runs where its importer can build sources.
         So it is, with a warning, where there is no compiler or no name for the platform.
     """
-    name = file_name(name, plan.policy.name, C_KEYWORDS)
+    name = file_name(name, plan.policy.name, KEYWORDS)
     guid = "{" + _guid(plan) + "}"
     source = _source(plan, guid)
     content = {
@@ -127,7 +123,7 @@ def _warn(reason: str) -> None:
 def _variables(plan: Plan) -> tuple[str, ...]:
     """Return the names of the variables of states and inputs."""
     policy = plan.policy
-    return identifiers([*policy.domain.names, *policy.alphabet.inputs], [*C_KEYWORDS, *OWN])
+    return identifiers([*policy.domain.names, *policy.alphabet.inputs], [*KEYWORDS, *OWN])
 
 
 def _description(plan: Plan, name: str, guid: str) -> str:

@@ -38,12 +38,15 @@ class Made:
     changed : float, optional
         Share of states in the domain whose symbol is another than the policy's, as numbers are
         rounded for the target; 0 where the target rounds to the policy's own lattice.
+    golden : Golden, optional
+        Vectors that the target must give instead of the plan's.
     """
 
     files: Files
     renamed: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     changed: float = 0.0
+    golden: object | None = None
 
 
 @dataclass(frozen=True, eq=False)
