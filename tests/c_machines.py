@@ -71,14 +71,29 @@ void reset(void)
 __attribute__((section(".vectors"), used)) const void *const vectors[] = {{
     &stack_top, (void *)reset
 }};
-static const int16_t steps[] = {{{steps}}};
-static const uint8_t labels[] = {{{labels}}};
+{data}
 int main(void)
 {{
     int wrong = 0;
-    for (int i = 0; i < {count}; ++i) {{ wrong += {p}_symbol(steps + {n} * i) != labels[i]; }}
+    for (int i = 0; i < {count}; ++i) {{ wrong += wrong_at(given + {n} * i, labels[i], statuses[i]); }}
     return wrong > 99 ? 99 : wrong;
 }}
+"""
+CALLS = {
+    "symbol": "(void)expected; return {p}_symbol(x) != label;",
+    "decide": "{p}_status status; const int16_t symbol = {p}_decide(x, &status);"
+    " return (symbol != label) || ((int)status != expected);",
+    "step": "static {p}_state state; static uint32_t now = 4294967246u; {p}_status status;"
+    " if (now == 4294967246u) {{ {p}_init(&state); }}"
+    " const int16_t symbol = {p}_step(&state, x, now++, &status);"
+    " return (symbol != label) || ((int)status != expected);",
+}
+"""What is called with each vector: ticks of steps wrap around to 0 on the way."""
+DATA = """
+static const {kind} given[] {rom} = {{{given}}};
+static const uint8_t labels[] {rom} = {{{labels}}};
+static const uint8_t statuses[] {rom} = {{{statuses}}};
+static int wrong_at(const {kind} *x, int label, int expected) {{ {call} }}
 """
 LINK = """
 MEMORY {{ flash (rx) : ORIGIN = 0, LENGTH = 256K  ram (rw) : ORIGIN = 0x20000000, LENGTH = 16K }}
@@ -95,17 +110,16 @@ AVR = """
 #include <avr/pgmspace.h>
 #include <avr/sleep.h>
 #include "{p}.h"
-static const int16_t steps[] PROGMEM = {{{steps}}};
-static const uint8_t labels[] PROGMEM = {{{labels}}};
+{data}
 static void put(char c) {{ while (!(UCSR0A & (1 << UDRE0))) {{}} UDR0 = (uint8_t)c; }}
 int main(void)
 {{
     uint16_t wrong = 0;
     UCSR0B = 1 << TXEN0;
     for (uint16_t i = 0; i < {count}; ++i) {{
-        int16_t z[{n}];
-        for (uint8_t j = 0; j < {n}; ++j) {{ z[j] = (int16_t)pgm_read_word(steps + {n} * i + j); }}
-        wrong += {p}_symbol(z) != pgm_read_byte(labels + i);
+        {kind} x[{n}];
+        memcpy_P(x, given + {n} * i, sizeof x);
+        wrong += wrong_at(x, pgm_read_byte(labels + i), pgm_read_byte(statuses + i));
     }}
     put('w'); put('r'); put('o'); put('n'); put('g');
     for (int8_t digit = 15; digit >= 0; --digit) {{ put((char)('0' + ((wrong >> digit) & 1))); }}
@@ -187,21 +201,36 @@ class Library:
         return symbols
 
 
-def _vectors(golden, count):
-    steps, labels = golden.steps[:count], golden.labels[:count]
-    return {
-        "steps": ", ".join(map(str, steps.ravel().tolist())),
-        "labels": ", ".join(map(str, labels.tolist())),
-        "count": len(labels),
-        "n": steps.shape[1],
+def _literal(value, suffix=""):
+    if isinstance(value, int):
+        return str(value)
+    if not np.isfinite(value):
+        return '__builtin_nan("")' if np.isnan(value) else f"{'-' * (value < 0)}__builtin_inf()"
+    return repr(value) + suffix
+
+
+def _vectors(files, golden, asked, rom, count):
+    """Return what the programs of a processor are made of."""
+    p = prefix_of(files)
+    kind, given = "int16_t", golden.steps
+    if asked != "symbol":
+        (kind,) = re.findall(rf"{p}_decide\(const (\w+) ", files[f"{p}.h"].decode())
+        given = golden.readings
+    suffix = "f" if kind == "float" else ""
+    text = {
+        "given": ", ".join(_literal(v, suffix) for v in given[:count].ravel().tolist()),
+        "labels": ", ".join(map(str, golden.labels[:count].tolist())),
+        "statuses": ", ".join(map(str, golden.statuses[:count].tolist())),
     }
+    data = DATA.format(**text, kind=kind, rom=rom, call=CALLS[asked].format(p=p))
+    return {"data": data, "kind": kind, "p": p, "n": given.shape[1], "count": len(given[:count])}
 
 
-def cortex_m3(files, golden, directory):
-    """Return how many golden vectors a Cortex-M3 gets wrong."""
+def cortex_m3(files, golden, directory, asked="symbol"):
+    """Return how many golden vectors a Cortex-M3 gets wrong, at most 99."""
     need("arm-none-eabi-gcc", "qemu-system-arm")
     p = prefix_of(files)
-    main = CORTEX_M.format(p=p, **_vectors(golden, len(golden)))
+    main = CORTEX_M.format(**_vectors(files, golden, asked, "", len(golden)))
     write(files, directory, **{"main.c": main, "link.ld": LINK.format()})
     command = "arm-none-eabi-gcc -std=gnu99 -mcpu=cortex-m3 -mthumb -Os -ffreestanding -nostdlib"
     more = ["-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections", "-T", "link.ld"]
@@ -214,11 +243,15 @@ def cortex_m3(files, golden, directory):
     return subprocess.run([*machine.split(), *target], cwd=directory, timeout=60).returncode
 
 
-def avr(files, golden, directory):
+def avr(files, golden, directory, asked="symbol"):
     """Return how many of 1,000 golden vectors an ATmega328P gets wrong: as many as it holds."""
     need("avr-gcc", "simavr")
     p = prefix_of(files)
-    write(files, directory, **{"main.c": AVR.format(p=p, **_vectors(golden, 1000))})
+    write(
+        files,
+        directory,
+        **{"main.c": AVR.format(**_vectors(files, golden, asked, "PROGMEM", 1000))},
+    )
     command = "avr-gcc -std=gnu99 -mmcu=atmega328p -Os -ffunction-sections -fdata-sections"
     more = [
         "-Wall",

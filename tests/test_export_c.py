@@ -2,9 +2,12 @@ import dataclasses
 import functools
 import re
 import subprocess
+import time
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import capsyn
 from c_machines import WARNINGS, Library, avr, call, cortex_m3, need, prefix_of, write
@@ -12,8 +15,10 @@ from capsyn import problems
 from capsyn.decision_tree import DecisionTree, Guarantee
 from capsyn.errors import ProblemError
 from capsyn.exports import c, c_counts, c_sizes, c_table
-from capsyn.exports.c_language import round_up
+from capsyn.exports.c_language import comment, round_up
+from capsyn.exports.c_single import decide_single
 from capsyn.exports.c_sizes import sizes
+from capsyn.exports.export import export
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import NOT_FINITE, OK, Plan
 from capsyn.split_tree import LEAF, SplitTree, _second_children
@@ -32,9 +37,20 @@ COMPILERS = ("gcc", "clang")
 NESTED = ("linear", "nested")
 
 
+UNDEFINED = ["-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover"]
+"""Options by which a program ends where what it does is undefined."""
+
+
+def made(plan, golden=None, **options):
+    """Return what target c makes."""
+    if golden is None and options.get("arithmetic") == "float":
+        golden = golden_vectors(plan)
+    return c.files(plan, golden, **options)
+
+
 def files(plan, golden, **options):
     """Return the files of target c."""
-    return c.files(plan, golden, **options).files
+    return made(plan, golden, **options).files
 
 
 @functools.cache
@@ -97,9 +113,29 @@ def assert_golden(library, golden, lattice):
         assert np.array_equal(library.look(golden.steps[found]), golden.labels[found])
 
 
-@pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("name", NAMES)
+def plan_of_nodes(counts, split, threshold, planes=(), box=None, label_count=2):
+    """Return a plan of a tree that is given by its nodes, over a box from 0 to 1 by default."""
+    n, split = len(counts), np.array(split, dtype=np.int32)
+    second = _second_children(split == LEAF).astype(np.int32)
+    planes = np.array(planes, dtype=np.int32).reshape(-1, n)
+    tree = SplitTree(counts, split, np.array(threshold, dtype=np.int32), second, planes)
+    tree.check(label_count)
+    box = box or capsyn.Box([0] * n, [1] * n)
+    leaf = np.array([LEAF], dtype=np.int32), np.zeros(1, dtype=np.int32)
+    one = SplitTree((1,) * n, *leaf, leaf[1], np.zeros((0, n), dtype=np.int32))
+    alphabet = capsyn.Alphabet(np.arange(1.0, label_count))
+    source = capsyn.Policy("few", box, alphabet, np.zeros(1), one)
+    return Plan.of(DecisionTree.of(source, tree, Guarantee("exact", "0" * 64)))
+
+
+@pytest.mark.parametrize(
+    ("name", "style", "compiler"),
+    [
+        *((name, style, "gcc") for name in NAMES for style in STYLES),
+        *(("lopsided", style, "clang") for style in STYLES),
+        ("cart-pole", "table", "clang"),
+    ],
+)
 def test_golden_vectors(tmp_path, name, style, compiler):
     plan, golden = plan_of(name), golden_of(name)
     library = Library(files(plan, golden, style=style), tmp_path, plan.n, compiler)
@@ -124,16 +160,67 @@ def test_products_are_not_contracted(tmp_path, compiler):
     assert_golden(library, golden, True)
 
 
-@pytest.mark.parametrize("style", STYLES)
-def test_nothing_is_undefined(tmp_path, style):
-    plan, golden = plan_of("cart-pole"), golden_of("cart-pole")
-    options = ["-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover"]
-    library = Library(files(plan, golden, style=style), tmp_path, plan.n, "gcc", options)
-    assert_golden(library, golden, True)
+@pytest.mark.parametrize(
+    ("name", "mode", "style", "options"),
+    [
+        *(("cart-pole", "exact", style, {}) for style in STYLES),
+        *(("cart-pendulum", "linear", style, {}) for style in STYLES),
+        ("cart-pendulum", *NESTED, {"arithmetic": "double"}),
+        ("cart-pendulum", "linear", "table", {"arithmetic": "float"}),
+        *(("lopsided", "exact", style, {"arithmetic": "double"}) for style in STYLES),
+        *(("lopsided", "exact", style, {"arithmetic": "float"}) for style in ("table", "nested")),
+    ],
+)
+@pytest.mark.parametrize("folded", [False, True])
+def test_nothing_is_undefined(tmp_path, name, mode, style, options, folded):
+    plan = plan_of(name, mode)
+    if folded:
+        plan = dataclasses.replace(plan, scale=plan.scale * -3e-4, offset=plan.offset + 0.7)
+    plan = dataclasses.replace(plan, dwell=0.1)
+    golden = golden_vectors(plan) if folded else golden_of(name, mode)
+    rng = np.random.default_rng(3)
+    far = rng.normal(size=(200, plan.n)) * 10.0 ** rng.uniform(0, 300, size=(200, 1))
+    most = np.array([1, -1])[:, None] * np.full(plan.n, np.finfo(np.float32).max)
+    golden = decide(plan, np.concatenate([golden.readings, far, most, 5 * most]))
+    code = made(plan, golden, style=style, **options)
+    golden = code.golden or golden
+    library = Library(code.files, tmp_path, plan.n, "gcc", UNDEFINED)
+    symbols, statuses = library.decide(golden.readings)
+    assert np.array_equal(symbols, golden.labels)
+    assert np.array_equal(statuses, golden.statuses)
+    ticks = rng.integers(1 << 32, size=len(golden))
+    assert np.isin(library.run(golden.readings, ticks), golden.labels).all()
 
 
 @pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("mode", ["exact", "linear", "heavy"])
+def test_steps_beyond_the_lattice_are_taken_as_the_nearest(tmp_path, style, mode):
+    plan = plan_of_nodes((3, 3), [2, -1, -1], [1 << 28, 0, 1], [[-(2**29), 2**27]])
+    if mode != "heavy":
+        plan = plan_of("cart-pendulum", mode)
+    counts = np.array(plan.tree.cells.counts)
+    rng = np.random.default_rng(2)
+    ends = np.array([-32768, -32767, -1, 0, 1, 32766, 32767])
+    steps = np.stack(np.meshgrid(ends, [*ends, *(counts[1] + [-2, -1, 0])]), axis=-1).reshape(-1, 2)
+    steps = np.concatenate([steps, steps[:, ::-1], rng.integers(-32768, 32768, (2000, 2))])
+    steps = np.concatenate([steps, rng.integers(-counts, 2 * counts, (2000, 2))])
+    library = Library(files(plan, None, style=style), tmp_path, 2, "gcc", UNDEFINED)
+    nearest = np.clip(steps, 0, counts - 1)
+    assert np.array_equal(library.look(steps), plan.tree.cells.labels(nearest))
+
+
+@pytest.mark.parametrize("arithmetic", ["lattice", "double", "float"])
+@pytest.mark.parametrize("threshold", [0, 1])
+def test_a_plane_of_zeros_alone(tmp_path, arithmetic, threshold):
+    plan = plan_of_nodes((3, 3), [2, -1, -1], [threshold, 0, 1], [[0, 0]])
+    written = files(plan, None, style="nested", arithmetic=arithmetic)
+    for compiler in COMPILERS:
+        library = Library(written, tmp_path / compiler, 2, compiler)
+        assert library.decide(np.full((1, 2), 0.5))[0] == 1 - threshold
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("name", ["lopsided", "double-tank-a", "cart-pole"])
 def test_double_arithmetic(tmp_path, name, style):
     plan, golden = plan_of(name), golden_of(name)
     written = files(plan, golden, style=style, arithmetic="double")
@@ -155,7 +242,8 @@ def back_in_single_precision(domain, states):
 @pytest.mark.parametrize(
     ("name", "mode", "style"),
     [
-        *((name, "exact", style) for name in NAMES for style in STYLES),
+        *((name, "exact", style) for name in ("lopsided", "cart-pole") for style in STYLES),
+        ("cart-pendulum", "exact", "table"),
         ("cart-pendulum", *NESTED),
     ],
 )
@@ -165,10 +253,78 @@ def test_float_arithmetic_is_the_policy_at_the_float_state(tmp_path, name, mode,
     # a periodic float below the double bound rounds up to the float bound: it is the last step
     near = back_in_single_precision(domain, states).astype(float)
     expected = decide(plan, near)
-    written = files(plan, None, style=style, arithmetic="float")
-    symbols, statuses = Library(written, tmp_path, plan.n).decide(states)
+    code = made(plan, golden_of(name, mode), style=style, arithmetic="float")
+    symbols, statuses = Library(code.files, tmp_path, plan.n).decide(states)
     assert np.array_equal(statuses, expected.statuses)
     assert np.array_equal(symbols, expected.labels)
+    golden = code.golden  # vectors of its own, since some differ from the policy at the double
+    assert np.array_equal(golden.readings, states.astype(float), equal_nan=True)
+    assert np.array_equal(golden.labels, expected.labels)
+    assert np.array_equal(golden.statuses, expected.statuses)
+    assert np.array_equal(golden.steps, expected.steps)
+    assert name != "cart-pendulum" or (golden.labels != golden_of(name, mode).labels).any()
+
+
+@pytest.mark.parametrize(
+    ("scale", "offset"), [(1.0, 0.0), (1e-6, 1e3), (-2 * np.pi / 4096, 0.1), (3e-5, -7.0)]
+)
+def test_what_single_precision_changes(tmp_path, scale, offset):
+    plan = Plan.of(plan_of("lopsided").policy, scale=scale, offset=offset)
+    code = made(plan, arithmetic="float")
+    library = Library(code.files, tmp_path, plan.n)
+    symbols, statuses = library.decide(code.golden.readings)
+    assert np.array_equal(symbols, code.golden.labels)
+    assert np.array_equal(statuses, code.golden.statuses)
+    readings = (plan.policy.domain.sample(20_000) - offset) / scale
+    exact = decide(plan, readings)
+    symbols, statuses = library.decide(readings)
+    share = ((symbols != exact.labels) | (statuses != exact.statuses)).mean()
+    assert code.changed == pytest.approx(share, abs=1e-12)
+    assert (share > 0.01) == (offset == 1e3)  # 1,000 takes ten of 24 bits
+    told = " ".join(code.files["cart_pendulum.h"].decode().replace("\n *", " ").split())
+    assert f"{share:.3%} of 20,000 random states" in told
+    assert ("Rounding readings, scale and offset" in told) == plan.folded
+
+
+@pytest.mark.parametrize(
+    ("what", "options"),
+    [
+        ("`scale`", {"scale": 1e300}),
+        ("`scale`", {"scale": -1e-50}),
+        ("`offset`", {"offset": 1e39}),
+        ("`offset`", {"offset": 1e-60}),
+        ("controls", {"default": 1e39}),
+        ("controls", {"default": -1e-46}),
+    ],
+)
+def test_numbers_that_single_precision_does_not_hold(what, options):
+    default = np.array([options.pop("default", 0.0)])
+    source = dataclasses.replace(policy("cart-pendulum"), default=default)
+    with pytest.raises(ProblemError, match=f"float needs {what} between .*; got -?1e"):
+        files(Plan.of(source, **options), golden_of("cart-pendulum"), arithmetic="float")
+
+
+def test_the_farthest_float_is_brought_into_its_period(tmp_path):
+    for bound, taken in ((1e32, False), (1.1e31, False), (9.9e30, True)):
+        box = capsyn.Box([-bound], [bound], periodic=(True,))
+        plan = plan_of_nodes((4,), [0, -1, -1], [2, 0, 1], box=box)
+        if not taken:
+            with pytest.raises(ProblemError, match="float needs bounds of a periodic axis within"):
+                files(plan, None, arithmetic="float")
+            continue
+        library = Library(files(plan, None, arithmetic="float"), tmp_path, 1)
+        most = np.finfo(np.float32).max
+        states = np.array([[most], [-most], [1e37], [-3e38]], dtype=np.float32)
+        assert np.array_equal(library.decide(states)[0], decide_single(plan, states).labels)
+
+
+def test_the_bound_on_turns_of_the_loop_is_told():
+    header = files(plan_of("cart-pendulum"), None)["cart_pendulum.h"].decode()
+    (turns,) = re.findall(r"finite up to ([\d,]+)", header.replace("\n *  ", ""))
+    assert turns == "2,045"  # 2 ceil(log2(DBL_MAX / 2 pi)) + 1
+    assert (
+        "turns of a loop" not in files(plan_of("double-tank-a"), None)["double_tank_a.h"].decode()
+    )
 
 
 @pytest.mark.parametrize("arithmetic", ["lattice", "double", "float"])
@@ -238,6 +394,21 @@ def in_turn(plan, counts):
     return np.column_stack([first + (counts[:, 0] - first) % turn, counts[:, 1]])
 
 
+def assert_golden_counts(library, plan, golden, bits):
+    """Assert that golden vectors of counts are right, and where counts and steps change."""
+    readings, limit = golden.readings, 1 << (bits - 1)
+    assert len(golden) >= 2000 and readings.dtype == np.int64
+    assert (readings.min(axis=0) == -limit).all() and (readings.max(axis=0) == limit - 1).all()
+    expected = decide(plan, in_turn(plan, readings).astype(float))
+    found = [library.steps(readings), *library.decide(readings)]
+    for column in zip(found, ("steps", "labels", "statuses")):
+        assert np.array_equal(column[0], getattr(golden, column[1]))
+        assert np.array_equal(column[0], getattr(expected, column[1]))
+    assert np.bincount(golden.statuses)[OK] > 500
+    for steps in golden.steps.T:
+        assert len(np.unique(steps)) >= 0.9 * len(np.unique(expected.steps[:, 0]))
+
+
 @pytest.mark.parametrize("name", COUNTS)
 def test_every_count(tmp_path, name):
     tree = plan_of("lopsided").policy
@@ -245,9 +416,10 @@ def test_every_count(tmp_path, name):
     every = np.arange(-(1 << 15), 1 << 15)
     counts = np.column_stack([every, np.random.default_rng(0).permutation(every)])
     expected = decide(plan, in_turn(plan, counts).astype(float))
-    written = files(plan, None, readings="int16")
-    options = ["-O1", "-fsanitize=undefined", "-fno-sanitize-recover"]
-    library = Library(written, tmp_path, plan.n, "gcc", options)
+    code = made(plan, readings="int16")
+    written, golden = code.files, code.golden
+    library = Library(written, tmp_path, plan.n, "gcc", UNDEFINED)
+    assert_golden_counts(library, plan, golden, 16)
     assert np.array_equal(library.steps(counts), expected.steps)
     symbols, statuses = library.decide(counts)
     assert np.array_equal(symbols, expected.labels)
@@ -276,8 +448,9 @@ def test_counts_of_32_bits(tmp_path):
         angle = rng.integers(-(1 << 31), 1 << 31, len(speed))
         counts = np.column_stack([angle, speed])
         expected = decide(plan, in_turn(plan, counts).astype(float))
-        written = files(plan, None, readings="int32")
-        library = Library(written, tmp_path / str(case), plan.n)
+        code = made(plan, readings="int32")
+        library = Library(code.files, tmp_path / str(case), plan.n)
+        assert_golden_counts(library, plan, code.golden, 32)
         assert np.array_equal(library.steps(counts), expected.steps)
         assert np.array_equal(library.decide(counts)[0], expected.labels)
         assert np.array_equal(library.decide(counts)[1], expected.statuses)
@@ -341,12 +514,17 @@ def test_dwell_is_that_of_the_closed_loop(tmp_path, dwell, default):
         assert np.array_equal(found, symbols[:last] % plan.labels)
 
 
+def of_vectors(golden, rows):
+    """Return some rows of golden vectors."""
+    names = [field.name for field in dataclasses.fields(golden)]
+    return dataclasses.replace(golden, **{name: getattr(golden, name)[rows] for name in names})
+
+
 @pytest.mark.parametrize("mode", ["exact", "freedom", "linear"])
 @pytest.mark.parametrize("style", ["table", "nested"])
 def test_cortex_m3(tmp_path, mode, style):
     plan, golden = plan_of("cart-pendulum", mode), golden_of("cart-pendulum", mode)
-    inside = golden.statuses == OK
-    golden = dataclasses.replace(golden, steps=golden.steps[inside], labels=golden.labels[inside])
+    golden = of_vectors(golden, golden.statuses == OK)
     assert len(golden) >= 2000
     assert cortex_m3(files(plan, golden, style=style), golden, tmp_path) == 0
 
@@ -355,9 +533,31 @@ def test_cortex_m3(tmp_path, mode, style):
 @pytest.mark.parametrize("style", ["table", "nested"])
 def test_avr(tmp_path, mode, style):
     plan, golden = plan_of("cart-pendulum", mode), golden_of("cart-pendulum", mode)
-    inside = np.flatnonzero(golden.statuses == OK)[::2]
-    golden = dataclasses.replace(golden, steps=golden.steps[inside], labels=golden.labels[inside])
+    golden = of_vectors(golden, np.flatnonzero(golden.statuses == OK)[::2])
     assert avr(files(plan, golden, style=style), golden, tmp_path) == 0
+
+
+def test_quantisers_on_processors(tmp_path):
+    plan, golden = plan_of("lopsided"), golden_of("lopsided")
+    written = files(plan, golden)  # doubles by a library, in all turns of the angle
+    assert cortex_m3(written, golden, tmp_path / "double", "decide") == 0
+    wrong = dataclasses.replace(golden, labels=np.r_[golden.labels[:-1], plan.labels])
+    assert cortex_m3(written, wrong, tmp_path / "wrong", "decide") == 1
+    scale = [-2 * np.pi / 4096, 10 / 4096]
+    code = made(Plan.of(plan.policy, scale=scale, offset=[0.1, 0.0]), readings="int16")
+    assert cortex_m3(code.files, code.golden, tmp_path / "counts", "decide") == 0
+    code = made(plan, golden, style="nested", arithmetic="float")
+    assert avr(code.files, of_vectors(code.golden, slice(None, None, 4)), tmp_path, "decide") == 0
+
+
+def test_dwell_on_a_processor(tmp_path):
+    source = dataclasses.replace(policy("cart-pendulum"), outside="nearest")
+    run = capsyn.simulate(source, [[3.0, 0.5]], 4, 100.0, min_dwell=0.1, outside="nearest")
+    plan = Plan.of(source, dwell=0.1)
+    golden = decide(plan, run.states[0, : run.last[0]])
+    held = dataclasses.replace(golden, labels=run.symbols[0, : run.last[0]] % plan.labels)
+    assert len(held) > 300 and (held.labels != golden.labels).any()
+    assert cortex_m3(files(plan, golden, tick=0.01), held, tmp_path, "step") == 0
 
 
 @pytest.mark.parametrize(("mode", "most"), [("exact", 1200), ("freedom", 900)])
@@ -398,6 +598,48 @@ def test_few_nodes_are_read(name):
     assert c_table.nodes_read(tree, 0) <= tree.node_count
 
 
+def test_nodes_read_are_those_of_the_code():
+    tree = plan_of("lopsided").tree.cells
+    for skips in (0, 3, tree.depth):
+        most, todo = 0, [(0, 0, 1)]
+        while todo:
+            node, depth, read = todo.pop()
+            most = max(most, read)
+            if tree.split[node] != LEAF:
+                over = tree.second[node] - node - 1 if depth >= skips else 0
+                todo += [(node + 1, depth + 1, read + 1)]
+                todo += [(tree.second[node], depth + 1, read + 1 + over)]
+        assert c_table.nodes_read(tree, skips) == most
+
+
+def test_skips_of_a_large_tree_are_found_fast():
+    tree = random_plan(1 << 20, depth=18).tree.cells
+    assert tree.node_count > 100_000
+    started = time.process_time()
+    assert c_table.nodes_read(tree, c_table.best_skips(tree)) <= c_table.MOST_READ
+    assert time.process_time() - started < 2
+
+
+def test_skips_wider_than_a_window(tmp_path, monkeypatch):
+    wide = functools.partial(c_table.layout, skip=30)
+    monkeypatch.setattr(c_table, "layout", wide)
+    plan = random_plan(1 << 30)
+    form = wide(plan.tree.cells, c_table.best_skips(plan.tree.cells))
+    assert form.node + form.skip > 57 and form.apart and form.window == 8
+    steps = np.random.default_rng(0).integers(1 << 30, size=(3000, 2))
+    library = Library(files(plan, None), tmp_path, 2)
+    assert np.array_equal(library.look(steps), plan.tree.cells.labels(steps))
+
+
+def test_a_compiler_that_does_not_end_is_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(c_sizes, "SECONDS", 0.3)
+    started = time.monotonic()
+    assert c_sizes._run(["sh", "-c", "(sleep 1; touch late) & wait"], tmp_path) is None
+    assert time.monotonic() - started < 0.9
+    time.sleep(1)
+    assert not (tmp_path / "late").exists()  # what it started has ended too
+
+
 ADVISORY = ("misra-c2012-2.4", "misra-c2012-8.7")
 """Deviations that the header names."""
 
@@ -435,6 +677,8 @@ def assert_misra(written, tmp_path):
     write(written, tmp_path)
     command = "cppcheck -q --addon=misra --enable=style --std=c99 --template={id} cart_pendulum.c"
     told = subprocess.run(command.split(), cwd=tmp_path, capture_output=True, text=True)
+    assert told.returncode == 0, told.stdout + told.stderr
+    assert "misra-c2012-8.7" in told.stderr.splitlines(), "the rules were not applied"
     found = [line for line in told.stderr.splitlines() if "[" not in line and line.strip(" ^")]
     assert {line for line in found if "misra" in line or "-" not in line} <= set(ADVISORY)
     assert all(rule.split("-")[-1] in written["cart_pendulum.h"].decode() for rule in ADVISORY)
@@ -473,11 +717,25 @@ def test_same_input_same_bytes():
         )
         assert first == again
     for content in first.values():
+        assert "(low + high)" not in content.decode()  # a sum beyond 16 bits
         assert "SHA-256" in content.decode()
     lines = [
         line for name, c in first.items() for line in c.decode().splitlines() if "#" not in line
     ]
     assert [line for line in lines if len(line) > 100] == []
+
+
+@pytest.mark.parametrize("options", [{"arithmetic": "float"}, {"readings": "int16"}])
+def test_the_same_files_in_two_folders(tmp_path, options):
+    scale = 2 * np.pi / 4096
+    found = [
+        export(policy("cart-pendulum"), "c", tmp_path / k, scale=scale, **options) for k in "ab"
+    ]
+    for first, again in zip(*found):
+        assert first.name == again.name and first.read_bytes() == again.read_bytes()
+    vectors = (tmp_path / "a" / "golden.csv").read_text().splitlines()
+    row = [line for line in vectors if line[0] != "#"][1].split(",")
+    assert len(row) == 6 and ("." in row[0]) == ("arithmetic" in options)
 
 
 @pytest.mark.parametrize("roundings", [9, 40, 1000])
@@ -547,6 +805,47 @@ def test_names(tmp_path):
     assert prefix_of(files(Plan.of(source), None, name="double")) == "double_2"
 
 
+@pytest.mark.parametrize(
+    "name",
+    "stdint stdbool float math string stdio Stdint limits test Test ALL install help clean example"
+    " double".split(),
+)
+def test_names_that_others_have(tmp_path, name):
+    written = files(plan_of("cart-pendulum"), None, name=name)
+    assert prefix_of(written) == f"{name}_2"
+    if name in ("stdint", "float", "math"):
+        Library(written, tmp_path, 2, options=["-O1", "-I."])
+
+
+@given(st.lists(st.text("*/\\?a \n", max_size=120), max_size=3))
+def test_a_comment_ends_where_it_should(lines):
+    text = comment(lines)
+    assert text.startswith("/*") and text.endswith("*/") and not set(text) & {"\\"}
+    assert not any(mark in text[2:-2] for mark in ("*/", "/*", "//", "??"))
+
+
+@pytest.mark.parametrize("name", ["a *\\ int boom; b", "*??/ int boom; /*", "\\*\\/ // \\"])
+def test_a_name_is_no_code(tmp_path, name):
+    source = dataclasses.replace(policy("cart-pendulum"), name=name)
+    written = files(Plan.of(source), None, name="k")
+    Library(written, tmp_path, 2)
+    assert "boom" not in re.sub(r"/\*.*?\*/", "", written["k.c"].decode(), flags=re.S)
+
+
+def test_ticks_of_a_dwell_time():
+    plan = dataclasses.replace(plan_of("cart-pendulum"), dwell=0.5)
+    header = files(plan, None, tick=np.float64(1e-3))["cart_pendulum.h"].decode()
+    assert "_DWELL 500uL /* ticks of 0.001 s: 0.5 s */" in header
+    most = dataclasses.replace(plan, dwell=4294.967295)
+    assert "_DWELL 4294967295uL" in files(most, None)["cart_pendulum.h"].decode()
+    with pytest.raises(ProblemError, match="`tick` must be at least 1.0000000001.*; got 1e-06"):
+        files(dataclasses.replace(plan, dwell=4294.9672955), None)
+    for dwell in (0.0, 0.5):
+        for tick in (-1, 0, np.nan, "1"):
+            with pytest.raises(ProblemError, match="`tick` must be"):
+                files(dataclasses.replace(plan, dwell=dwell), None, tick=tick)
+
+
 def test_what_cannot_be_written():
     plan = plan_of("cart-pendulum")
     with pytest.raises(ProblemError, match="`style` must be"):
@@ -557,5 +856,5 @@ def test_what_cannot_be_written():
         files(random_plan(1 << 12, depth=3), None, style="grid")
     with pytest.raises(ProblemError, match="axis 'theta'.*24 bits"):
         files(random_plan(1 << 24, depth=3), None, arithmetic="float")
-    with pytest.raises(ProblemError, match="`tick` must be more than"):
+    with pytest.raises(ProblemError, match="`tick` must be at least"):
         files(dataclasses.replace(plan, dwell=1.0), None, tick=1e-12)

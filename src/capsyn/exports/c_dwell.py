@@ -16,7 +16,7 @@ def ticks_of(plan: Plan, tick: float) -> int:
     ticks = plan.dwell / tick - 1e-9
     if ticks > (1 << 32) - 1:
         least = plan.dwell / ((1 << 32) - 1)
-        raise ProblemError(f"`tick` must be at least {least:.10g} s; got {tick!r}")
+        raise ProblemError(f"`tick` must be at least {least!r} s; got {tick!r}")
     return max(1, math.ceil(ticks))
 
 

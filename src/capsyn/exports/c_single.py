@@ -33,8 +33,8 @@ def check_single_precision(plan: Plan, tree: SplitTree) -> None:
                 f"got {float(values[lost][0])!r}; take double"
             )
     for i, count in enumerate(tree.counts):
-        bounds = f"axis '{domain.names[i]}', in [{domain.lower[i]!r}, {domain.upper[i]!r}]"
-        largest = max(abs(domain.lower[i]), abs(domain.upper[i]))
+        lower, upper = float(domain.lower[i]), float(domain.upper[i])
+        bounds, largest = f"axis '{domain.names[i]}', in [{lower!r}, {upper!r}]", max(-lower, upper)
         if domain.periodic[i] and largest > LARGEST_PERIODIC:
             raise ProblemError(
                 f"`arithmetic` float needs bounds of a periodic axis within "
