@@ -75,7 +75,9 @@ __attribute__((section(".vectors"), used)) const void *const vectors[] = {{
 int main(void)
 {{
     int wrong = 0;
-    for (int i = 0; i < {count}; ++i) {{ wrong += wrong_at(given + {n} * i, labels[i], statuses[i]); }}
+    for (int i = 0; i < {count}; ++i) {{
+        wrong += wrong_at(given + {n} * i, labels[i], statuses[i]);
+    }}
     return wrong > 99 ? 99 : wrong;
 }}
 """
