@@ -100,6 +100,7 @@ ORDER = [
     "exports.plan",
     "exports.constants",
     "exports.golden",
+    "exports.made",
     "exports.identifiers",
     "exports.c_language",
     "exports.c_table",

@@ -1,3 +1,4 @@
+import dataclasses
 import re
 
 import numpy as np
@@ -152,6 +153,11 @@ def test_names_that_the_language_keeps():
     assert "Renamed: 'SYMBOL' is SYMBOL_2" in text
     for style in STYLES:
         check(plan, style=style)
+
+
+def test_states_may_be_called_like_functions():
+    domain = dataclasses.replace(random_policy(3).domain, names=["random_tree1", "random_step"])
+    check(Plan.of(dataclasses.replace(random_policy(3), domain=domain)))
 
 
 def test_same_input_same_bytes_and_header():

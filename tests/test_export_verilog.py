@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import re
 import shutil
@@ -117,6 +118,45 @@ def test_random_policies_on_periodic_axes(grid, tmp_path):
         check(tmp_path, plan, inputs=inputs, pipeline=grid % 2 == 1)
 
 
+def single_split(counts, threshold, lower, upper):
+    """Return a tree policy of one split of the first axis."""
+    split = np.array([0, LEAF, LEAF], dtype=np.int32)
+    numbers = np.array([threshold, 0, 1], dtype=np.int32)
+    second = np.array([2, 1, 2], dtype=np.int32)
+    n = len(counts)
+    tree = SplitTree(counts, split, numbers, second, np.zeros((0, n), dtype=np.int32))
+    domain = Box(lower, upper)
+    guarantee = capsyn.compress(built_in("double-tank-b")).guarantee
+    return capsyn.DecisionTree(
+        "single", domain, Alphabet([1, 2]), np.zeros(1), tree, guarantee=guarantee
+    )
+
+
+def test_steps_that_the_tree_does_not_tell_apart_cost_nothing(tmp_path):
+    plan = Plan.of(single_split((1 << 30,), 12345, [0.0], [2.0**20]))
+    assert len(check(tmp_path, plan, inputs="fixed")) < 10_000
+
+
+def test_oblique_trees_whose_faces_are_numbers_of_the_port(tmp_path):
+    plan = Plan.of(oblique(2, seed=3))
+    domain = Box([-0.5, -4.0], [0.5, 4.0])
+    tree = dataclasses.replace(plan.policy.cells, counts=(128, 64))
+    policy = dataclasses.replace(plan.policy, domain=domain, cells=tree)
+    check(tmp_path, Plan.of(policy), inputs="fixed")
+
+
+def test_expected_symbols_of_fixed_point_ports_are_those_of_their_numbers():
+    plan = Plan.of(random_policy(3, periodic=True))
+    golden = golden_vectors(plan)
+    assert target.files(plan, golden).golden is None
+    found = target.files(plan, golden, inputs="fixed").golden
+    rounded = decide(plan, found.readings)
+    np.testing.assert_array_equal(found.labels, rounded.labels)
+    finite = golden.statuses != 2
+    assert (found.readings != golden.readings[finite]).any()
+    assert (found.labels != golden.labels[finite]).any()  # beside the faces
+
+
 @pytest.mark.parametrize("inputs, pipeline", KINDS)
 def test_oblique_trees(inputs, pipeline, tmp_path):
     for periodic in (False, True):
@@ -182,7 +222,8 @@ def test_a_wrong_symbol_is_found(tmp_path):
     files["double_tank_b.mem"] = ("\n".join(lines) + "\n").encode()
     assert "FAIL: 1 wrong" in simulate(tmp_path, files)
     files["double_tank_b.mem"] = b"\n"
-    assert "FAIL" in simulate(tmp_path, files)
+    told = simulate(tmp_path, files)
+    assert "FAIL: no vectors in double_tank_b.mem; run where it lies" in told
 
 
 DWELL_BENCH = """
@@ -206,6 +247,28 @@ module dwell_tb;
     end
 endmodule
 """
+
+
+@pytest.mark.parametrize("clock", [50e6, 100e6])
+@pytest.mark.parametrize("dwell", [0.1 * 3, 500 / 1.3, 86400.0, 1e6 / 3])
+def test_clocks_of_long_dwell_times(clock, dwell, tmp_path):
+    plan = Plan.of(random_policy(3), dwell=dwell)
+    written = target.files(plan, golden_vectors(plan), clock_hz=clock, name="top").files
+    written["show.v"] = (
+        b"module show; wire [1:0] s; wire v; top dut(1'b0, 1'b0, 1'b0, 5'd0, 5'd0, v, s);"
+        b' initial begin $display("%0d", dut.DWELL_CYCLES); $finish; end endmodule\n'
+    )
+    for name in ("top.v", "show.v"):
+        (tmp_path / name).write_bytes(written[name])
+    run(tmp_path, "iverilog", "-g2005", "-o", "show.vvp", "top.v", "show.v")
+    found = int(run(tmp_path, "vvp", "-n", "show.vvp"))
+    assert abs(found - dwell * clock) <= 1 + 1e-12 * dwell * clock
+
+
+def test_dwell_times_beyond_the_counter():
+    plan = Plan.of(random_policy(3), dwell=1e12)
+    with pytest.raises(ProblemError, match="`dwell` must be less than 2.63 clocks of 50000000 Hz"):
+        target.files(plan, golden_vectors(plan))
 
 
 @pytest.mark.parametrize("pipeline", [False, True])

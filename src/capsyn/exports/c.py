@@ -29,7 +29,8 @@ from capsyn.exports.c_single import check_single_precision, decide_single, share
 from capsyn.exports.c_table import table
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 from capsyn.split_tree import SplitTree
 from capsyn.validation import finite_number, one_of
 
@@ -159,9 +160,9 @@ class Code:
         return renamed([self.wanted], [self.prefix]) | changed
 
     @functools.cached_property
-    def changed(self) -> float:
-        """Share of states whose symbol rounding changes."""
-        return share_changed(self.plan) if self.real == "float" else 0.0
+    def changed(self) -> float | None:
+        """Share of states whose symbol rounding changes; None where none can."""
+        return share_changed(self.plan) if self.real == "float" else None
 
     def told(self) -> tuple[str, ...]:
         """Return what a user is told as the export is made."""

@@ -32,7 +32,7 @@ def notes(
     arithmetic: str,
     axes: list[CountAxis],
     renamed: Mapping[str, str],
-    changed: float,
+    changed: float | None,
 ) -> list[str]:
     """Return what a user must know, as lines.
 

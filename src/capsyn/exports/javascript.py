@@ -8,7 +8,8 @@ import textwrap
 from capsyn.exports.constants import constants, tables
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 
 CODE = """
 /** Return the lattice steps of a state of finite numbers; beyond the bounds the nearest. */

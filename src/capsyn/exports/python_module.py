@@ -11,7 +11,8 @@ from typing import Any
 from capsyn.exports.constants import constants, tables
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 
 KEYWORDS = {*keyword.kwlist, *keyword.softkwlist, *sys.stdlib_module_names}
 """Names that the module cannot have, or that would hide another."""
@@ -107,7 +108,7 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     name : str, optional
         What it is called, made an identifier. Default: the policy's name.
     """
-    lines = [f"# {line}" for line in plan.header]
+    lines = ["# -*- coding: utf-8 -*-", *(f"# {line}" for line in plan.header)]
     title = f"Control alphabet policy {plan.policy.name}: states to symbols."
     lines += [repr(title), "", "import math", ""]
     for constant, value, note in constants(plan) + tables(plan):
