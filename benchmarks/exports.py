@@ -5,7 +5,6 @@
 """
 
 import ctypes
-import itertools
 import json
 import shutil
 import subprocess
@@ -18,10 +17,11 @@ import numpy as np
 from capsyn import compress, problems, synthesize
 from capsyn.exports.c import files
 from capsyn.exports.c_sizes import sizes
+from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 
 STATES = 100_000
-ROUNDS = 50
+ROUNDS = 20
 CASES = [
     ("cart-pendulum", 4, "exact"),
     ("cart-pendulum", 4, "freedom"),
@@ -37,7 +37,9 @@ ARITHMETICS = {
     "counts": ({"readings": "int16"}, "int16_t"),
 }
 """Options of the target, and the type of what it reads."""
-PROCESSORS = ("cortex-m0", "cortex-m4", "avr")
+CODES = [*((s, a) for s in STYLES for a in ("lattice", "double", "counts")), ("nested", "float")]
+"""Codes that are timed."""
+PROCESSORS = ("cortex-m0", "avr")
 COUNTS = 4096
 """Counts of each axis where readings are counts."""
 MOST_BYTES = {
@@ -93,27 +95,38 @@ def nanoseconds(loops, readings, labels):
     return {key: 1e9 * seconds / STATES for key, seconds in best.items()}
 
 
-def bytes_of(written, what, limits):
+def bytes_of(written, what, processors, limits):
     """Return the rows of what code takes, on processors that have a compiler here."""
     rows = []
-    for processor, found in sizes(written, prefix_of(written)).items():
-        if processor in PROCESSORS:
-            row = {"what": f"{what}, {processor}", "unit": "bytes"}
-            most = limits.get(processor)
-            wanted = most and f"<= {most}"
-            rows.append({**row, "value": found["decision"], "wanted": wanted})
-            if "quantiser" in found:
-                more = {**row, "what": f"{row['what']}, and its quantiser"}
-                rows.append({**more, "value": found["quantiser"]})
+    measured = sizes(written, prefix_of(written))
+    for processor in processors:
+        found = measured.get(processor, {})
+        row = {"what": f"{what}, {processor}", "unit": "bytes"}
+        most = limits.get(processor)
+        if "decision" in found:
+            rows.append({**row, "value": found["decision"], "wanted": most and f"<= {most}"})
+        if "quantiser" in found:
+            more = {**row, "what": f"{row['what']}, and its quantiser"}
+            rows.append({**more, "value": found["quantiser"]})
     return rows
 
 
+def measured_on(case, code):
+    """Return the processors whose bytes of a code are measured, and the bytes wanted."""
+    style, arithmetic = code
+    pendulum = case[0] == "cart-pendulum"
+    if style == "table" and arithmetic in ("lattice", "counts"):
+        return PROCESSORS, MOST_BYTES[case[2]] if pendulum and arithmetic == "lattice" else {}
+    return PROCESSORS[: pendulum and case[2] == "exact"], {}
+
+
 def measure(name, level, mode):
-    """Return the rows of one tree; bytes of all codes for the pendulum, else of the default."""
+    """Return the rows of one tree: bytes, and nanoseconds per decision."""
     tree = compress(synthesize(problems.get(name), max_level=level), mode)
     domain, rows, loops = tree.domain, [], {}
     plain = Plan.of(tree)
     counted = Plan.of(tree, scale=domain.widths / COUNTS, offset=domain.lower)
+    golden = golden_vectors(plain)
     states = domain.sample(STATES, 1)
     readings = {
         "double": states,
@@ -122,16 +135,15 @@ def measure(name, level, mode):
     }
     labels = tree.cells.labels(domain.locate(states, tree.cells.counts))
     with tempfile.TemporaryDirectory() as made:
-        for style, arithmetic in itertools.product(STYLES, ARITHMETICS):
+        for style, arithmetic in CODES:
             options, kind = ARITHMETICS[arithmetic]
             plan = counted if arithmetic == "counts" else plain
-            written = files(plan, None, style=style, **options).files
+            written = files(plan, golden, style=style, **options).files
             what = f"export c: {name} level {level} {mode}, {style} {arithmetic}"
-            default = (style, arithmetic) == ("table", "lattice")
-            if name == "cart-pendulum" or default:
-                limits = MOST_BYTES[mode] if default and name == "cart-pendulum" else {}
-                rows += bytes_of(written, what, limits)
-            for compiler in ("gcc", "clang"):
+            processors, limits = measured_on((name, level, mode), (style, arithmetic))
+            if processors:
+                rows += bytes_of(written, what, processors, limits)
+            for compiler in ("gcc", "clang")[: 1 + ((style, arithmetic) == ("grid", "double"))]:
                 if shutil.which(compiler):
                     place = Path(made, f"{style}-{arithmetic}-{compiler}")
                     loop = compiled(written, plan.n, compiler, kind, place)
