@@ -37,7 +37,7 @@ def grid(tree: SplitTree, prefix: str, opening: str) -> Part:
     data = packed.sum(axis=1).tolist()
     lines = ["    uint32_t cell = 0u;"]
     for i, count in enumerate(tree.counts):
-        if i:
+        if i and count > 1:
             lines.append(f"    cell *= {count}u;")
         lines += [
             f"    if (z[{i}] >= {count}) {{",

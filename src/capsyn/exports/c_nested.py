@@ -30,7 +30,8 @@ def nested(
         split, threshold = int(tree.split[node]), int(tree.threshold[node])
         if split >= tree.n:
             plane = tree.planes[split - tree.n].tolist()
-            terms = [f"({a} * (int32_t)z[{j}])" for j, a in enumerate(plane) if a]
+            factors = ["" if a == 1 else f"{a} * " for a in plane]  # 1 * would be dead code
+            terms = [f"({factors[j]}(int32_t)z[{j}])" for j, a in enumerate(plane) if a]
             return f"({' + '.join(terms) or '0'}) < {threshold}"
         if arithmetic == "lattice":
             return f"z[{split}] < {threshold}"
