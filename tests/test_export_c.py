@@ -876,3 +876,12 @@ def test_what_cannot_be_written():
         files(random_plan(1 << 24, depth=3), None, arithmetic="float")
     with pytest.raises(ProblemError, match="`tick` must be at least"):
         files(dataclasses.replace(plan, dwell=1.0), None, tick=1e-12)
+
+
+def test_tables_of_faces_are_told_and_limited():
+    tree = random_plan(3000, depth=3, oblique=1.0)
+    made = c.files(tree, golden_vectors(tree), arithmetic="float")
+    faces = sum(tree.tree.cells.counts) - tree.n
+    assert f"tables of the faces take {4 * faces:,} bytes" in " ".join(made.notes)
+    with pytest.raises(ProblemError, match="`arithmetic` float tabulates all .* take lattice"):
+        files(random_plan(9000, depth=3, oblique=1.0), None, arithmetic="float")

@@ -23,7 +23,7 @@ from capsyn.exports.c_language import (
     z_type,
 )
 from capsyn.exports.c_nested import nearest, nested
-from capsyn.exports.c_notes import count_lines, notes
+from capsyn.exports.c_notes import notes, told
 from capsyn.exports.c_quantiser import quantiser, ranked
 from capsyn.exports.c_single import check_single_precision, decide_single, share_changed
 from capsyn.exports.c_table import table
@@ -90,7 +90,9 @@ def files(
     vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
     if code.axes:
         vectors = c_counts.golden_counts(plan, code.axes, readings)
-    return Made(written, code.renamed, code.told(), code.changed, vectors)
+    return Made(
+        written, code.renamed, told(code.tree.counts, code.faces, code.axes), code.changed, vectors
+    )
 
 
 @dataclass(frozen=True)
@@ -163,14 +165,6 @@ class Code:
     def changed(self) -> float | None:
         """Share of states whose symbol rounding changes; None where none can."""
         return share_changed(self.plan) if self.real == "float" else None
-
-    def told(self) -> tuple[str, ...]:
-        """Return what a user is told as the export is made."""
-        found = [line for axis, line in count_lines(self.axes) if axis.missed]
-        if self.integer != "int16_t":
-            many = max(self.tree.counts)
-            found.append(f"lattice steps are {self.integer}: an axis has {many:,}, beyond 16 bits")
-        return tuple(found)
 
     def about(self, role: str) -> str:
         """Return the comment that a file begins with."""

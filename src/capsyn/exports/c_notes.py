@@ -11,6 +11,9 @@ from capsyn.exports.c_language import z_type
 from capsyn.exports.c_single import SAMPLES
 from capsyn.exports.plan import Plan
 
+TOLD_FACES = 4096
+"""Bytes of tables of faces that a user is not told of."""
+
 
 def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
     """Return each axis of counts with a line about it."""
@@ -25,6 +28,19 @@ def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
             )
         found.append((axis, line))
     return found
+
+
+def told(
+    counts: tuple[int, ...], faces: list[np.ndarray] | None, axes: list[CountAxis]
+) -> tuple[str, ...]:
+    """Return what a user is told as the export is made."""
+    found = [line for axis, line in count_lines(axes) if axis.missed]
+    size = 4 * sum(map(len, faces or []))
+    if size > TOLD_FACES:
+        found.append(f"tables of the faces take {size:,} bytes; arithmetic lattice has none")
+    if z_type(counts) != "int16_t":
+        found.append(f"lattice steps are of 32 bits: an axis has {max(counts):,}, beyond 16 bits")
+    return tuple(found)
 
 
 def notes(

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from capsyn.domain import Box
+from capsyn.errors import ProblemError
 from capsyn.exports.c_language import (
     Part,
     double_literal,
@@ -25,12 +26,22 @@ from capsyn.exports.c_language import (
 from capsyn.exports.plan import Plan
 from capsyn.split_tree import SplitTree
 
+MOST_FACES = 16_000
+"""Most faces in tables of floats: 64 kB are what 16 bits can point at."""
+
 
 def ranked(tree: SplitTree, domain: Box) -> tuple[SplitTree, list[np.ndarray]]:
     """Return a tree over those faces alone that it compares with, and the faces of each axis.
 
-    A tree with oblique splits is the same, with all faces.
+    A tree with oblique splits is the same, with all faces, up to `MOST_FACES`.
     """
+    total = sum(tree.counts) - tree.n
+    if len(tree.planes) and total > MOST_FACES:
+        raise ProblemError(
+            f"`arithmetic` float tabulates all {total:,} faces of a tree with oblique splits; more "
+            f"than {MOST_FACES:,} are too many: take lattice, with readings int16 where there are "
+            "no doubles"
+        )
     numbers = [np.arange(1, count) for count in tree.counts]
     threshold = tree.threshold.copy()
     if not len(tree.planes):
