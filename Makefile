@@ -37,7 +37,7 @@ demo: $(VENV)/installed
 
 test: debian
 	@$(MAKE) --no-print-directory $(VENV)/developed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 check: $(VENV)/developed
 	$(BIN)/ruff format --check .
