@@ -96,6 +96,8 @@ ORDER = [
     "paper_pendulum",
     "paper_tanks",
     "reproduction",
+    "explorer",
+    "explorer.policy_data",
     "exports",
     "exports.plan",
     "exports.golden",
