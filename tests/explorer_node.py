@@ -9,6 +9,7 @@ import pytest
 
 import capsyn.explorer
 from capsyn.explorer.policy_data import policy_data
+from capsyn.explorer.program_javascript import model_javascript
 
 NODE = shutil.which("node")
 PAGE = Path(capsyn.explorer.__file__).parent / "page"
@@ -33,6 +34,7 @@ def node(directory, code, policy, **given):
         pytest.skip("needs node: apt-get install nodejs")
     for path in PAGE.glob("*.js"):
         (directory / path.name).write_bytes(path.read_bytes())
+    (directory / "model.js").write_text(model_javascript(policy))
     (directory / "package.json").write_text('{"type": "module"}')
     (directory / "run.js").write_text(code)
     (directory / "input.json").write_text(json.dumps({"policy": policy_data(policy), **given}))

@@ -98,6 +98,7 @@ ORDER = [
     "reproduction",
     "explorer",
     "explorer.policy_data",
+    "explorer.program_javascript",
     "exports",
     "exports.plan",
     "exports.golden",

@@ -22,8 +22,8 @@ STRUCTURE = ("partitions", "refinement", "max_level")
 def policy_data(policy: Policy) -> dict[str, Any]:
     """Return a policy as plain data, which ``json.dumps`` takes.
 
-    It is what the policy's file holds (see docs/policy-format.md), but for the programs of the model
-    and of a target, which go to the page as JavaScript, with
+    It is what the policy's file holds (see docs/policy-format.md) but for the programs, which go to
+    the page as JavaScript (`model_javascript`), with
 
     - ``sha256``: its content's hash; ``evidence``: as in the file, without the hash;
     - ``symbols``, ``controls``: names (N + 1) and control vectors (N + 1, m), the default last;
