@@ -1,1 +1,1 @@
-"""One self-contained HTML page for a policy."""
+"""The explorer: one self-contained HTML page for a policy."""

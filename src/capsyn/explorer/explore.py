@@ -15,6 +15,7 @@ from typing import Any
 from capsyn.errors import ProblemError
 from capsyn.explorer.formulas import formulas
 from capsyn.explorer.page_data import page_data
+from capsyn.explorer.program_javascript import model_javascript
 from capsyn.files import atomic_write
 from capsyn.policy import Policy
 from capsyn.validation import describe
@@ -57,7 +58,9 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
 
 def page(policy: Policy, drawing: str | None = None) -> str:
     """Return the page of a policy as HTML."""
-    script, style = _resource("page.js").strip(), _resource("page.css").strip()
+    style = _resource("page.css").strip()
+    model = model_javascript(policy).removeprefix("export ").strip()
+    script = f"{model}\n{_resource('page.js').strip()}\ncapsynPage.start(model);"
     parts = {
         "TITLE": html.escape(f"{policy.name} - capsyn"),
         "SECURITY": html.escape(

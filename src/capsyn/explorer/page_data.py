@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import warnings
 from typing import Any
 
 import numpy as np
@@ -11,19 +9,14 @@ import numpy as np
 from capsyn.automaton import Automaton
 from capsyn.cells import CellTree
 from capsyn.domain import Ball, Box
-from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.errors import ProblemError
 from capsyn.explorer.facts import facts
-from capsyn.plant import choose_substeps, plant_of
+from capsyn.explorer.policy_data import policy_data
 from capsyn.policy import Policy
-from capsyn.policy_file import CELL_ARRAYS, TREE_ARRAYS
 from capsyn.report import report
 from capsyn.split_tree import SplitTree
-from capsyn.targets import describe_target, target_axes, target_program
+from capsyn.targets import describe_target, target_axes
 
-RATES = (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0)
-"""Sample rates that the page offers beside the policy's own [1 / s]."""
-DEFAULT_RATE = 1000.0
-"""Of a policy without settings [1 / s]."""
 DRAWINGS = {
     "pendulum": ("theta", "omega"),
     "cart-pole": ("x", "v", "theta", "omega"),
@@ -41,9 +34,7 @@ DRAWN = {
 
 
 def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
-    """Return what the page of a policy shows and computes with, as plain data.
-
-    Arrays are little-endian, in base64. ``model`` is null for a policy without dynamics.
+    """Return what the page of a policy shows and computes with: `policy_data` and more.
 
     Parameters
     ----------
@@ -58,69 +49,13 @@ def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
         A drawing of other states, or none of that name.
     """
     figures = report(policy)
-    return {
-        "name": policy.name,
-        "domain": policy.domain.to_json(),
-        "alphabet": policy.alphabet.to_json(),
-        "names": [*policy.alphabet.names, "default"],
-        "controls": policy.controls.tolist(),
-        "default": policy.default.tolist(),
-        "cells": _cells(policy.cells),
-        "outside": policy.outside,
-        "min_dwell": policy.min_dwell,
-        "horizon": policy.horizon,
-        "model": _model(policy),
+    return policy_data(policy) | {
         "target": _target(policy),
         "automaton": _automaton(policy),
         "drawing": _drawing(policy, drawing),
         "shares": policy.volume_shares.tolist(),
+        "loops": policy.model is not None,
         "facts": facts(figures),
-        "sha256": figures["sha256"],
-    }
-
-
-def packed(array: np.ndarray) -> str:
-    """Return the bytes of an array, little-endian and in C order, in base64."""
-    little = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<"), copy=False)
-    return base64.b64encode(little.tobytes()).decode("ascii")
-
-
-def _cells(cells: CellTree | SplitTree) -> dict[str, Any]:
-    counts = [int(count) for count in cells.counts]
-    if isinstance(cells, SplitTree):
-        return {"kind": "tree", "counts": counts, "depth": cells.depth} | {
-            name: packed(getattr(cells, name)) for name in TREE_ARRAYS
-        }
-    return {
-        "kind": "cells",
-        "counts": counts,
-        "partitions": list(cells.partitions),
-        "refinement": list(cells.refinement),
-        "max_level": cells.max_level,
-    } | {name: packed(getattr(cells, name)) for name in CELL_ARRAYS}
-
-
-def _model(policy: Policy) -> dict[str, Any] | None:
-    """Return the programs of the closed loop, and its integration steps at every rate offered."""
-    if policy.model is None:
-        return None
-    own = DEFAULT_RATE if policy.settings is None else 1 / policy.settings.sample_time
-    plant = plant_of(policy)
-    with warnings.catch_warnings():  # a switch in the dynamics: the best steps there are
-        warnings.simplefilter("ignore", CapsynWarning)
-        substeps = {
-            rate: choose_substeps(plant, policy.controls, np.zeros((0, 1)), 1 / rate)
-            for rate in sorted({*RATES, own})
-        }
-    return {
-        "dynamics": plant.dynamics.to_json(),
-        "running_cost": plant.running_cost.to_json(),
-        "terminal_cost": plant.terminal_cost.to_json(),
-        "inside": None
-        if policy.target is None
-        else target_program(policy.target, policy.domain).to_json(),
-        "rate": own,
-        "rates": [{"rate": rate, "substeps": steps} for rate, steps in substeps.items()],
     }
 
 
