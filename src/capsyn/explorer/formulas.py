@@ -1,5 +1,0 @@
-"""Placeholder."""
-
-
-def formulas(policy):
-    return ""
