@@ -99,6 +99,8 @@ ORDER = [
     "explorer",
     "explorer.policy_data",
     "explorer.program_javascript",
+    "explorer.expression",
+    "explorer.formulas",
     "exports",
     "exports.plan",
     "exports.golden",
