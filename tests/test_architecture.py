@@ -100,6 +100,8 @@ ORDER = [
     "explorer",
     "explorer.policy_data",
     "explorer.program_javascript",
+    "explorer.expression",
+    "explorer.formulas",
     "exports",
     "exports.plan",
     "exports.golden",

@@ -148,16 +148,17 @@ function cellTree({ partitions, refinement, max_level: maxLevel, ...packed }) {
     refinement.map(r => r ** (maxLevel - level)));
 
   /** The digit of step k at a level: its root cell, or the child that holds it. */
-  const digit = (i, k, level) => {
+  function digit(i, k, level) {
     const whole = Math.floor(k / sizes[level][i]);
     return level ? whole % refinement[i] : whole;
-  };
-  const child = (z, level) => {
+  }
+
+  function child(z, level) {
     const base = level ? refinement : partitions;
     let place = 0;
     for (let i = 0; i < n; i++) place = place * base[i] + digit(i, z[i], level);
     return place;
-  };
+  }
 
   function descend(z) {
     let level = 0, place = child(z, 0);

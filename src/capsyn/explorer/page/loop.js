@@ -22,8 +22,20 @@ export function makeLoop(data, lookup, model) {
   const { n } = lookup, { controls } = data, m = controls[0].length;
   const widths = data.domain.lower.map((low, i) => data.domain.upper[i] - low);
   const sampled = unpack(data.sampled.states), count = sampled.length / n;
+  const controlOf = symbol => controls[symbol < 0 ? controls.length - 1 : symbol];
   const [k1, k2, k3, k4, y] = Array.from({ length: 5 }, () => new Float64Array(n));
   const [c1, c2, c3, c4] = Array.from({ length: 4 }, () => new Float64Array(1));
+
+  function differ(one, other) {
+    const u = controlOf(one), v = controlOf(other);
+    for (let i = 0; i < m; i++) if (u[i] !== v[i]) return true;
+    return false;
+  }
+
+  function isFinite(x) {
+    for (let i = 0; i < n; i++) if (!Number.isFinite(x[i])) return false;
+    return true;
+  }
 
   function along(x, factor, h, k) {
     for (let i = 0; i < n; i++) y[i] = x[i] + factor * h * k[i];
@@ -113,7 +125,7 @@ export function makeLoop(data, lookup, model) {
     const states = new Float64Array((samples + 1) * n), u = new Float64Array(samples * m);
     const symbols = new Int16Array(samples);
     const x = Float64Array.from(x0), gathered = new Float64Array(1), inside = new Float64Array(1);
-    const measured = new Float64Array(n), controlOf = symbol => controls.at(symbol);
+    const measured = new Float64Array(n);
     let symbol = NONE, held = 0, switches = 0, away = 0, arrived = NaN, ended = null, k = 0;
 
     /** The control that acts at sample k: what was decided at an earlier one, or the default. */
@@ -123,7 +135,7 @@ export function makeLoop(data, lookup, model) {
       t[k] = k / rate;
       states.set(x, k * n);
       cost[k] = gathered[0];
-      if (!x.every(Number.isFinite)) {
+      if (!isFinite(x)) {
         ended = "not finite";
         break;
       }
@@ -141,15 +153,14 @@ export function makeLoop(data, lookup, model) {
       }
       for (let i = 0; i < n; i++) measured[i] = x[i] + (normal ? deviations[i] * normal() : 0);
       const seen = lookup.symbol(measured, outside);
-      away += seen.status !== INSIDE;
+      if (seen.status !== INSIDE) away += 1;
       if (seen.symbol === NONE) {
         ended = seen.status === NOT_FINITE ? "not finite" : "left the domain";
         break;
       }
-      const wanted = controlOf(seen.symbol), current = symbol === NONE ? null : controlOf(symbol);
-      const changes = current === null || wanted.some((v, i) => v !== current[i]);
-      if (current === null || (changes && held >= dwell)) {
-        switches += current !== null;
+      const first = symbol === NONE, changes = first || differ(seen.symbol, symbol);
+      if (first || (changes && held >= dwell)) {
+        if (!first) switches += 1;
         held = 0;
       }
       if (held === 0 || !changes) symbol = seen.symbol;
