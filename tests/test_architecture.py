@@ -128,7 +128,6 @@ ORDER = [
     "exports.fmu",
     "exports.certificate",
     "exports.export",
-    "explorer.formulas",
     "explorer.facts",
     "explorer.page_data",
     "explorer.explore",

@@ -66,13 +66,19 @@ def page(policy: Policy, drawing: str | None = None) -> str:
         "SECURITY": html.escape(
             POLICY.format(script=_digest(script), style=_digest(style), nothing=NOTHING)
         ),
-        "FORMULAS": formulas(policy),
+        "FORMULAS": _formulas(policy),
         "DATA": _json(page_data(policy, drawing)),
         "STYLE": style,
         "SCRIPT": script,
     }
     # one pass: what is put in is never looked at again
     return re.sub(r"\{\{([A-Z]+)\}\}", lambda found: parts[found[1]], _resource("page/page.html"))
+
+
+def _formulas(policy: Policy) -> str:
+    """Return the formulas of the model under their topics, as HTML."""
+    topics = formulas(policy).items()
+    return "".join(f"<h3>{html.escape(topic)}</h3>{''.join(lines)}" for topic, lines in topics)
 
 
 def _resource(name: str) -> str:

@@ -1,7 +1,7 @@
 import { byId, shape, whole } from "./dom.js";
 import { readable } from "./theme.js";
 
-const SIZE = { width: 340, height: 250 };
+const SIZE = { width: 310, height: 215 };
 /** Up to so many symbols every edge is labelled; else those that were taken. */
 const FEW = 3;
 
@@ -13,9 +13,9 @@ export function makeAutomaton(app) {
   const { data } = app, { vertices, edges, what } = data.automaton, root = byId("automaton");
   const count = vertices.length, last = data.controls.length - 1;
   const symbolOf = label => (label === last ? -1 : label);
-  const radius = count <= 2 ? 34 : count <= 4 ? 27 : Math.max(9, 92 / count + 7);
+  const radius = count <= 2 ? 34 : count <= 4 ? 27 : Math.max(9, 104 / count + 9);
   const center = [SIZE.width / 2, SIZE.height / 2];
-  const ring = count <= 2 ? [82, 0] : [SIZE.width / 2 - radius - 42, SIZE.height / 2 - radius - 26];
+  const ring = count <= 2 ? [78, 0] : [SIZE.width / 2 - radius - 38, SIZE.height / 2 - radius - 15];
   const places = vertices.map((_, k) => {
     const angle = count <= 2 ? Math.PI * (1 - k) : -Math.PI / 2 + (2 * Math.PI * k) / count;
     return count === 1 ? center
@@ -30,6 +30,7 @@ export function makeAutomaton(app) {
       markerWidth: 6.5, markerHeight: 6.5, orient: "auto-start-reverse", markerUnits: "userSpaceOnUse" },
     shape("path", { d: "M0 0.6 L8 4 L0 7.4 Z" }));
     const svg = shape("svg", { viewBox: `0 0 ${SIZE.width} ${SIZE.height}`, role: "img",
+      class: count > 4 ? "crowded" : "",
       "aria-label": "Finite state machine of the policy" },
     shape("defs", {}, arrow("tip", "tip"), arrow("tip-taken", "tip taken"), arrow("tip-off", "tip off")));
     arrows = edges.filter(edge => count <= 10 || edge.possible !== false || edge.source === edge.target)
@@ -81,7 +82,7 @@ export function makeAutomaton(app) {
       const side = Math.cos(out);
       return {
         d: `M${p} C${u} ${v} ${q}`,
-        at: count <= 2 ? [at[0], at[1] - 14] : [at[0] + side * 4, at[1] + Math.sin(out) * 6 + 3],
+        at: count <= 2 ? [at[0], at[1] - 9] : [at[0] + side * 4, at[1] + Math.sin(out) * 6 + 3],
         anchor: count <= 2 || Math.abs(side) < 0.3 ? "middle" : side > 0 ? "start" : "end",
       };
     }
@@ -93,8 +94,16 @@ export function makeAutomaton(app) {
       return [x + ((mid[0] - x) / size) * far, y + ((mid[1] - y) / size) * far];
     };
     const [p, q] = [toward(ax, ay, radius + 1), toward(bx, by, radius + 2)];
-    const at = [mid[0] + nx * 4 - (nx * bow) / 2, mid[1] + ny * 6 - (ny * bow) / 2 + (ny > 0 ? 10 : -8)];
-    return { d: `M${p} Q${mid} ${q}`, at, anchor: Math.abs(nx) < 0.5 ? "middle" : nx > 0 ? "start" : "end" };
+    const d = `M${p} Q${mid} ${q}`;
+    if (count <= 2) {
+      const apex = [mid[0], mid[1] - (ny * bow) / 2];
+      return { d, at: [apex[0], apex[1] + (ny > 0 ? 14 : -16)], anchor: "middle" };
+    }
+    const near = [p, mid, q].reduce((sum, [x, y], k) => {
+      const share = [0.09, 0.42, 0.49][k]; // the curve at 0.7
+      return [sum[0] + share * x, sum[1] + share * y];
+    }, [0, 0]);
+    return { d, at: [near[0], near[1] + 3], anchor: "middle" };
   }
 
   /** Count the transitions up to the present; going back counts anew. */

@@ -60,14 +60,15 @@ export function makeMapTools(app) {
     lookup.levels > 0 && replay,
     labelled("outlines", outlines),
     n > 2 && data.loops && labelled("follow", follow),
-    element("span", { class: "group" },
-      button("+", "Zoom in", () => app.zoomed(0.7)),
-      button("−", "Zoom out", () => app.zoomed(1 / 0.7)),
-      button("⤢", "Show all", () => {
-        view.reset();
-        app.changed();
-      })),
   ].filter(Boolean));
+  byId("zoom").append(
+    button("+", "Zoom in", () => app.zoomed(0.7)),
+    button("−", "Zoom out", () => app.zoomed(1 / 0.7)),
+    button("⤢", "Show all", () => {
+      view.reset();
+      app.changed();
+    }),
+  );
 
   const rows = names.map((name, i) => {
     const input = element("input", {

@@ -23,7 +23,7 @@ export function start(model) {
   const lookup = makeLookup(data), { names, units, lower, upper, periodic } = data.domain;
   const n = names.length, count = data.symbols.length - 1;
   const view = makeView(data, lookup.levels);
-  const app = { data, lookup, view, tracks: [], active: null, pointed: null };
+  const app = { data, model, lookup, view, tracks: [], active: null, pointed: null };
   const loop = data.loops ? makeLoop(data, lookup, model) : null;
   let made = 0, waiting = {};
 

@@ -4,6 +4,8 @@ import { readable } from "./theme.js";
 
 const NEAR = 14;
 const MOVED = 4;
+/** Pixels between the samples of a target. */
+const GRAIN = 3;
 const FINE = 1 / 200, COARSE = 1 / 40;
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
 
@@ -19,7 +21,7 @@ export function makeMap(app) {
   const n = data.domain.lower.length;
   const margin = n > 1 ? { left: 60, right: 14, top: 12, bottom: 44 }
     : { left: 16, right: 16, top: 12, bottom: 44 };
-  let frame = { x: 0, y: 0, width: 1, height: 1 }, scale = 1;
+  let frame = { x: 0, y: 0, width: 1, height: 1 }, scale = 1, edge = new Path2D();
 
   const label = axis => withUnit(data.domain.names[axis], data.domain.units[axis]);
   const toPixels = ([across, up]) => [
@@ -44,6 +46,7 @@ export function makeMap(app) {
     context.putImageData(picture(lookup, view, app.theme, w, h), frame.x * scale, frame.y * scale);
     context.setTransform(scale, 0, 0, scale, 0, 0);
     axes(context);
+    edge = target();
     sweep();
   }
 
@@ -99,49 +102,60 @@ export function makeMap(app) {
     context.beginPath();
     context.rect(frame.x, frame.y, frame.width, frame.height);
     context.clip();
-    target(context);
+    outlined(context, edge, app.theme.ink, 1.3);
     for (const track of app.tracks) path(context, track);
     pointer(context);
     context.restore();
     for (const track of app.tracks) marks(context, track);
   }
 
-  /** The outline of a target that is a ball or a box about both axes of the plane. */
-  function target(context) {
-    const { theme } = app, found = data.target;
-    if (!found || !found.axes || n === 1) return;
-    const at = view.axes.map(axis => found.axes.indexOf(axis));
-    if (at.includes(-1)) return;
-    const { ball, box } = found;
-    context.setLineDash([5, 4]);
-    context.beginPath();
-    if (ball) {
-      const off = found.axes.reduce((sum, axis, k) =>
-        at.includes(k) ? sum : sum + (view.fixed[axis] - ball.center[k]) ** 2, 0);
-      if (off >= ball.radius ** 2) return context.setLineDash([]);
-      const radius = Math.sqrt(ball.radius ** 2 - off), [x0, x1, y0, y1] = view.bounds;
-      const center = Array.from(view.fixed);
-      view.axes.forEach((axis, k) => (center[axis] = ball.center[at[k]]));
-      const [x, y] = toPixels(view.place(center));
-      context.ellipse(x, y, (radius / (x1 - x0)) * frame.width, (radius / (y1 - y0)) * frame.height,
-        0, 0, 2 * Math.PI);
-    } else {
-      const corner = bound => {
-        const state = Array.from(view.fixed);
-        view.axes.forEach((axis, k) => (state[axis] = bound[at[k]]));
-        return toPixels(shares(state));
-      };
-      const [left, bottom] = corner(box.lower), [right, top] = corner(box.upper);
-      context.rect(left, top, right - left, bottom - top);
+  /** Where the target begins and ends in the plane, as short lines between the samples of a grid. */
+  function target() {
+    const lines = new Path2D();
+    if (!app.model || !data.target || n === 1) return lines;
+    const across = Math.ceil(frame.width / GRAIN), up = Math.ceil(frame.height / GRAIN);
+    const [x0, x1, y0, y1] = view.bounds, state = Float64Array.from(view.fixed);
+    const inside = new Float64Array(1), place = [view.axes[0], view.axes[1]];
+    let below = null;
+    for (let row = 0; row <= up; row++) {
+      const here = new Uint8Array(across + 1), y = frame.y + frame.height * (1 - row / up);
+      state[place[1]] = y0 + (row / up) * (y1 - y0);
+      for (let column = 0; column <= across; column++) {
+        state[place[0]] = x0 + (column / across) * (x1 - x0);
+        app.model.inside(state, inside);
+        here[column] = inside[0] !== 0;
+      }
+      for (let column = 0; below && column < across; column++) {
+        const [a, b, c, d] = [below[column], below[column + 1], here[column + 1], here[column]];
+        if (a === b && b === c && c === d) continue;
+        const x = frame.x + (column / across) * frame.width;
+        const [w, h] = [frame.width / across, frame.height / up];
+        const crossed = [
+          a !== b && [x + w / 2, y + h], b !== c && [x + w, y + h / 2],
+          c !== d && [x + w / 2, y], d !== a && [x, y + h / 2],
+        ].filter(Boolean);
+        for (let k = 0; k + 1 < crossed.length; k += 2) {
+          lines.moveTo(...crossed[k]);
+          lines.lineTo(...crossed[k + 1]);
+        }
+      }
+      below = here;
     }
-    halo(context, theme.ink, 1.5, 1);
-    context.setLineDash([]);
+    return lines;
   }
 
   /** Shares of the plane without wrapping. */
   function shares(state) {
     const [x0, x1, y0, y1] = view.bounds, [i, j] = view.axes;
     return [(state[i] - x0) / (x1 - x0), n > 1 ? (state[j] - y0) / (y1 - y0) : 0.5];
+  }
+
+  function outlined(context, lines, color, width) {
+    for (const [paint, wide] of [[app.theme.halo, width + 2], [color, width]]) {
+      context.strokeStyle = paint;
+      context.lineWidth = wide;
+      context.stroke(lines);
+    }
   }
 
   function halo(context, color, width, alpha) {

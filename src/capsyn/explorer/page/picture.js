@@ -2,7 +2,7 @@ import { DEFAULT, MIXED, NONE } from "./lookup.js";
 import { pixel } from "./theme.js";
 
 /** Share of a pixel's colour that is left where a cell ends. */
-const OUTLINE = { light: 0.74, dark: 0.62 };
+const OUTLINE = { light: 0.76, dark: 0.68 };
 /** Pictures with more outline than this share of their pixels have none: their cells are too small. */
 const CROWDED = 0.5;
 

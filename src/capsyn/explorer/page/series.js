@@ -2,7 +2,7 @@ import uPlot from "../vendor/uPlot.esm.js";
 import { byId, element, short, withUnit } from "./dom.js";
 
 const HEIGHTS = { state: 92, input: 62, cost: 74 };
-const STRIP = 12, FOOT = 26, LEFT = 58, RIGHT = 12;
+const STRIP = 12, FOOT = 24, LEFT = 58, RIGHT = 12;
 const FONT = "11px system-ui, sans-serif";
 /** More curves of samples than this are thinned for drawing. */
 const MOST = 4000;
@@ -54,9 +54,8 @@ export function makeSeries(app) {
     };
     return [
       {
-        ...common, show: true, size: last ? 34 : 4, space: 70, label: last ? "time [s]" : undefined,
-        labelSize: 16, labelFont: FONT, labelGap: -2, gap: 2,
-        values: last ? (_, found) => found.map(v => short(v)) : () => [],
+        ...common, show: true, size: last ? FOOT : 4, space: 70, gap: 3,
+        values: last ? (_, found) => found.map(v => `${short(v)} s`) : () => [],
       },
       { ...common, size: LEFT, space: 26, gap: 4, values: (_, found) => found.map(v => short(v, 3)) },
     ];
@@ -79,7 +78,7 @@ export function makeSeries(app) {
           },
         },
       },
-      axes: row.kind === "symbols" ? [axes(false)[0], { show: true, size: LEFT, grid: { show: false },
+      axes: row.kind === "symbols" ? [axes(last)[0], { show: true, size: LEFT, grid: { show: false },
         ticks: { show: false }, values: () => [] }] : axes(last),
       series: [{}, ...app.tracks.map(track => ({
         stroke: theme.track(track.color), width: track === app.active ? 1.8 : 1.2,
@@ -115,8 +114,10 @@ export function makeSeries(app) {
     plots = [];
     if (!app.tracks.length) return;
     const width = root.clientWidth;
-    plots = rows.map((row, k) => {
-      const last = k === rows.length - 1;
+    const costly = app.tracks.some(track => track.cost.at(-1) !== 0);
+    const shown = rows.filter(row => row.kind !== "cost" || costly);
+    plots = shown.map((row, k) => {
+      const last = k === shown.length - 1;
       const holder = element("div", { class: `plot ${row.kind}` },
         element("span", { class: "title" }, row.name));
       root.append(holder);

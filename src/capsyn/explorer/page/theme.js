@@ -19,7 +19,7 @@ const THEMES = {
   },
 };
 /** How much of the paper is mixed into the colours of the map. */
-const SOFTENED = { light: 0.22, dark: 0.3 };
+const SOFTENED = { light: 0.2, dark: 0.12 };
 
 function parts(color) {
   return [1, 3, 5].map(k => parseInt(color.slice(k, k + 2), 16));
