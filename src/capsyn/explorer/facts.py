@@ -91,7 +91,7 @@ def _controller(data: dict[str, Any]) -> list[Row]:
             wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
             rows.append((wanted, f"{settings[wanted]:g}"))
         rows += [
-            ("control weight", str(settings["control_weight"])),
+            ("control weight", _weight(settings["control_weight"])),
             ("steps", f"{settings['steps']} over the horizon, {settings['precision']} precision"),
             ("sample time", f"{settings['sample_time']:g} s"),
         ]
@@ -99,3 +99,10 @@ def _controller(data: dict[str, Any]) -> list[Row]:
         rows.append(("target", data["target"]))
     rows += [("outside", str(data["outside"])), ("least dwell", f"{data['min_dwell']:g} s")]
     return rows
+
+
+def _weight(weight: Any) -> str:
+    """Return a control weight as text: a number, or the rows of a matrix."""
+    if isinstance(weight, list):
+        return "; ".join(", ".join(f"{v:g}" for v in row) for row in weight)
+    return f"{weight:g}"

@@ -96,8 +96,8 @@ export function makeAutomaton(app) {
     const [p, q] = [toward(ax, ay, radius + 1), toward(bx, by, radius + 2)];
     const d = `M${p} Q${mid} ${q}`;
     if (count <= 2) {
-      const apex = [mid[0], mid[1] - (ny * bow) / 2];
-      return { d, at: [apex[0], apex[1] + (ny > 0 ? 14 : -16)], anchor: "middle" };
+      const apex = [mid[0], (p[1] + 2 * mid[1] + q[1]) / 4];
+      return { d, at: [apex[0], apex[1] + (ny > 0 ? 15 : -19)], anchor: "middle" };
     }
     const near = [p, mid, q].reduce((sum, [x, y], k) => {
       const share = [0.09, 0.42, 0.49][k]; // the curve at 0.7

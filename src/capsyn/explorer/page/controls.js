@@ -59,7 +59,6 @@ export function makeMapTools(app) {
     lookup.levels > 0 && labelled("level", level, levelText),
     lookup.levels > 0 && replay,
     labelled("outlines", outlines),
-    n > 2 && data.loops && labelled("follow", follow),
   ].filter(Boolean));
   byId("zoom").append(
     button("+", "Zoom in", () => app.zoomed(0.7)),
@@ -84,6 +83,8 @@ export function makeMapTools(app) {
     sliders.append(row);
     return { row, input, output };
   });
+
+  if (data.loops) sliders.append(labelled("follow the trajectory", follow));
 
   function sync() {
     pickers.forEach((select, side) => (select.value = String(view.axes[side])));

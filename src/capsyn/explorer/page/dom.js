@@ -35,8 +35,14 @@ export function short(value, digits = 4) {
 /** Return a whole number with separators. */
 export const whole = value => value.toLocaleString("en-US");
 
+const RAISED = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+
+/** Return a unit with its powers raised. */
+export const unitText = unit =>
+  unit.replace(/\^(-?\d+)/g, (_, power) => Array.from(power, digit => RAISED[digit]).join(""));
+
 /** Return a name with its unit in brackets. */
-export const withUnit = (name, unit) => (unit ? `${name} [${unit}]` : name);
+export const withUnit = (name, unit) => (unit ? `${name} [${unitText(unit)}]` : name);
 
 /** Return round tick values in [low, high], about `count` of them. */
 export function ticks(low, high, count) {

@@ -1,6 +1,6 @@
 import { makeAutomaton } from "./automaton.js";
 import { makeMapTools, makePlayerBar, makeSettings } from "./controls.js";
-import { byId, element, short, whole, withUnit } from "./dom.js";
+import { byId, element, short, unitText, whole } from "./dom.js";
 import { makeDrawing } from "./drawings.js";
 import { showFacts, swatch } from "./facts.js";
 import { makeLookup, MIXED, NONE } from "./lookup.js";
@@ -20,7 +20,7 @@ const ENDS = {
 /** Bring the page to life; `model` is what `model_javascript` makes. */
 export function start(model) {
   const data = JSON.parse(byId("data").textContent);
-  const lookup = makeLookup(data), { names, units, lower, upper, periodic } = data.domain;
+  const lookup = makeLookup(data), { names, units, periodic } = data.domain;
   const n = names.length, count = data.symbols.length - 1;
   const view = makeView(data, lookup.levels);
   const app = { data, model, lookup, view, tracks: [], active: null, pointed: null };
@@ -45,6 +45,7 @@ export function start(model) {
 
   app.changed = () => {
     tools.sync();
+    document.body.classList.toggle("whole", view.level >= lookup.levels);
     if (app.pointed) read(app.pointed.state);
     soon("map", () => map.draw());
   };
@@ -197,7 +198,7 @@ export function start(model) {
     const row = (name, ...content) =>
       rows.push(element("div", {}, element("dt", {}, name), element("dd", {}, ...content)));
     const name = symbol => (symbol === NONE ? "none" : data.symbols.at(symbol));
-    const value = (text, unit) => (unit ? `${text} ${unit}` : text);
+    const value = (text, unit) => (unit ? `${text} ${unitText(unit)}` : text);
     if (!at) row("state", "point at the map, or move the cursor with the arrow keys");
     else {
       row("state", names.map((text, i) => `${text} = ${value(short(at.state[i]), units[i])}`).join(", "));
@@ -231,8 +232,9 @@ export function start(model) {
     const shown = [...Array(count).keys()];
     if (data.shares.at(-1) > 0) shown.push(-1);
     if (lookup.levels > 0) shown.push(MIXED);
-    byId("legend").replaceChildren(...shown.map(symbol => element("span", { role: "listitem" },
-      swatch(symbol), symbol === MIXED ? "still to split" : data.symbols.at(symbol))));
+    byId("legend").replaceChildren(...shown.map(symbol => element("span", {
+      role: "listitem", class: symbol === MIXED ? "later" : null,
+    }, swatch(symbol), symbol === MIXED ? "still to split" : data.symbols.at(symbol))));
   }
 
   function restyle() {
@@ -265,7 +267,7 @@ export function start(model) {
   for (const id of ["player", "tracks", "series", "status", "settings"]) byId(id).hidden = !loop;
   showFacts(app);
   legend();
-  tools.sync();
+  app.changed();
   readout();
   restyle();
 
@@ -290,7 +292,7 @@ export function start(model) {
   });
   new ResizeObserver(() => soon("map", () => map.draw())).observe(byId("map-box"));
 
-  if (loop) app.start(lower.map((low, i) => low + (periodic[i] ? 0.5 : 0.62) * (upper[i] - low)));
+  if (loop) app.start(view.state(...view.axes.map(axis => (periodic[axis] ? 0.5 : 0.62))));
 
   /** What the page shows, for those who want to check it; reading it changes nothing. */
   window.capsyn = Object.freeze({

@@ -5,7 +5,7 @@ import { readable } from "./theme.js";
 const NEAR = 14;
 const MOVED = 4;
 /** Pixels between the samples of a target. */
-const GRAIN = 3;
+const GRAIN = 4;
 const FINE = 1 / 200, COARSE = 1 / 40;
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
 
@@ -114,26 +114,36 @@ export function makeMap(app) {
     const lines = new Path2D();
     if (!app.model || !data.target || n === 1) return lines;
     const across = Math.ceil(frame.width / GRAIN), up = Math.ceil(frame.height / GRAIN);
-    const [x0, x1, y0, y1] = view.bounds, state = Float64Array.from(view.fixed);
-    const inside = new Float64Array(1), place = [view.axes[0], view.axes[1]];
+    const [x0, x1, y0, y1] = view.bounds, [i, j] = view.axes;
+    const state = Float64Array.from(view.fixed), answer = new Float64Array(1);
+    const inside = (column, row) => {
+      state[i] = x0 + (column / across) * (x1 - x0);
+      state[j] = y0 + (row / up) * (y1 - y0);
+      app.model.inside(state, answer);
+      return answer[0] !== 0 ? 1 : 0;
+    };
+    /** The pixel between two points of the grid where the target ends. */
+    const crossing = (from, to) => {
+      const first = inside(...from);
+      let [low, high] = [from, to];
+      for (let k = 0; k < 6; k++) {
+        const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
+        if (inside(...middle) === first) low = middle;
+        else high = middle;
+      }
+      return toPixels([low[0] / across, low[1] / up]);
+    };
     let below = null;
     for (let row = 0; row <= up; row++) {
-      const here = new Uint8Array(across + 1), y = frame.y + frame.height * (1 - row / up);
-      state[place[1]] = y0 + (row / up) * (y1 - y0);
-      for (let column = 0; column <= across; column++) {
-        state[place[0]] = x0 + (column / across) * (x1 - x0);
-        app.model.inside(state, inside);
-        here[column] = inside[0] !== 0;
-      }
+      const here = Uint8Array.from({ length: across + 1 }, (_, column) => inside(column, row));
       for (let column = 0; below && column < across; column++) {
-        const [a, b, c, d] = [below[column], below[column + 1], here[column + 1], here[column]];
-        if (a === b && b === c && c === d) continue;
-        const x = frame.x + (column / across) * frame.width;
-        const [w, h] = [frame.width / across, frame.height / up];
-        const crossed = [
-          a !== b && [x + w / 2, y + h], b !== c && [x + w, y + h / 2],
-          c !== d && [x + w / 2, y], d !== a && [x, y + h / 2],
-        ].filter(Boolean);
+        const corners = [below[column], below[column + 1], here[column + 1], here[column]];
+        const sum = corners[0] + corners[1] + corners[2] + corners[3];
+        if (sum === 0 || sum === 4) continue;
+        const [left, right] = [column, column + 1], [bottom, top] = [row - 1, row];
+        const points = [[left, bottom], [right, bottom], [right, top], [left, top]];
+        const crossed = [0, 1, 2, 3].filter(k => corners[k] !== corners[(k + 1) % 4])
+          .map(k => crossing(points[k], points[(k + 1) % 4]));
         for (let k = 0; k + 1 < crossed.length; k += 2) {
           lines.moveTo(...crossed[k]);
           lines.lineTo(...crossed[k + 1]);

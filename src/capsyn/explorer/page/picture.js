@@ -17,12 +17,13 @@ export function picture(lookup, view, theme, width, height) {
   const colors = Uint32Array.from(theme.symbols, pixel);
   const others = { [DEFAULT]: pixel(theme.fallback), [NONE]: pixel(theme.none) };
   const [plain, stripe] = [pixel(theme.mixed), pixel(theme.stripe)];
-  for (let row = 0, k = 0; row < rows; row++) {
-    for (let column = 0; column < width; column++, k++) {
-      const symbol = symbols[k];
-      if (symbol >= 0) pixels[k] = colors[symbol];
-      else if (symbol === MIXED) pixels[k] = (row + column) % 9 < 1.5 ? stripe : plain;
-      else pixels[k] = others[symbol];
+  for (let row = 0; row < rows; row++) {
+    const end = (row + 1) * width;
+    for (let k = row * width; k < end;) {
+      const symbol = symbols[k], from = k;
+      do k += 1; while (k < end && symbols[k] === symbol);
+      if (symbol !== MIXED) pixels.fill(symbol >= 0 ? colors[symbol] : others[symbol], from, k);
+      else for (let p = from; p < k; p++) pixels[p] = (p - row * (width - 1)) % 9 < 2 ? stripe : plain;
     }
   }
   if (view.outlines) outline(pixels, lookup.places(wanted), width, rows, OUTLINE[theme.mode]);
@@ -31,22 +32,21 @@ export function picture(lookup, view, theme, width, height) {
 }
 
 function outline(pixels, places, width, rows, share) {
-  const edge = new Uint8Array(pixels.length);
+  const edge = new Int32Array(Math.floor(CROWDED * width * rows));
   let found = 0;
   for (let row = 0, k = 0; row < rows; row++) {
     for (let column = 0; column < width; column++, k++) {
       const place = places[k];
       if ((column && places[k - 1] !== place) || (row && places[k - width] !== place)) {
-        edge[k] = 1;
-        found += 1;
+        if (found === edge.length) return;
+        edge[found++] = k;
       }
     }
   }
-  if (found > CROWDED * width * rows) return;
-  for (let k = 0; k < width * rows; k++) {
-    if (!edge[k]) continue;
-    const color = pixels[k];
+  for (let e = 0; e < found; e++) {
+    const color = pixels[edge[e]];
     const [red, green, blue] = [color & 255, (color >> 8) & 255, (color >> 16) & 255];
-    pixels[k] = ((255 << 24) | ((blue * share) << 16) | ((green * share) << 8) | (red * share)) >>> 0;
+    pixels[edge[e]] =
+      ((255 << 24) | ((blue * share) << 16) | ((green * share) << 8) | (red * share)) >>> 0;
   }
 }

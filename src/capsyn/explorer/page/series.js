@@ -1,7 +1,7 @@
 import uPlot from "../vendor/uPlot.esm.js";
 import { byId, element, short, withUnit } from "./dom.js";
 
-const HEIGHTS = { state: 92, input: 62, cost: 74 };
+const HEIGHTS = { state: 96, input: 68, cost: 82 };
 const STRIP = 12, FOOT = 24, LEFT = 58, RIGHT = 12;
 const FONT = "11px system-ui, sans-serif";
 /** More curves of samples than this are thinned for drawing. */
@@ -64,7 +64,7 @@ export function makeSeries(app) {
   function options(row, width, last) {
     const { theme } = app, base = row.kind === "symbols" ? strip() : HEIGHTS[row.kind];
     return {
-      width, height: base + (last ? FOOT : 0), padding: [6, RIGHT, row.kind === "symbols" ? 2 : 0, 0],
+      width, height: base + (last ? FOOT : 0), padding: [row.kind === "symbols" ? 6 : 17, RIGHT, row.kind === "symbols" ? 2 : 0, 0],
       legend: { show: false },
       cursor: { sync: { key: sync.key, scales: ["x", null] }, drag: { x: false, y: false }, y: false,
         points: { show: false } },
