@@ -90,6 +90,7 @@ ORDER = [
     "report",
     "evidence_text",
     "plots",
+    "policy_picture",
     "automaton_drawing",
     "curve_plot",
     "paper",
@@ -145,6 +146,8 @@ ORDER = [
 EXCEPTIONS = {
     # `Policy.save` and `Policy.load` call the file format, which must know what a Policy is
     ("policy", "policy_file"),
+    # a notebook asks a Policy for its picture
+    ("policy", "policy_picture"),
 }
 
 FACADES = {"__init__"}

@@ -12,9 +12,7 @@ from capsyn.console import working
 
 def explore(
     file: File,
-    output: Annotated[
-        str, typer.Option("--output", "-o", metavar="HTML", help="Where; one file.")
-    ],
+    output: Annotated[str, typer.Option("--output", "-o", metavar="HTML", help="Where; one file.")],
     drawing: Annotated[
         str | None,
         typer.Option(

@@ -52,7 +52,11 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
     if not isinstance(policy, Policy):
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
     text = page(policy, drawing)
-    atomic_write(path, lambda temporary: temporary.write_bytes(text.encode()))
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(text.encode())
+
+    atomic_write(path, write)
     return Path(path)
 
 

@@ -78,7 +78,7 @@ def _automaton(policy: Policy) -> dict[str, Any]:
     """Return the finite state machine; of oblique splits only which symbols there are."""
     if isinstance(policy.cells, SplitTree) and len(policy.cells.planes):
         used = np.unique(policy.cells.labels_at(policy.cells.mixed_cells)).tolist()
-        edges = [(source, target, None, None) for source in used for target in used]
+        edges: list[Any] = [(source, target, None, None) for source in used for target in used]
         cells = np.bincount(
             policy.cells.labels_at(policy.cells.mixed_cells), minlength=len(policy.controls)
         )
