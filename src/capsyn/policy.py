@@ -238,9 +238,9 @@ class Policy:
 
     def _repr_html_(self) -> str:
         """Return a small map for notebooks."""
-        from capsyn.policy_picture import policy_svg
+        from capsyn.policy_picture import policy_html
 
-        return policy_svg(self)
+        return policy_html(self)
 
     def __repr__(self) -> str:
         return (

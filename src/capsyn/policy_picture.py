@@ -17,8 +17,8 @@ MOST_NAMED = 12
 GREY = "#999999"
 
 
-def policy_svg(policy: Policy) -> str:
-    """Return a policy as an SVG: the plane of its first two states through the domain's middle.
+def policy_html(policy: Policy) -> str:
+    """Return a policy as HTML with an SVG: the plane of its first two states through the domain's middle.
 
     The same policy gives the same text; names are escaped.
     """
@@ -38,12 +38,12 @@ def policy_svg(policy: Policy) -> str:
         for row, (symbol, name) in enumerate(named)
     ]
     caption = f"{html.escape(repr(policy))}: {axes}"
-    low = max(height, 16 * len(named))
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width + 170}" height="{low + 24}" '
-        f'font-family="sans-serif" font-size="12" fill="currentColor"><title>{caption}</title>'
+        f'<div><svg xmlns="http://www.w3.org/2000/svg" width="{width + 170}" '
+        f'height="{max(height, 16 * len(named))}" font-family="sans-serif" font-size="12" '
+        f'fill="currentColor"><title>{caption}</title>'
         f'<g transform="scale({SCALE})" shape-rendering="crispEdges">{"".join(paths)}</g>'
-        f'{"".join(entries)}<text x="0" y="{low + 16}">{caption}</text></svg>'
+        f"{''.join(entries)}</svg><div>{caption}</div></div>"
     )
 
 

@@ -95,5 +95,5 @@ def _digest(text: str) -> str:
 
 def _json(data: Any) -> str:
     """Return JSON that no text in it can end, whatever it says."""
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
