@@ -4,7 +4,6 @@ import dataclasses
 import math
 from xml.etree import ElementTree
 
-import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,11 +19,12 @@ from trees import random_policy, random_tree
 NAMES = {"x1": "x", "x2": "y", "x3": "w"}
 FUNCTIONS = {
     "sin": math.sin, "cos": math.cos, "tanh": math.tanh, "arctan": math.atan, "min": min,
-    "max": max, "atan2": math.atan2, "sgn": np.sign, "copysign": math.copysign, "arsinh": math.asinh,
+    "max": max, "atan2": math.atan2, "sgn": np.sign, "copysign": math.copysign,
+    "arsinh": math.asinh,
 }  # fmt: skip
 OPERATIONS = tuple(
-    "add sub mul mul div neg sqrt fabs floor ceil copysign sign fmin fmax select lt le eq ne not and "
-    "or exp log pow sin cos atan atan2 tanh asinh hypot".split()
+    "add sub mul mul div neg sqrt fabs floor ceil copysign sign fmin fmax select lt le eq ne not "
+    "and or exp log pow sin cos atan atan2 tanh asinh hypot".split()
 )
 SIGNS = {
     "\u2062": "*", "−": "-", "⋅": "*", "≤": "<=", "≥": ">=", "≠": "!=", "=": "==", "[": "1.0*(",
@@ -114,7 +114,7 @@ class Read:
     count = 0
 
 
-@settings(max_examples=400, deadline=None, derandomize=True, database=None)
+@settings(max_examples=300, deadline=None, derandomize=True, database=None)
 @given(random_program(OPERATIONS))
 def compare(program):
     program = tame(program)
@@ -140,7 +140,7 @@ def compare(program):
 
 def test_formulas_say_what_programs_do():
     compare()
-    assert Read.count > 300
+    assert Read.count > 300, Read.count
 
 
 def with_dynamics(program):
