@@ -11,7 +11,6 @@ An expression is a tuple, its kind first:
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -56,21 +55,31 @@ def expressions(
     abbreviations : list of (name, expression)
         Large parts that are used more than once, and cases within others.
     """
-    uses = _uses(program, results)
-    values = list(inputs)
-    abbreviations = []
+    uses, values = _uses(program, results), list(inputs)
+    named: dict[Expression, Expression] = {}
+
+    def name_of(value: Expression) -> Expression:
+        value = _whole(value)
+        if value not in named:
+            named[value] = next(names)
+        return named[value]
+
+    def settled(value: Expression) -> Expression:
+        """Return a value, by its name where it is a part of cases."""
+        return name_of(value) if value[0] == "select" else value
+
     for k, (operation, *operands) in enumerate(program.instructions, len(values)):
         if not uses[k]:
             values.append(number(math.nan))
-            continue
-        value = _apply(operation, operands, values)
-        inner = uses[k] - list(results).count(k)
-        if inner and (value[0] == "cases" or (uses[k] > 1 and _size(value) >= LARGE)):
-            name = next(names)
-            abbreviations.append((name, value))
-            value = name
-        values.append(value)
-    return [_settled(values[k]) for k in results], abbreviations
+        elif operation == "const":
+            values.append(number(float(operands[0])))
+        else:
+            value = _apply(operation, [values[j] for j in operands], settled)
+            inner = uses[k] - list(results).count(k)
+            if inner and (value[0] == "cases" or (uses[k] > 1 and _size(value) >= LARGE)):
+                value = name_of(value)
+            values.append(value)
+    return [_whole(values[k]) for k in results], [(name, value) for value, name in named.items()]
 
 
 def _uses(program: Program, results: Sequence[int]) -> list[int]:
@@ -87,16 +96,19 @@ def _uses(program: Program, results: Sequence[int]) -> list[int]:
     return uses
 
 
-def _apply(operation: str, operands: Sequence[Any], values: Sequence[Expression]) -> Expression:
+def _apply(
+    operation: str,
+    parts: Sequence[Expression],
+    settled: Callable[[Expression], Expression],
+) -> Expression:
     """Return an operation on expressions."""
-    if operation == "const":
-        return number(float(operands[0]))
-    parts = [values[k] for k in operands]
-    if operation in ("add", "sub"):
-        return _sum(parts[0], parts[1], 1 if operation == "add" else -1)
     if operation == "select":
-        return ("select", parts[0], _settled(parts[1]))
-    parts = [_settled(part) for part in parts]
+        return ("select", settled(parts[0]), settled(parts[1]))
+    if operation == "add" and parts[0][0] == parts[1][0] == "select":
+        for one, other in (parts, parts[::-1]):
+            if other[1] == ("call", "not", (one[1],)):
+                return ("cases", one[2], one[1], other[2])
+    parts = [settled(part) for part in parts]
     if operation in FORMS:
         return FORMS[operation](*parts)
     if operation in RELATIONS:
@@ -107,13 +119,13 @@ def _apply(operation: str, operands: Sequence[Any], values: Sequence[Expression]
     return ("call", operation, tuple(parts))
 
 
-def _settled(expression: Expression) -> Expression:
+def _whole(expression: Expression) -> Expression:
+    """Return a part of cases as cases of its own."""
     if expression[0] == "select":
         return ("cases", expression[2], expression[1], number(0.0))
     return expression
 
 
-@functools.cache
 def _size(expression: Expression) -> int:
     """Return the numbers and names in an expression."""
     if expression[0] in ("number", "name"):
@@ -145,13 +157,8 @@ def _negative(expression: Expression, sign: int = -1) -> Expression:
     return ("sum", ((-1, expression),))
 
 
-def _sum(left: Expression, right: Expression, sign: int) -> Expression:
-    """Return ``left + sign right``: numbers last, equal terms together, cases joined."""
-    if sign > 0 and left[0] == right[0] == "select":
-        for one, other in ((left, right), (right, left)):
-            if other[1] == ("call", "not", (one[1],)):
-                return ("cases", one[2], one[1], other[2])
-    left, right = _settled(left), _settled(right)
+def _sum(left: Expression, right: Expression, sign: int = 1) -> Expression:
+    """Return ``left + sign right``: numbers last, equal terms together."""
     terms: list[tuple[int, Expression]] = []
     constant = 0.0
     for own, part in ((1, left), (sign, right)):
@@ -188,7 +195,7 @@ def _gathered(factors: Sequence[Expression]) -> Expression:
             coefficient *= factor[1]
             continue
         base, exponent = factor, 1
-        if factor[0] == "power" and factor[2][0] == "number" and factor[2][1] == int(factor[2][1]):
+        if factor[0] == "power" and factor[2][0] == "number" and factor[2][1].is_integer():
             base, exponent = factor[1], int(factor[2][1])
         powers[base] = powers.get(base, 0) + exponent
     parts = [
@@ -232,6 +239,8 @@ def _power(base: Expression, exponent: Expression) -> Expression:
 
 
 FORMS: dict[str, Callable[..., Expression]] = {
+    "add": _sum,
+    "sub": lambda x, y: _sum(x, y, -1),
     "neg": _negative,
     "mul": product,
     "div": _fraction,
@@ -239,7 +248,7 @@ FORMS: dict[str, Callable[..., Expression]] = {
     "pow": _power,
     "exp": lambda x: ("power", ("name", "<mi>e</mi>"), x),
     "expm1": lambda x: _sum(("power", ("name", "<mi>e</mi>"), x), number(1.0), -1),
-    "log1p": lambda x: ("call", "log", (_sum(number(1.0), x, 1),)),
-    "hypot": lambda x, y: _root(_sum(product(x, x), product(y, y), 1)),
+    "log1p": lambda x: ("call", "log", (_sum(number(1.0), x),)),
+    "hypot": lambda x, y: _root(_sum(product(x, x), product(y, y))),
 }
 """Operations that become other kinds of expressions than calls."""

@@ -155,7 +155,10 @@ def render(expression: Expression) -> str:
 
 def _within(expression: Expression, least: int = SUM) -> str:
     """Return an expression, enclosed where it does not hold together enough."""
-    text, bond = _render(expression)
+    return _enclosed(*_render(expression), least)
+
+
+def _enclosed(text: str, bond: int, least: int) -> str:
     if bond >= least:
         return text
     left, right = "[]" if bond == CONDITION else "()"
@@ -196,7 +199,11 @@ def _render(expression: Expression) -> tuple[str, int]:
 def _condition(expression: Expression) -> str:
     """Return a condition; a number holds where it is not 0."""
     text, bond = _render(expression)
-    return text if bond == CONDITION else render(("relation", "ne", expression, number(0.0)))
+    return text if bond == CONDITION else _compared(text, bond, "≠")
+
+
+def _compared(text: str, bond: int, sign: str) -> str:
+    return f"<mrow>{_enclosed(text, bond, SUM)}<mo>{sign}</mo><mn>0</mn></mrow>"
 
 
 def _number(value: float) -> tuple[str, int]:
@@ -243,9 +250,10 @@ def _power(base: Expression, exponent: Expression) -> str:
 
 
 def _applied(name: str, arguments: Sequence[Expression]) -> str:
-    if len(arguments) == 1 and _render(arguments[0])[1] == ATOM:
-        return f"<mrow>{name}<mo>&#x2061;</mo>{THIN}{render(arguments[0])}</mrow>"
-    inside = "<mo>,</mo>".join(map(_within, arguments))
+    texts, bonds = zip(*map(_render, arguments))
+    if bonds == (ATOM,):
+        return f"<mrow>{name}<mo>&#x2061;</mo>{THIN}{texts[0]}</mrow>"
+    inside = "<mo>,</mo>".join(_enclosed(*part, SUM) for part in zip(texts, bonds))
     return f"<mrow>{name}<mo>&#x2061;</mo><mrow><mo>(</mo>{inside}<mo>)</mo></mrow></mrow>"
 
 
@@ -260,9 +268,10 @@ def _call(operation: str, arguments: Sequence[Expression]) -> tuple[str, int]:
         sides = (f"<mrow><mo>(</mo>{_condition(part)}<mo>)</mo></mrow>" for part in arguments)
         return f"<mrow>{f'<mo>{sign}</mo>'.join(sides)}</mrow>", CONDITION
     if operation == "not":
-        if _render(arguments[0])[1] != CONDITION:
-            return _render(("relation", "eq", arguments[0], number(0.0)))
-        return f"<mrow><mo>¬</mo>{_within(arguments[0], ATOM)}</mrow>", CONDITION
+        text, bond = _render(arguments[0])
+        if bond != CONDITION:
+            return _compared(text, bond, "="), CONDITION
+        return f"<mrow><mo>¬</mo>{_enclosed(text, bond, ATOM)}</mrow>", CONDITION
     return _applied(f"<mi>{FUNCTIONS.get(operation, operation)}</mi>", arguments), CALL
 
 
