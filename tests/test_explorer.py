@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-import shutil
 import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
@@ -168,9 +167,11 @@ def test_a_click_runs_the_closed_loop_as_simulate_does(show, name):
         "#status"
     )
     plots = shown.page.locator("#series .title").all_inner_texts()
-    units = {"cart-pendulum": ["theta [rad]", "omega [rad/s]", "acceleration [m/s²]", "symbol"],
-             "double-tank-a": ["x1 [m]", "x2 [m]", "V1", "V2", "V3", "symbol", "cost so far"]}  # fmt: skip
-    assert plots == units[name]
+    named = {
+        "cart-pendulum": "theta [rad]|omega [rad/s]|acceleration [m/s²]|symbol",
+        "double-tank-a": "x1 [m]|x2 [m]|V1|V2|V3|symbol|cost so far",
+    }
+    assert "|".join(plots) == named[name]
 
 
 def test_settings_of_the_loop(show):
@@ -286,7 +287,8 @@ def test_the_automaton_and_the_drawing_follow(show):
                 edge = shown.page.locator(f"[data-edge='{source}-{target}']")
                 taken = pairs.count((source, target))
                 assert edge.get_attribute("data-taken") == str(taken)
-                texts = edge.locator("tspan").all_text_contents()
+                label = shown.page.locator(f"[data-label='{source}-{target}'] tspan")
+                texts = label.all_text_contents()
                 cells = np.count_nonzero(policy.cells.entries == -1 - target)
                 assert texts == [f"{cells:,} cells", f"{taken:,}×"]
         drawn = shown.page.locator("#drawing canvas").get_attribute("data-state").split()
@@ -521,12 +523,14 @@ def test_the_page_is_built_from_its_modules(tmp_path):
 
 def test_the_command(tmp_path, monkeypatch):
     pendulum(1).save(tmp_path / "p.cap")
-    monkeypatch.setenv(
-        "BROWSER", f"{shutil.which('cp')} {tmp_path / 'page.html'} {tmp_path / 'seen'} #%s"
-    )
-    out, _ = run_capsyn("explore", tmp_path / "p.cap", "-o", tmp_path / "page.html")
-    assert f"wrote {tmp_path / 'page.html'}" in out
-    assert (tmp_path / "page.html").read_text().startswith("<!doctype html>")
+    page, seen = tmp_path / "page.html", tmp_path / "seen"
+    out, _ = run_capsyn("explore", tmp_path / "p.cap", "-o", page)
+    assert f"wrote {page} ({page.stat().st_size:,} bytes)" in out
+    assert page.read_text().startswith("<!doctype html>")
+    monkeypatch.setenv("BROWSER", f"sh -c 'echo $0 > {seen}' %s")
+    run_capsyn("explore", tmp_path / "p.cap", "-o", page, "--open", "--drawing", "none")
+    assert seen.read_text().strip() == page.as_uri()
+    assert '"drawing":null' in page.read_text()
 
 
 def test_errors_say_what_is_wrong(tmp_path):

@@ -18,7 +18,9 @@ GREY = "#999999"
 
 
 def policy_html(policy: Policy) -> str:
-    """Return a policy as HTML with an SVG: the plane of its first two states through the domain's middle.
+    """Return a policy as HTML with an SVG: the plane of its first two states.
+
+    The others have the middle of the domain.
 
     The same policy gives the same text; names are escaped.
     """

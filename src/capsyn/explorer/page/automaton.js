@@ -42,11 +42,12 @@ export function makeAutomaton(app) {
           (edge.sliding ? ", chatters somewhere" : "");
         const path = shape("path", { d, class: "wire" });
         const lines = [0, 1].map(k => shape("tspan", { x: at[0], dy: k ? 12 : 0 }));
-        const text = shape("text", { x: at[0], y: at[1], class: "count", "text-anchor": anchor }, lines);
+        const text = shape("text", { x: at[0], y: at[1], class: "count", "text-anchor": anchor,
+          "data-label": `${edge.source}-${edge.target}` }, lines);
         const node = shape("g", { class: "edge", "data-edge": `${edge.source}-${edge.target}` },
-          shape("title", {}, title), path, text);
+          shape("title", {}, title), path);
         svg.append(node);
-        return { ...edge, key: `${edge.source}>${edge.target}`, node, path, lines };
+        return { ...edge, key: `${edge.source}>${edge.target}`, node, path, text, lines };
       });
     circles = vertices.map(({ symbol }, k) => {
       const [x, y] = places[k], color = app.theme.color(symbolOf(symbol));
@@ -61,6 +62,7 @@ export function makeAutomaton(app) {
       svg.append(node);
       return { symbol, node };
     });
+    svg.append(...arrows.map(edge => edge.text)); // over the wires and the circles
     root.replaceChildren(svg);
     seen = { track: null, k: 0, taken: new Map() };
     sweep();
@@ -130,6 +132,7 @@ export function makeAutomaton(app) {
       const taken = seen.taken.get(edge.key) ?? 0, off = edge.possible === false && !taken;
       edge.node.classList.toggle("taken", taken > 0);
       edge.node.classList.toggle("off", off);
+      edge.text.classList.toggle("taken", taken > 0);
       edge.node.dataset.taken = taken;
       edge.path.setAttribute("marker-end", `url(#tip${taken ? "-taken" : off ? "-off" : ""})`);
       const few = count <= FEW;

@@ -195,8 +195,8 @@ export function start(model) {
 
   function readout() {
     const at = app.pointed, rows = [];
-    const row = (name, ...content) =>
-      rows.push(element("div", {}, element("dt", {}, name), element("dd", {}, ...content)));
+    const row = (name, ...content) => rows.push(
+      element("div", { class: name }, element("dt", {}, name), element("dd", {}, ...content)));
     const name = symbol => (symbol === NONE ? "none" : data.symbols.at(symbol));
     const value = (text, unit) => (unit ? `${text} ${unitText(unit)}` : text);
     if (!at) row("state", "point at the map, or move the cursor with the arrow keys");
@@ -210,9 +210,9 @@ export function start(model) {
         const box = cell.lower
           ? cell.lower.map((low, i) => `[${short(low)}, ${short(cell.upper[i])}]`).join(" × ")
           : "cut by oblique splits";
-        row("cell", `${whole(cell.leaf)}, ${data.tree ? "depth" : "level"} ${cell.level}: ${box}`);
         row("allowed", ...cell.allowed.flatMap(symbol => [swatch(symbol), `${name(symbol)} `]),
           element("span", { class: "quiet" }, cell.allowed.length > 1 ? "mixed" : ""));
+        row("cell", `${whole(cell.leaf)}, ${data.tree ? "depth" : "level"} ${cell.level}: ${box}`);
       } else row("cell", "outside the domain");
     }
     byId("readout").replaceChildren(...rows);
@@ -231,10 +231,17 @@ export function start(model) {
   function legend() {
     const shown = [...Array(count).keys()];
     if (data.shares.at(-1) > 0) shown.push(-1);
-    if (lookup.levels > 0) shown.push(MIXED);
-    byId("legend").replaceChildren(...shown.map(symbol => element("span", {
-      role: "listitem", class: symbol === MIXED ? "later" : null,
-    }, swatch(symbol), symbol === MIXED ? "still to split" : data.symbols.at(symbol))));
+    const entry = (mark, text, more = {}) =>
+      element("span", { role: "listitem", ...more }, mark, text);
+    byId("legend").replaceChildren(
+      ...shown.map(symbol => entry(swatch(symbol), data.symbols.at(symbol))));
+    if (loop && data.target && n > 1) {
+      byId("legend").append(
+        entry(element("span", { class: "line" }), "target", { title: data.target.text }));
+    }
+    if (lookup.levels > 0) {
+      byId("legend").append(entry(swatch(MIXED), "still to split", { class: "later" }));
+    }
   }
 
   function restyle() {

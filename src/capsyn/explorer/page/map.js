@@ -102,7 +102,7 @@ export function makeMap(app) {
     context.beginPath();
     context.rect(frame.x, frame.y, frame.width, frame.height);
     context.clip();
-    outlined(context, edge, app.theme.ink, 1.3);
+    outlined(context, edge, app.theme.ink, 1);
     for (const track of app.tracks) path(context, track);
     pointer(context);
     context.restore();
