@@ -20,9 +20,8 @@ def opening(browser, path):
     """Return the seconds from asking for a page until it has been painted, with its trajectory."""
     page = browser.new_page(viewport={"width": 1280, "height": 800})
     page.goto(path.as_uri())
-    milliseconds = page.evaluate(
-        "new Promise(done => requestAnimationFrame(() => setTimeout(() => done(performance.now()))))"
-    )
+    painted = "done => requestAnimationFrame(() => setTimeout(() => done(performance.now())))"
+    milliseconds = page.evaluate(f"new Promise({painted})")
     page.close()
     return milliseconds / 1000
 

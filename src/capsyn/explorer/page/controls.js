@@ -2,7 +2,7 @@ import { byId, element, short, withUnit } from "./dom.js";
 
 /** Speeds of the player, in seconds of the system per second. */
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
-const MOST_SAMPLES = 400_000;
+const MOST_SAMPLES = 400_000, USUAL_SAMPLES = 60_000;
 
 function labelled(text, control, ...more) {
   return element("label", {}, element("span", {}, text), control, ...more);
@@ -137,7 +137,7 @@ export function makePlayerBar(app) {
 export function makeSettings(app) {
   const { data } = app, box = byId("settings");
   const { lower, upper } = data.domain;
-  const usual = Number(((data.horizon ?? 1) * 10).toPrecision(1));
+  const usual = Number(Math.min((data.horizon ?? 1) * 10, USUAL_SAMPLES / data.rate).toPrecision(1));
   const fields = {};
 
   function field(name, text, unit, value, least, title) {
