@@ -58,6 +58,7 @@ def test_the_page_is_one_small_file_and_the_same_every_time(tmp_path):
     assert "unsafe" not in security
     outside = re.sub(r"http://www.w3.org/\S+?[\"`']", "", text)  # the names of SVG and MathML
     links = set(re.findall(r"https?://[^\s\"'`]*", outside))
+    assert "Permission is hereby granted" in text and "Leon Sorokin" in text
     assert links <= {"https://github.com/leeoniya/uPlot"}  # in the note of its licence
 
 
@@ -119,8 +120,10 @@ def test_outlines_are_where_cells_end(show):
     plain, _ = shown.colors(shares)
     dark = (outlined < plain).all(axis=1)
     steps = (states - policy.domain.lower) / policy.domain.widths * np.array(policy.cells.counts)
-    gap = np.abs(steps - np.round(steps)).min(axis=1)
-    assert 0.02 < dark.mean() < 0.3 and gap[dark].max() < 0.1
+    gaps = np.abs(steps - np.round(steps))
+    assert 0.02 < dark.mean() < 0.3 and gaps[dark].min(axis=1).max() < 0.1
+    for axis in (0, 1):  # some are on faces across each axis alone
+        assert (gaps[dark, 1 - axis] > 0.2).mean() > 0.1
     assert (plain[~dark] == outlined[~dark]).all()
 
 

@@ -64,7 +64,9 @@ def page(policy: Policy, drawing: str | None = None) -> str:
     """Return the page of a policy as HTML."""
     style = _resource("page.css").strip()
     model = model_javascript(policy).removeprefix("export ").strip()
-    script = f"{model}\n{_resource('page.js').strip()}\ncapsynPage.start(model);"
+    notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"
+    code = _resource("page.js").strip()
+    script = "\n".join([notice, model, code, "capsynPage.start(model);"])
     parts = {
         "TITLE": html.escape(f"{policy.name} - capsyn"),
         "SECURITY": html.escape(
