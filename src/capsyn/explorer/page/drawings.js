@@ -56,7 +56,7 @@ function pendulum(context, size, theme, { state, control, color, strongest }) {
 function cartPole(context, size, theme, { state, control, color, strongest, data }) {
   const [low, high] = [data.domain.lower[0], data.domain.upper[0]];
   const reach = Math.max(high - low, 2.2 * Math.abs(state[0] - (low + high) / 2));
-  const unit = Math.min((size.width - 110) / reach, (size.height - 70) / POLE);
+  const unit = Math.min((size.width - 150) / reach, (size.height - 70) / POLE);
   const at = size.width / 2 + (state[0] - (low + high) / 2) * unit;
   const setting = { at, rail: size.height - 40, unit, angle: state[2] };
   cart(context, size, theme, { ...setting, push: control[0] / strongest, color });

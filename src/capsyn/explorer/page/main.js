@@ -177,10 +177,10 @@ export function start(model) {
     const parts = [
       `Trajectory ${track.number} ${ENDS[track.ended]}` +
         (track.ended === "time" ? ` (${at} s)` : ` at ${at} s`),
-      `${whole(track.switches)} switches`,
+      `${whole(track.switches)} switch${track.switches === 1 ? "" : "es"}`,
       data.target && (Number.isNaN(track.arrived) ? "target not reached"
         : `target first reached at ${short(track.arrived)} s`),
-      track.outside > 0 && `${whole(track.outside)} samples outside`,
+      track.outside > 0 && `${whole(track.outside)} sample${track.outside > 1 ? "s" : ""} outside`,
       !loop.substeps(track.rate).resolved && "integration not resolved: raise the sample rate",
     ];
     return parts.filter(Boolean).join(" · ");
