@@ -6,9 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
   cppcheck gcc-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr binutils \
-  iverilog verilator yosys graphviz nodejs
+  iverilog verilator yosys graphviz nodejs chromium fonts-dejavu-core
 
-.PHONY: help demo test check bench figures debian clean
+.PHONY: help demo test check bench figures page debian clean
 
 help:
 	@echo "make demo     synthesise the paper's two-symbol pendulum policy and draw it"
@@ -16,6 +16,7 @@ help:
 	@echo "make check    formatting, lint, types"
 	@echo "make bench    measure, and write benchmarks/README.md and results.json"
 	@echo "make figures  draw the figures of the README again"
+	@echo "make page     bundle the explorer's page again from its modules (Node)"
 	@echo "make clean    remove what the other targets made"
 
 $(VENV)/installed: pyproject.toml
@@ -36,7 +37,7 @@ demo: $(VENV)/installed
 	$(BIN)/capsyn plot build/demo/cart-pendulum.cap -o build/demo/cart-pendulum.png
 
 test: debian
-	@$(MAKE) --no-print-directory $(VENV)/developed
+	@$(MAKE) --no-print-directory $(VENV)/developed node_modules/.package-lock.json
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 check: $(VENV)/developed
@@ -48,12 +49,21 @@ bench: $(VENV)/developed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python benchmarks/run.py
 
-figures: $(VENV)/installed
+page: node_modules/.package-lock.json
+	npm run --silent page
+
+node_modules/.package-lock.json: package.json package-lock.json
+	@echo "installing what bundles the page into node_modules ..."
+	npm ci --silent
+	@touch $@
+
+figures: $(VENV)/developed
 	$(BIN)/python docs/figures/draw.py
 
 debian:
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	  missing=$$(for p in $(DEBIAN_PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || echo $$p; done); \
+	  missing=$$(for p in $(DEBIAN_PACKAGES); do dpkg -s $$p >/dev/null 2>&1 || echo $$p; done; \
+	    command -v npm >/dev/null || echo npm); \
 	  if [ -n "$$missing" ]; then \
 	    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
 	      apt-get install -qq --no-install-recommends $$missing >/dev/null; } || \
@@ -62,4 +72,4 @@ debian:
 	fi
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf $(VENV) node_modules build dist .pytest_cache .ruff_cache .mypy_cache .hypothesis

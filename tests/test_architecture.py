@@ -88,7 +88,9 @@ ORDER = [
     "problems",
     "problem_finder",
     "report",
+    "evidence_text",
     "plots",
+    "policy_picture",
     "automaton_drawing",
     "curve_plot",
     "paper",
@@ -96,6 +98,11 @@ ORDER = [
     "paper_pendulum",
     "paper_tanks",
     "reproduction",
+    "explorer",
+    "explorer.policy_data",
+    "explorer.program_javascript",
+    "explorer.expression",
+    "explorer.formulas",
     "exports",
     "exports.plan",
     "exports.constants",
@@ -128,11 +135,15 @@ ORDER = [
     "exports.fmu",
     "exports.certificate",
     "exports.export",
+    "explorer.facts",
+    "explorer.page_data",
+    "explorer.explore",
     "console",
     "cli_options",
     "cli_evidence",
     "cli_compression",
     "cli_export",
+    "cli_explore",
     "cli",
     "__main__",
 ]
@@ -141,6 +152,8 @@ ORDER = [
 EXCEPTIONS = {
     # `Policy.save` and `Policy.load` call the file format, which must know what a Policy is
     ("policy", "policy_file"),
+    # a notebook asks a Policy for its picture
+    ("policy", "policy_picture"),
 }
 
 FACADES = {"__init__"}

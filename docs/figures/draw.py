@@ -1,16 +1,47 @@
 """Draw the figures of the README."""
 
+import shutil
+import tempfile
 from pathlib import Path
 
-from capsyn import problems, synthesize
+from capsyn import explore, problems, synthesize
 from capsyn.compression.curve import size_curve
 from capsyn.curve_plot import save_curve_plot
 from capsyn.plots import save_policy_plot
 
 HERE = Path(__file__).parent
 
+
+def save_screenshot(policy, path):
+    """Write a picture of a policy's page, some seconds into two closed loops."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        print(f"{path.name} is left as it is: chromium is not installed (apt-get install chromium)")
+        return
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as directory, sync_playwright() as tools:
+        page_file = explore(policy, Path(directory) / "page.html")
+        browser = tools.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        size = {"width": 1280, "height": 800}
+        page = browser.new_page(viewport=size, device_scale_factor=1.5, reduced_motion="reduce")
+        page.goto(page_file.as_uri())
+        page.check("#keep")
+        page.evaluate("scrollTo(0, 0)")
+        box = page.locator("#map").bounding_box()
+        page.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.62 * box["height"])
+        page.locator("#scrub").evaluate(
+            "bar => { bar.value = 0.3; bar.dispatchEvent(new Event('input')); }"
+        )
+        page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.3 * box["height"])
+        page.wait_for_timeout(200)
+        page.screenshot(path=path)
+        browser.close()
+
+
 if __name__ == "__main__":
     for name in ("cart-pendulum", "double-tank-a"):
         save_policy_plot(synthesize(problems.get(name)), HERE / f"{name}.png")
     pendulum = synthesize(problems.get("cart-pendulum"))
     save_curve_plot(size_curve(pendulum), pendulum.name, HERE / "curve.png")
+    save_screenshot(pendulum, HERE / "explorer.png")

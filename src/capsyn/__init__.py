@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from capsyn.domain import Ball as Ball
     from capsyn.domain import Box as Box
     from capsyn.errors import CapsynError as CapsynError
+    from capsyn.explorer.explore import explore as explore
     from capsyn.exports.export import export as export
     from capsyn.online import online_controller as online_controller
     from capsyn.policy import Policy as Policy
@@ -43,6 +44,7 @@ _PUBLIC = {
     "Uniform": "verification.monte_carlo",
     "agreement": "verification.agreement",
     "compress": "compression.compress",
+    "explore": "explorer.explore",
     "export": "exports.export",
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",
@@ -65,6 +67,7 @@ __all__ = [
     "Uniform",
     "agreement",
     "compress",
+    "explore",
     "export",
     "lyapunov",
     "monte_carlo",

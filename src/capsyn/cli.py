@@ -10,6 +10,7 @@ import typer
 
 from capsyn.cli_compression import automaton, compress
 from capsyn.cli_evidence import reproduce, simulate, verify
+from capsyn.cli_explore import explore
 from capsyn.cli_export import export
 from capsyn.cli_options import (
     Backend,
@@ -274,6 +275,7 @@ def plot(
 app.command()(compress)
 app.command()(automaton)
 app.command()(export)
+app.command()(explore)
 app.command()(simulate)
 app.command()(verify)
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from capsyn.evidence_text import circumstances, headlines
+
 if TYPE_CHECKING:
     from capsyn.lattice_points import Progress
 
@@ -105,53 +107,13 @@ def _line(name: str, value: str) -> None:
     typer.echo(f"{name:<13}{value}")
 
 
-def _headlines(found: dict[str, Any]) -> dict[str, str]:
-    """Return each kind of evidence in one sentence; it may come from a file."""
-
-    def interval(data: dict[str, Any]) -> str:
-        return f"({data['low']:.3%} to {data['high']:.3%} with {data['confidence']:.0%} confidence)"
-
-    lines = {}
-    if "monte_carlo" in found:
-        data = found["monte_carlo"]
-        lines["monte carlo"] = (
-            f"{data['successes']:,} of {data['trials']:,} trials succeed {interval(data)}"
-        )
-    if "lyapunov" in found:
-        data = found["lyapunov"]
-        lines["lyapunov"] = (
-            f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
-            f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
-            f"{data['undecided']:.3%}, for V = {data.get('function', '?')}"
-        )
-    if "agreement" in found:
-        data = found["agreement"]
-        lines["agreement"] = f"{data['share']:.3%} of {data['states']:,} states {interval(data)}"
-    return lines
-
-
-def _circumstances(conditions: dict[str, Any]) -> str:
-    """Return what was unusual about trials: all but 0, None and what the policy says itself."""
-    usual = {"controller", "duration", "within", "hold", "target", "initial", "substeps"}
-    parts = []
-    for name, value in conditions.items():
-        if name in usual or not value or value == "its own" or not isinstance(name, str):
-            continue
-        if isinstance(value, dict) and set(value) == {"low", "high"}:
-            value = f"{value['low']} to {value['high']}"
-        elif isinstance(value, dict):
-            value = _circumstances(value)
-        parts.append(f"{name.replace('_', ' ')} {value}")
-    return ", ".join(parts)
-
-
 def _print_monte_carlo(data: dict[str, Any], headline: str) -> None:
     conditions = data["conditions"]
     stay = f", and stay there the last {conditions['hold']:g} s" if conditions["hold"] else ""
     _line("monte carlo", headline)
     _line("from", conditions["initial"])
     _line("to", f"{conditions['target']}, within {conditions['within']:g} s{stay}")
-    _line("by", f"{conditions['controller']}; {_circumstances(conditions)}")
+    _line("by", f"{conditions['controller']}; {circumstances(conditions)}")
     how = {"time": "ran until the time limit", "target": "arrived"}
     ends = (f"{count:,} {how.get(name, name)}" for name, count in data["ended"].items())
     _line("ended", ", ".join(ends))
@@ -174,13 +136,13 @@ def _print_monte_carlo(data: dict[str, Any], headline: str) -> None:
 
 def print_evidence(found: dict[str, Any]) -> None:
     """Print what `capsyn verify` found, by kind."""
-    headlines = _headlines(found)
+    lines = headlines(found)
     if "monte_carlo" in found:
-        _print_monte_carlo(found["monte_carlo"], headlines["monte carlo"])
+        _print_monte_carlo(found["monte_carlo"], lines["monte carlo"])
     if "lyapunov" in found:
         data = found["lyapunov"]
         violated, undecided = data["violated_cell_count"], data["undecided_cell_count"]
-        _line("lyapunov", headlines["lyapunov"])
+        _line("lyapunov", lines["lyapunov"])
         _line("cells", f"{violated:,} with a state where it grows, {undecided:,} more undecided")
         for cell in data["violated_cells"][:3]:
             state = ", ".join(f"{v:g}" for v in cell["state"])
@@ -190,7 +152,7 @@ def print_evidence(found: dict[str, Any]) -> None:
             _line("grid", ", ".join(f"{name} {value:.3%}" for name, value in shares))
     if "agreement" in found:
         cells = found["agreement"]["island_cells"]
-        _line("agreement", headlines["agreement"])
+        _line("agreement", lines["agreement"])
         _line("islands", f"{cells:,} cells hold something that all their test points missed")
 
 
@@ -352,11 +314,11 @@ def print_report(data: dict[str, Any]) -> None:
         line("target", data["target"])
     line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
     evidence = data["evidence"]
-    for name, sentence in _headlines(evidence).items():
+    for name, sentence in headlines(evidence).items():
         line(name, sentence)
     if "monte_carlo" in evidence:
         conditions = evidence["monte_carlo"].get("conditions", {})
         line("", ", ".join(f"{k} {conditions[k]}" for k in ("target", "within") if k in conditions))
-        line("", _circumstances(conditions))
+        line("", circumstances(conditions))
     for hint in data["hints"]:
         line("hint", hint)

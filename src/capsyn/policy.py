@@ -236,6 +236,12 @@ class Policy:
 
         return dataclasses.replace(self, evidence=add_evidence(self, kinds))
 
+    def _repr_html_(self) -> str:
+        """Return a small map for notebooks."""
+        from capsyn.policy_picture import policy_html
+
+        return policy_html(self)
+
     def __repr__(self) -> str:
         return (
             f"Policy('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "

@@ -62,7 +62,7 @@ SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost
 
 def save(policy: Policy, path: str | os.PathLike[str]) -> None:
     """Write a policy file atomically; the same policy gives the same bytes."""
-    content, arrays = _content(policy), _arrays(policy)
+    content, arrays = content_of(policy), arrays_of(policy)
     document = {
         "format": FORMAT,
         "version": VERSION if isinstance(policy, DecisionTree) else 1,
@@ -94,7 +94,8 @@ def _digest(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> str:
     return digest.hexdigest()
 
 
-def _content(policy: Policy) -> dict[str, Any]:
+def content_of(policy: Policy) -> dict[str, Any]:
+    """Return what a policy's file says of it beside its arrays, as plain data."""
     target = policy.target
     kind = {Ball: "ball", Box: "box", Program: "program", type(None): ""}[type(target)]
     structure: dict[str, Any]
@@ -124,10 +125,11 @@ def _content(policy: Policy) -> dict[str, Any]:
 
 def content_hash(policy: Policy) -> str:
     """Return the SHA-256 of what the policy is, the same that its file carries."""
-    return _digest(_content(policy), _arrays(policy))
+    return _digest(content_of(policy), arrays_of(policy))
 
 
-def _arrays(policy: Policy) -> dict[str, np.ndarray]:
+def arrays_of(policy: Policy) -> dict[str, np.ndarray]:
+    """Return the arrays of a policy by their names in its file."""
     names = TREE_ARRAYS if isinstance(policy, DecisionTree) else CELL_ARRAYS
     return {name: getattr(policy.cells, name) for name in names}
 

@@ -1,9 +1,13 @@
-"""Target ``javascript``: one ES module without dependencies, for Node and browsers."""
+"""Target ``javascript``: one ES module without dependencies, for Node and browsers.
+
+The rule of the lattice is the source text that the explorer's page uses too.
+"""
 
 from __future__ import annotations
 
 import json
 import textwrap
+from importlib import resources
 
 from capsyn.exports.constants import constants, tables
 from capsyn.exports.golden import Golden
@@ -14,21 +18,7 @@ from capsyn.exports.plan import Plan
 CODE = """
 /** Return the lattice steps of a state of finite numbers; beyond the bounds the nearest. */
 export function quantise(state) {
-  return COUNTS.map((count, i) => {
-    const low = LOWER[i], high = UPPER[i], width = high - low;
-    let x = state[i];
-    if (PERIODIC[i] && !(x >= low && x < high)) {
-      let rest = (x - low) % width;
-      if (rest < 0) rest += width;
-      rest += low;
-      x = rest >= high ? low : rest;
-    }
-    x = Math.min(Math.max(x, low), high);
-    let k = Math.floor(Math.min((x - low) * (count / width), count - 1));
-    if (x < low + width * (k / count)) k -= 1;
-    if (k + 1 < count && x >= low + width * ((k + 1) / count)) k += 1;
-    return k;
-  });
+  return COUNTS.map((count, i) => latticeStep(state[i], LOWER[i], UPPER[i], PERIODIC[i], count));
 }
 
 /** Return [symbol, status] of a state: an index into CONTROLS, and OK, OUTSIDE or NOT_FINITE. */
@@ -112,5 +102,6 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     for constant, value, note in tables(plan):
         lines += [f"// {note}", f"const {constant} ="]
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
-    file = f"{file_name(name, plan.policy.name)}.mjs"
-    return Made({file: ("\n".join(lines) + "\n" + CODE).encode()})
+    lattice = resources.files("capsyn.explorer").joinpath("page/lattice.js").read_text()
+    text = "\n".join([*lines, "", lattice]) + CODE
+    return Made({f"{file_name(name, plan.policy.name)}.mjs": text.encode()})

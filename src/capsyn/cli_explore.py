@@ -1,0 +1,38 @@
+"""The command that writes the page of a policy."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from capsyn.cli_options import File
+from capsyn.console import working
+
+
+def explore(
+    file: File,
+    output: Annotated[str, typer.Option("--output", "-o", metavar="HTML", help="Where; one file.")],
+    drawing: Annotated[
+        str | None,
+        typer.Option(
+            help="pendulum, cart-pole, double-tank or none [default: by the problem's name]."
+        ),
+    ] = None,
+    open_page: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+) -> None:
+    """Write a page where one sees the policy and watches it work."""
+    from capsyn.explorer.explore import explore
+    from capsyn.files import check_writable
+    from capsyn.policy import Policy
+
+    check_writable(output)
+    policy = Policy.load(file)
+    with working("drawing the page"):
+        path = explore(policy, output, drawing)
+    typer.echo(f"wrote {path} ({path.stat().st_size:,} bytes)")
+    if open_page:
+        import webbrowser
+
+        if not webbrowser.open(path.resolve().as_uri()):
+            typer.echo("there is no browser to open it with")

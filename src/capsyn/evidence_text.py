@@ -1,0 +1,45 @@
+"""Evidence in sentences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def headlines(found: dict[str, Any]) -> dict[str, str]:
+    """Return each kind of evidence in one sentence; it may come from a file."""
+
+    def interval(data: dict[str, Any]) -> str:
+        return f"({data['low']:.3%} to {data['high']:.3%} with {data['confidence']:.0%} confidence)"
+
+    lines = {}
+    if "monte_carlo" in found:
+        data = found["monte_carlo"]
+        lines["monte carlo"] = (
+            f"{data['successes']:,} of {data['trials']:,} trials succeed {interval(data)}"
+        )
+    if "lyapunov" in found:
+        data = found["lyapunov"]
+        lines["lyapunov"] = (
+            f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
+            f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
+            f"{data['undecided']:.3%}, for V = {data.get('function', '?')}"
+        )
+    if "agreement" in found:
+        data = found["agreement"]
+        lines["agreement"] = f"{data['share']:.3%} of {data['states']:,} states {interval(data)}"
+    return lines
+
+
+def circumstances(conditions: dict[str, Any]) -> str:
+    """Return what was unusual about trials: all but 0, None and what the policy says itself."""
+    usual = {"controller", "duration", "within", "hold", "target", "initial", "substeps"}
+    parts = []
+    for name, value in conditions.items():
+        if name in usual or not value or value == "its own" or not isinstance(name, str):
+            continue
+        if isinstance(value, dict) and set(value) == {"low", "high"}:
+            value = f"{value['low']} to {value['high']}"
+        elif isinstance(value, dict):
+            value = circumstances(value)
+        parts.append(f"{name.replace('_', ' ')} {value}")
+    return ", ".join(parts)

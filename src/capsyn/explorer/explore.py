@@ -1,0 +1,101 @@
+"""`explore`: a policy as one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import os
+import re
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from capsyn.errors import ProblemError
+from capsyn.explorer.formulas import formulas
+from capsyn.explorer.page_data import page_data
+from capsyn.explorer.program_javascript import model_javascript
+from capsyn.files import atomic_write
+from capsyn.policy import Policy
+from capsyn.validation import describe
+
+POLICY = "default-src 'none'; script-src '{script}'; style-src '{style}'; {nothing}"
+NOTHING = "base-uri 'none'; form-action 'none'"
+
+
+def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = None) -> Path:
+    """Write the page of a policy: its map, closed loop, automaton and facts.
+
+    The page is one file that opens from disk in any browser, and asks nothing of a network. The
+    same policy gives the same bytes. See ``docs/explorer.md``.
+
+    Parameters
+    ----------
+    policy : Policy
+        The policy, or decision tree. Without a model the page has no closed loop.
+    path : path
+        Where; what was there is replaced only by a whole page.
+    drawing : "pendulum", "cart-pole", "double-tank" or "none", optional
+        The animation of the system. Default: that of the built-in problem of this name, if any.
+
+    Returns
+    -------
+    Path
+        Where it was written.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used, or a place that cannot be written.
+    """
+    if not isinstance(policy, Policy):
+        raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
+    text = page(policy, drawing)
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(text.encode())
+
+    atomic_write(path, write)
+    return Path(path)
+
+
+def page(policy: Policy, drawing: str | None = None) -> str:
+    """Return the page of a policy as HTML."""
+    style = _resource("page.css").strip()
+    model = model_javascript(policy).removeprefix("export ").strip()
+    notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"
+    code = _resource("page.js").strip()
+    script = "\n".join([notice, model, code, "capsynPage.start(model);"])
+    parts = {
+        "TITLE": html.escape(f"{policy.name} - capsyn"),
+        "SECURITY": html.escape(
+            POLICY.format(script=_digest(script), style=_digest(style), nothing=NOTHING)
+        ),
+        "FORMULAS": _formulas(policy),
+        "DATA": _json(page_data(policy, drawing)),
+        "STYLE": style,
+        "SCRIPT": script,
+    }
+    # one pass: what is put in is never looked at again
+    return re.sub(r"\{\{([A-Z]+)\}\}", lambda found: parts[found[1]], _resource("page/page.html"))
+
+
+def _formulas(policy: Policy) -> str:
+    """Return the formulas of the model under their topics, as HTML."""
+    topics = formulas(policy).items()
+    return "".join(f"<h3>{html.escape(topic)}</h3>{''.join(lines)}" for topic, lines in topics)
+
+
+def _resource(name: str) -> str:
+    return resources.files("capsyn.explorer").joinpath(name).read_text("utf-8")
+
+
+def _digest(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
+
+
+def _json(data: Any) -> str:
+    """Return JSON that no text in it can end, whatever it says."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,0 +1,108 @@
+"""The facts of a policy as short lines of text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from capsyn.evidence_text import circumstances, headlines
+
+ROLES = {
+    "vertices": "at vertices",
+    "centers": "at centres",
+    "others": "at other test points",
+    "quarter": "second looks at ties",
+}
+
+Row = tuple[str, str]
+
+
+def facts(data: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return sections of rows (name, text) from what `capsyn.report.report` returns.
+
+    Sections without rows are left out.
+    """
+    sections = {
+        "Solves": _solves(data["statistics"]),
+        "Size": _size(data),
+        "Evidence": _evidence(data["evidence"]),
+        "Controller": _controller(data),
+        "Hints": [("", hint) for hint in data["hints"]],
+    }
+    return [{"title": title, "rows": rows} for title, rows in sections.items() if rows]
+
+
+def _size(data: dict[str, Any]) -> list[Row]:
+    grid = " x ".join(str(state["steps"]) for state in data["states"])
+    if "cells" not in data:
+        oblique = f", {data['planes']:,} of them oblique" if data["planes"] else ""
+        return [
+            ("nodes", f"{data['nodes']:,}{oblique}"),
+            ("comparisons", f"{data['depth']} at most"),
+            ("lattice", f"{grid} steps"),
+            ("packed", f"{data['packed_bytes']:,} bytes"),
+            ("guarantee", data["guarantee"]["text"]),
+        ]
+    root = " x ".join(str(state["partitions"]) for state in data["states"])
+    return [
+        ("cells", f"{data['cells']:,}"),
+        ("root grid", f"{root}, split up to {data['max_level']} times"),
+        ("finest grid", grid),
+        ("mixed", f"{data['mixed_cells']:,} cells, {data['mixed_share']:.2%} of the volume"),
+        ("packed", f"{data['packed_bytes']:,} bytes"),
+    ]
+
+
+def _solves(statistics: dict[str, Any]) -> list[Row]:
+    """Return the number of solves beside what Proposition 2 allows, and what they were for."""
+    if "solves" not in statistics:
+        return []
+    solves, worst = statistics["solves"], statistics.get("worst_case_solves")
+    rows = [("solves", f"{solves:,}")]
+    if worst:
+        rows.append(("Proposition 2", f"{worst:,} at worst: {solves / worst:.1%} were needed"))
+    roles = statistics.get("solves_by_role", {})
+    rows += [(text, f"{roles[role]:,}") for role, text in ROLES.items() if roles.get(role)]
+    for key, text in (("indifferent_points", "ties"), ("not_finite_points", "not finite")):
+        if statistics.get(key):
+            rows.append((text, f"{statistics[key]:,} test points"))
+    return rows
+
+
+def _evidence(evidence: dict[str, Any]) -> list[Row]:
+    rows = [(name, sentence) for name, sentence in headlines(evidence).items()]
+    conditions = evidence.get("monte_carlo", {}).get("conditions", {})
+    told = [
+        *(f"{key} {conditions[key]}" for key in ("target", "within") if key in conditions),
+        circumstances(conditions),
+    ]
+    if any(told):
+        rows.insert(1, ("", ", ".join(text for text in told if text)))
+    return rows
+
+
+def _controller(data: dict[str, Any]) -> list[Row]:
+    rows: list[Row] = []
+    settings = data["settings"]
+    if data["horizon"] is not None:
+        rows.append(("horizon", f"{data['horizon']:g} s"))
+    if settings:
+        rows.append(("rule", settings["rule"]))
+        if settings["rule"] == "schedule":
+            wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
+            rows.append((wanted, f"{settings[wanted]:g}"))
+        rows += [
+            ("control weight", _weight(settings["control_weight"])),
+            ("steps", f"{settings['steps']} over the horizon, {settings['precision']} precision"),
+            ("sample time", f"{settings['sample_time']:g} s"),
+        ]
+    if data["target"]:
+        rows.append(("target", data["target"]))
+    rows += [("outside", str(data["outside"])), ("least dwell", f"{data['min_dwell']:g} s")]
+    return rows
+
+
+def _weight(weight: Any) -> str:
+    """Return a control weight as text: a number, or the rows of a matrix."""
+    if isinstance(weight, list):
+        return "; ".join(", ".join(f"{v:g}" for v in row) for row in weight)
+    return f"{weight:g}"

@@ -1,0 +1,350 @@
+import { byId, fit, short, ticks, withUnit } from "./dom.js";
+import { picture } from "./picture.js";
+import { readable } from "./theme.js";
+
+const NEAR = 14;
+const MOVED = 4;
+/** Pixels between the samples of a target. */
+const GRAIN = 4;
+const FINE = 1 / 200, COARSE = 1 / 40;
+const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
+
+/**
+ * Return the map of the page: {draw, sweep, redraw}. `draw` paints all, `sweep` what moves.
+ *
+ * `app` has data, lookup, theme, view, tracks (a list), active, progress(track) and the callbacks
+ * point(state), start(state), move(state), changed().
+ */
+export function makeMap(app) {
+  const { data, lookup, view } = app;
+  const base = byId("map-base"), overlay = byId("map");
+  const n = data.domain.lower.length;
+  const margin = n > 1 ? { left: 60, right: 14, top: 12, bottom: 44 }
+    : { left: 16, right: 16, top: 12, bottom: 44 };
+  let frame = { x: 0, y: 0, width: 1, height: 1 }, scale = 1, edge = new Path2D();
+
+  const label = axis => withUnit(data.domain.names[axis], data.domain.units[axis]);
+  const toPixels = ([across, up]) => [
+    frame.x + across * frame.width, frame.y + (1 - up) * frame.height,
+  ];
+  const toShares = (x, y) => [(x - frame.x) / frame.width, 1 - (y - frame.y) / frame.height];
+
+  function draw() {
+    const size = fit(base);
+    fit(overlay);
+    scale = size.scale;
+    const whole = value => Math.round(value * scale) / scale;
+    frame = {
+      x: margin.left, y: margin.top,
+      width: Math.max(20, whole(size.width - margin.left - margin.right)),
+      height: Math.max(20, whole(size.height - margin.top - margin.bottom)),
+    };
+    const context = base.getContext("2d");
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.clearRect(0, 0, base.width, base.height);
+    const [w, h] = [Math.round(frame.width * scale), Math.round(frame.height * scale)];
+    context.putImageData(picture(lookup, view, app.theme, w, h), frame.x * scale, frame.y * scale);
+    context.setTransform(scale, 0, 0, scale, 0, 0);
+    axes(context);
+    edge = target();
+    sweep();
+  }
+
+  function axes(context) {
+    const { theme } = app, [x0, x1, y0, y1] = view.bounds;
+    context.font = FONT;
+    context.strokeStyle = theme.quiet;
+    context.lineWidth = 1;
+    context.strokeRect(frame.x - 0.5, frame.y - 0.5, frame.width + 1, frame.height + 1);
+    context.fillStyle = theme.quiet;
+    context.textAlign = "center";
+    context.textBaseline = "top";
+    const bottom = frame.y + frame.height;
+    for (const value of ticks(x0, x1, frame.width / 90)) {
+      const x = frame.x + ((value - x0) / (x1 - x0)) * frame.width;
+      line(context, x, bottom + 1, x, bottom + 5);
+      context.fillText(short(value), x, bottom + 8);
+    }
+    context.fillStyle = theme.ink;
+    context.textBaseline = "alphabetic";
+    context.fillText(label(view.axes[0]), frame.x + frame.width / 2, bottom + 38);
+    if (n === 1) return;
+    context.textAlign = "right";
+    context.textBaseline = "middle";
+    context.fillStyle = theme.quiet;
+    for (const value of ticks(y0, y1, frame.height / 60)) {
+      const y = bottom - ((value - y0) / (y1 - y0)) * frame.height;
+      line(context, frame.x - 5, y, frame.x - 1, y);
+      context.fillText(short(value), frame.x - 8, y);
+    }
+    context.save();
+    context.translate(14, frame.y + frame.height / 2);
+    context.rotate(-Math.PI / 2);
+    context.textAlign = "center";
+    context.fillStyle = theme.ink;
+    context.fillText(label(view.axes[1]), 0, 0);
+    context.restore();
+  }
+
+  function line(context, x0, y0, x1, y1) {
+    context.beginPath();
+    context.moveTo(x0, y0);
+    context.lineTo(x1, y1);
+    context.stroke();
+  }
+
+  function sweep() {
+    const context = overlay.getContext("2d");
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.clearRect(0, 0, overlay.width, overlay.height);
+    context.setTransform(scale, 0, 0, scale, 0, 0);
+    context.save();
+    context.beginPath();
+    context.rect(frame.x, frame.y, frame.width, frame.height);
+    context.clip();
+    outlined(context, edge, app.theme.ink, 1);
+    for (const track of app.tracks) path(context, track);
+    pointer(context);
+    context.restore();
+    for (const track of app.tracks) marks(context, track);
+  }
+
+  /** Where the target begins and ends in the plane, as short lines between the samples of a grid. */
+  function target() {
+    const lines = new Path2D();
+    if (!app.model || !data.target || n === 1) return lines;
+    const across = Math.ceil(frame.width / GRAIN), up = Math.ceil(frame.height / GRAIN);
+    const [x0, x1, y0, y1] = view.bounds, [i, j] = view.axes;
+    const state = Float64Array.from(view.fixed), answer = new Float64Array(1);
+    const inside = (column, row) => {
+      state[i] = x0 + (column / across) * (x1 - x0);
+      state[j] = y0 + (row / up) * (y1 - y0);
+      app.model.inside(state, answer);
+      return answer[0] !== 0 ? 1 : 0;
+    };
+    /** The pixel between two points of the grid where the target ends. */
+    const crossing = (from, to) => {
+      const first = inside(...from);
+      let [low, high] = [from, to];
+      for (let k = 0; k < 6; k++) {
+        const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
+        if (inside(...middle) === first) low = middle;
+        else high = middle;
+      }
+      return toPixels([low[0] / across, low[1] / up]);
+    };
+    let below = null;
+    for (let row = 0; row <= up; row++) {
+      const here = Uint8Array.from({ length: across + 1 }, (_, column) => inside(column, row));
+      for (let column = 0; below && column < across; column++) {
+        const corners = [below[column], below[column + 1], here[column + 1], here[column]];
+        const sum = corners[0] + corners[1] + corners[2] + corners[3];
+        if (sum === 0 || sum === 4) continue;
+        const [left, right] = [column, column + 1], [bottom, top] = [row - 1, row];
+        const points = [[left, bottom], [right, bottom], [right, top], [left, top]];
+        const crossed = [0, 1, 2, 3].filter(k => corners[k] !== corners[(k + 1) % 4])
+          .map(k => crossing(points[k], points[(k + 1) % 4]));
+        for (let k = 0; k + 1 < crossed.length; k += 2) {
+          lines.moveTo(...crossed[k]);
+          lines.lineTo(...crossed[k + 1]);
+        }
+      }
+      below = here;
+    }
+    return lines;
+  }
+
+  /** Shares of the plane without wrapping. */
+  function shares(state) {
+    const [x0, x1, y0, y1] = view.bounds, [i, j] = view.axes;
+    return [(state[i] - x0) / (x1 - x0), n > 1 ? (state[j] - y0) / (y1 - y0) : 0.5];
+  }
+
+  function outlined(context, lines, color, width) {
+    for (const [paint, wide] of [[app.theme.halo, width + 2], [color, width]]) {
+      context.strokeStyle = paint;
+      context.lineWidth = wide;
+      context.stroke(lines);
+    }
+  }
+
+  function halo(context, color, width, alpha) {
+    context.globalAlpha = alpha;
+    context.lineJoin = "round";
+    context.lineCap = "round";
+    context.strokeStyle = app.theme.halo;
+    context.lineWidth = width + 2.5;
+    context.stroke();
+    context.strokeStyle = color;
+    context.lineWidth = width;
+    context.stroke();
+    context.globalAlpha = 1;
+  }
+
+  function trace(context, track, last) {
+    const { states } = track;
+    let [px, py] = toPixels(view.place(states[0]));
+    context.beginPath();
+    context.moveTo(px, py);
+    for (let k = 1; k <= last; k++) {
+      const [x, y] = toPixels(view.place(states[k]));
+      const [dx, dy] = [Math.abs(x - px), Math.abs(y - py)];
+      if (k < last && dx < 1 && dy < 1) continue;
+      const seam = dx > frame.width / 2 && dx > 40 || dy > frame.height / 2 && dy > 40;
+      if (seam) context.moveTo(x, y);
+      else context.lineTo(x, y);
+      [px, py] = [x, y];
+    }
+  }
+
+  function path(context, track) {
+    const color = app.theme.track(track.color), now = app.progress(track);
+    const strong = track === app.active;
+    trace(context, track, track.states.length - 1);
+    halo(context, color, strong ? 1.6 : 1.2, now < track.states.length - 1 ? 0.32 : strong ? 1 : 0.75);
+    if (now < track.states.length - 1) {
+      trace(context, track, now);
+      halo(context, color, strong ? 2.2 : 1.6, 1);
+    }
+  }
+
+  function marks(context, track) {
+    const color = app.theme.track(track.color), now = app.progress(track);
+    const [sx, sy] = toPixels(view.place(track.states[0]));
+    if (inside(sx, sy)) {
+      context.beginPath();
+      context.arc(sx, sy, 8.5, 0, 2 * Math.PI);
+      context.fillStyle = color;
+      context.fill();
+      context.strokeStyle = app.theme.halo;
+      context.lineWidth = 2;
+      context.stroke();
+      context.fillStyle = readable(color);
+      context.font = "600 11px system-ui, sans-serif";
+      context.textAlign = "center";
+      context.textBaseline = "middle";
+      context.fillText(String(track.number), sx, sy + 0.5);
+    }
+    const [x, y] = toPixels(view.place(track.states[now]));
+    if (!inside(x, y) || now === 0) return;
+    context.beginPath();
+    context.arc(x, y, 6, 0, 2 * Math.PI);
+    context.fillStyle = app.theme.color(track.symbols[Math.min(now, track.symbols.length - 1)]);
+    context.fill();
+    context.strokeStyle = color;
+    context.lineWidth = 2.5;
+    context.stroke();
+  }
+
+  const inside = (x, y) => x >= frame.x - 1 && x <= frame.x + frame.width + 1 &&
+    y >= frame.y - 1 && y <= frame.y + frame.height + 1;
+
+  function pointer(context) {
+    const { theme, pointed } = app;
+    if (!pointed) return;
+    const { cell, state } = pointed, [x, y] = toPixels(view.place(state));
+    if (cell && cell.lower) {
+      const [left, bottom] = toPixels(shares(cell.lower)), [right, top] = toPixels(shares(cell.upper));
+      context.beginPath();
+      if (n > 1) context.rect(left, top, right - left, bottom - top);
+      else context.rect(left, frame.y, right - left, frame.height);
+      halo(context, theme.ink, 1.5, 1);
+    }
+    context.beginPath();
+    context.moveTo(x - 7, y);
+    context.lineTo(x + 7, y);
+    context.moveTo(x, y - 7);
+    context.lineTo(x, y + 7);
+    halo(context, theme.ink, 1.2, 1);
+  }
+
+  /** Milliseconds that one picture of so many pixels takes, put on a canvas of its own. */
+  function redraw(width, height) {
+    const canvas = new OffscreenCanvas(width, height), context = canvas.getContext("2d");
+    const started = performance.now();
+    context.putImageData(picture(lookup, view, app.theme, width, height), 0, 0);
+    return performance.now() - started;
+  }
+
+  function position(event) {
+    const box = overlay.getBoundingClientRect();
+    return [event.clientX - box.left, event.clientY - box.top];
+  }
+
+  let held = null;
+  overlay.addEventListener("pointerdown", event => {
+    if (event.button !== 0) return;
+    const [x, y] = position(event);
+    const start = app.active && toPixels(view.place(app.active.states[0]));
+    const grab = start && Math.hypot(x - start[0], y - start[1]) < NEAR;
+    held = { x, y, bounds: view.bounds, grab, moved: false };
+    overlay.setPointerCapture(event.pointerId);
+  });
+  overlay.addEventListener("pointermove", event => {
+    const [x, y] = position(event);
+    const [across, up] = toShares(x, y);
+    if (!held) {
+      const on = across >= 0 && across <= 1 && up >= 0 && up <= 1;
+      overlay.classList.toggle("grab", Boolean(app.active) &&
+        Math.hypot(...toPixels(view.place(app.active.states[0])).map((v, k) => v - [x, y][k])) < NEAR);
+      return app.point(on ? view.state(across, up) : null);
+    }
+    if (!held.moved && Math.hypot(x - held.x, y - held.y) < MOVED) return;
+    held.moved = true;
+    if (held.grab) {
+      const [a, b] = [across, up].map(v => Math.min(Math.max(v, 0), 1));
+      return app.move(view.state(a, b));
+    }
+    const [x0, x1, y0, y1] = held.bounds;
+    const dx = ((held.x - x) / frame.width) * (x1 - x0);
+    const dy = ((y - held.y) / frame.height) * (y1 - y0);
+    view.show([x0 + dx, x1 + dx, y0 + dy, y1 + dy]);
+    app.changed();
+  });
+  overlay.addEventListener("pointerup", event => {
+    const was = held;
+    held = null;
+    if (!was || was.moved) return;
+    const [across, up] = toShares(...position(event));
+    if (across >= 0 && across <= 1 && up >= 0 && up <= 1) app.start(view.state(across, up));
+  });
+  overlay.addEventListener("pointercancel", () => (held = null));
+  overlay.addEventListener("pointerleave", () => held || app.point(null));
+  overlay.addEventListener("wheel", event => {
+    if (document.activeElement !== overlay && !event.ctrlKey) return;
+    event.preventDefault();
+    view.zoom(Math.exp(Math.sign(event.deltaY) * 0.2), view.state(...toShares(...position(event))));
+    app.changed();
+  }, { passive: false });
+
+  const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+  overlay.addEventListener("keydown", event => {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const at = app.pointed ? view.place(app.pointed.state) : [0.5, 0.5];
+    const about = () => view.state(...at);
+    if (steps[event.key]) {
+      const share = event.shiftKey ? FINE : COARSE;
+      const next = at.map((v, k) => v + steps[event.key][k] * share);
+      const beyond = next.map(v => Math.min(v, 0) + Math.max(v - 1, 0));
+      if (beyond.some(Boolean)) view.move(beyond);
+      app.point(view.state(...next.map(v => Math.min(Math.max(v, 0), 1))), true);
+      if (beyond.some(Boolean)) app.changed();
+    } else if (event.key === "Enter") app.start(about());
+    else if (event.key === "+" || event.key === "=") zoomed(0.8, about());
+    else if (event.key === "-" || event.key === "_") zoomed(1.25, about());
+    else if (event.key === "0") {
+      view.reset();
+      app.changed();
+    } else if (event.key === "Escape") app.point(null);
+    else return;
+    event.preventDefault();
+    event.stopPropagation();
+  });
+
+  function zoomed(factor, state) {
+    view.zoom(factor, state);
+    app.changed();
+  }
+
+  return { draw, sweep, redraw, zoomed, frame: () => ({ ...frame }) };
+}

@@ -1,0 +1,127 @@
+"""What the page of a policy needs to know, as plain data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from capsyn.automaton import Automaton
+from capsyn.cells import CellTree
+from capsyn.domain import Ball, Box
+from capsyn.errors import ProblemError
+from capsyn.explorer.facts import facts
+from capsyn.explorer.policy_data import policy_data
+from capsyn.policy import Policy
+from capsyn.report import report
+from capsyn.split_tree import SplitTree
+from capsyn.targets import describe_target, target_axes
+
+DRAWINGS = {
+    "pendulum": ("theta", "omega"),
+    "cart-pole": ("x", "v", "theta", "omega"),
+    "double-tank": ("x1", "x2"),
+}
+"""Drawings that the page has, and the states that they are of."""
+DRAWN = {
+    "cart-pendulum": "pendulum",
+    "cart-pendulum-4": "pendulum",
+    "cart-pole": "cart-pole",
+    "double-tank-a": "double-tank",
+    "double-tank-b": "double-tank",
+}
+"""The drawings of the built-in problems."""
+
+
+def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
+    """Return what the page of a policy shows and computes with: `policy_data` and more.
+
+    Parameters
+    ----------
+    policy : Policy
+        The policy, or decision tree.
+    drawing : str, optional
+        One of `DRAWINGS`, or ``"none"``. Default: that of the built-in problem of this name.
+
+    Raises
+    ------
+    ProblemError
+        A drawing of other states, or none of that name.
+    """
+    figures = report(policy)
+    return policy_data(policy) | {
+        "target": _target(policy),
+        "automaton": _automaton(policy),
+        "drawing": _drawing(policy, drawing),
+        "shares": policy.volume_shares.tolist(),
+        "loops": policy.model is not None,
+        "facts": facts(figures),
+    }
+
+
+def _target(policy: Policy) -> dict[str, Any] | None:
+    """Return a target in words, and as a shape where it is one."""
+    target, domain = policy.target, policy.domain
+    if target is None:
+        return None
+    told: dict[str, Any] = {"text": describe_target(target, domain)}
+    if isinstance(target, Ball):
+        told["ball"] = {"center": target.center.tolist(), "radius": target.radius}
+    if isinstance(target, Box):
+        told["box"] = {"lower": target.lower.tolist(), "upper": target.upper.tolist()}
+    if isinstance(target, (Ball, Box)):
+        told["axes"] = target_axes(target, domain)
+    return told
+
+
+def _automaton(policy: Policy) -> dict[str, Any]:
+    """Return the finite state machine; of oblique splits only which symbols there are."""
+    if isinstance(policy.cells, SplitTree) and len(policy.cells.planes):
+        used = np.unique(policy.cells.labels_at(policy.cells.mixed_cells)).tolist()
+        edges: list[Any] = [(source, target, None, None) for source in used for target in used]
+        cells = np.bincount(
+            policy.cells.labels_at(policy.cells.mixed_cells), minlength=len(policy.controls)
+        )
+        what = "leaves"
+        vertices = [
+            {"symbol": k, "region": f"A{(k + 1) % len(policy.controls)}", "cells": int(cells[k])}
+            for k in used
+        ]
+    else:
+        machine = Automaton.of(policy)
+        what = "cells" if isinstance(policy.cells, CellTree) else "leaves"
+        vertices = [
+            {
+                "symbol": region.label,
+                "region": machine.region_name(region.label),
+                "cells": region.cells,
+            }
+            for region in machine.regions
+        ]
+        edges = [(e.source, e.target, e.possible, e.sliding) for e in machine.edges]
+    keys = ("source", "target", "possible", "sliding")
+    return {
+        "vertices": vertices,
+        "edges": [dict(zip(keys, edge)) for edge in edges],
+        "what": what,
+    }
+
+
+def _drawing(policy: Policy, wanted: str | None) -> str | None:
+    """Return the drawing of a policy's system, if there is one."""
+    if wanted == "none":
+        return None
+    if wanted is None:
+        found = DRAWN.get(policy.name)
+        fits = found is not None and policy.domain.names == DRAWINGS[found]
+        return found if fits else None
+    if wanted not in DRAWINGS:
+        raise ProblemError(
+            f"`drawing` must be one of {', '.join(DRAWINGS)} or none; got '{wanted}'"
+        )
+    if len(DRAWINGS[wanted]) != policy.domain.n:
+        raise ProblemError(
+            f"`drawing` '{wanted}' is of {len(DRAWINGS[wanted])} states "
+            f"({', '.join(DRAWINGS[wanted])}); the policy has {policy.domain.n}"
+        )
+    return wanted

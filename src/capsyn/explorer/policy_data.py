@@ -1,0 +1,84 @@
+"""A policy as plain data for the page: what lookups and closed loops in JavaScript need."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+
+from capsyn.cells import CellTree
+from capsyn.packing import smallest_type
+from capsyn.plant import ACCURACY, MOST_SUBSTEPS, SAMPLES
+from capsyn.policy import Policy
+from capsyn.policy_file import arrays_of, content_hash, content_of
+from capsyn.ssac import UNRESOLVED
+
+RATE = 1000.0
+"""Sample rate of closed loops [1 / s] where a policy has no settings."""
+STRUCTURE = ("partitions", "refinement", "max_level")
+
+
+def policy_data(policy: Policy) -> dict[str, Any]:
+    """Return a policy as plain data, which ``json.dumps`` takes.
+
+    It is what the policy's file holds (see docs/policy-format.md) but for the programs, which go to
+    the page as JavaScript (`model_javascript`), with
+
+    - ``sha256``: its content's hash; ``evidence``: as in the file, without the hash;
+    - ``symbols``, ``controls``: names (N + 1) and control vectors (N + 1, m), the default last;
+    - ``counts``: steps of the lattice along each axis;
+    - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
+    - ``tree``: arrays of a decision tree, else None;
+    - ``rate``: sample rate [1 / s] of closed loops for which none is given;
+    - ``sampled``: what the steps of closed loops are chosen by, see `choose_substeps`; None where
+      there is no model.
+
+    Arrays are ``{"dtype", "shape", "base64"}``, little-endian, in the smallest integers that hold
+    them. The sets of labels seen in mixed cells are bit masks (K, 1 or 2), lowest word first.
+    """
+    data = content_of(policy)
+    model, structure = data.pop("model"), {key: data.pop(key, None) for key in STRUCTURE}
+    arrays = arrays_of(policy)
+    is_cells = isinstance(policy.cells, CellTree)
+    if is_cells:
+        arrays["mixed_labels"] = _words(arrays["mixed_labels"], len(policy.alphabet) + 1)
+    packed = {name: packed_array(array) for name, array in arrays.items()}
+    settings = policy.settings
+    if isinstance(data["target"], dict) and "program" in data["target"]:
+        data["target"] = {"program": None}
+    return data | {
+        "sha256": content_hash(policy),
+        "evidence": {kind: found for kind, found in policy.evidence.items() if kind != "sha256"},
+        "symbols": [*policy.alphabet.names, "default"],
+        "controls": policy.controls.tolist(),
+        "counts": list(policy.cells.counts),
+        "cells": structure | packed if is_cells else None,
+        "tree": None if is_cells else packed,
+        "rate": RATE if settings is None else 1 / settings.sample_time,
+        "sampled": None
+        if model is None
+        else {
+            "states": packed_array(policy.domain.sample(SAMPLES, 0)),
+            "accuracy": ACCURACY,
+            "most": MOST_SUBSTEPS,
+            "unresolved": UNRESOLVED,
+        },
+    }
+
+
+def _words(masks: np.ndarray, labels: int) -> np.ndarray:
+    """Return bit masks (K,) uint64 of labels as words (K, 1 or 2)."""
+    if labels < 32:
+        return masks.astype(np.int64)[:, None]
+    low, high = masks & np.uint64(0xFFFFFFFF), masks >> np.uint64(32)
+    return np.stack([low, high], axis=1).astype(np.uint32)
+
+
+def packed_array(array: np.ndarray) -> dict[str, Any]:
+    """Return an array as plain data; whole numbers in the smallest type that holds them."""
+    if array.dtype != np.uint32 and array.dtype.kind in "iu":
+        array = array.astype(smallest_type(array))
+    little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    text = base64.b64encode(little.tobytes()).decode()
+    return {"dtype": array.dtype.name, "shape": list(array.shape), "base64": text}

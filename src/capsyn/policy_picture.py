@@ -1,0 +1,77 @@
+"""A policy as a small picture for notebooks."""
+
+from __future__ import annotations
+
+import html
+
+import numpy as np
+
+from capsyn.plots import symbol_colors
+from capsyn.policy import Policy
+
+WIDE, HIGH = 72, 48
+"""Pixels of the map."""
+SCALE = 4
+MOST_NAMED = 12
+"""Symbols in the legend at most."""
+GREY = "#999999"
+
+
+def policy_html(policy: Policy) -> str:
+    """Return a policy as HTML with an SVG: the plane of its first two states.
+
+    The others have the middle of the domain.
+
+    The same policy gives the same text; names are escaped.
+    """
+    domain = policy.domain
+    rows = HIGH if domain.n > 1 else 8
+    symbols = _symbols(policy, rows)
+    colors = [_hex(color) for color in symbol_colors(len(policy.alphabet))] + [GREY]
+    used = [k for k in np.unique(symbols).tolist() if k >= 0] + [-1] * bool((symbols < 0).any())
+    paths = [f'<path fill="{colors[symbol]}" d="{_runs(symbols == symbol)}"/>' for symbol in used]
+    width, height = WIDE * SCALE, rows * SCALE
+    axes = " against ".join(html.escape(name) for name in domain.names[1::-1])
+    named = [(symbol, policy.symbol_name(symbol)) for symbol in used[:MOST_NAMED]]
+    entries = [
+        f'<rect x="{width + 14}" y="{16 * row + 2}" width="10" height="10" '
+        f'fill="{colors[symbol]}"/>'
+        f'<text x="{width + 30}" y="{16 * row + 11}">{html.escape(name)}</text>'
+        for row, (symbol, name) in enumerate(named)
+    ]
+    caption = f"{html.escape(repr(policy))}: {axes}"
+    return (
+        f'<div><svg xmlns="http://www.w3.org/2000/svg" width="{width + 170}" '
+        f'height="{max(height, 16 * len(named))}" font-family="sans-serif" font-size="12" '
+        f'fill="currentColor"><title>{caption}</title>'
+        f'<g transform="scale({SCALE})" shape-rendering="crispEdges">{"".join(paths)}</g>'
+        f"{''.join(entries)}</svg><div>{caption}</div></div>"
+    )
+
+
+def _symbols(policy: Policy, rows: int) -> np.ndarray:
+    """Return the symbols (rows, WIDE) of the pixels' centres, the last row the lowest states."""
+    domain = policy.domain
+    shares = np.full((rows, WIDE, domain.n), 0.5)
+    shares[..., 0] = (np.arange(WIDE) + 0.5) / WIDE
+    if domain.n > 1:
+        shares[..., 1] = 1 - (np.arange(rows)[:, None] + 0.5) / rows
+    return policy(domain.lower + shares * domain.widths, "nearest", backend="numpy")
+
+
+def _runs(mask: np.ndarray) -> str:
+    """Return a path around the runs of each row of a mask."""
+    edges = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, starts = np.nonzero(edges > 0)
+    ends = np.nonzero(edges < 0)[1]
+    return "".join(
+        f"M{start} {row}h{end - start}v1h{start - end}z"
+        for row, start, end in zip(rows.tolist(), starts.tolist(), ends.tolist())
+    )
+
+
+def _hex(color: object) -> str:
+    if isinstance(color, str):
+        return color
+    channels = np.round(255 * np.asarray(color, dtype=float)[:3]).astype(int)
+    return "#" + "".join(f"{channel:02x}" for channel in channels.tolist())

@@ -1,0 +1,44 @@
+"""The modules of the explorer's page, run by Node."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import capsyn.explorer
+from capsyn.explorer.policy_data import policy_data
+from capsyn.explorer.program_javascript import model_javascript
+
+NODE = shutil.which("node")
+PAGE = Path(capsyn.explorer.__file__).parent / "page"
+BEGIN = """
+import { readFileSync } from "node:fs";
+const input = JSON.parse(readFileSync(process.argv[2], "utf8"));
+const numbers = rows => rows.map(row => row.map(v => (v === "nan" ? NaN : Number(v))));
+const print = value => console.log(JSON.stringify(value, (_, v) =>
+  ArrayBuffer.isView(v) ? Array.from(v) : Number.isNaN(v) ? null : v));
+"""
+SPECIAL = {"nan": "nan", "inf": "Infinity", "-inf": "-Infinity"}
+
+
+def texts(states):
+    """Return states (K, n) as texts that JavaScript's Number reads exactly."""
+    return [[SPECIAL.get(repr(v), repr(v)) for v in row] for row in states.tolist()]
+
+
+def node(directory, code, policy, **given):
+    """Return what a script prints of ``input``: a policy's data and what else is given."""
+    if not NODE:
+        pytest.skip("needs node: apt-get install nodejs")
+    for path in PAGE.glob("*.js"):
+        (directory / path.name).write_bytes(path.read_bytes())
+    (directory / "model.js").write_text(model_javascript(policy))
+    (directory / "package.json").write_text('{"type": "module"}')
+    (directory / "run.js").write_text(code)
+    (directory / "input.json").write_text(json.dumps({"policy": policy_data(policy), **given}))
+    command = [NODE, directory / "run.js", directory / "input.json"]
+    run = subprocess.run(command, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)
