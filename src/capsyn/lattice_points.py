@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
-from capsyn.masks import Label, several
+from capsyn.masks import several
 
 CHUNK = 8192
 """Most states that are labelled in one call."""
@@ -51,17 +52,19 @@ class LatticePoints:
     """Solved lattice points: sorted integer keys, and a bit mask for each.
 
     A mask has bit `i` where symbol `i` could be best, bit N for the default; it is kept in the
-    smallest unsigned type that holds N + 1 bits.
+    smallest unsigned type that holds N + 1 bits. Where `scored`, the labelling function gives
+    scores (B, S) beside its masks (B,), and they are kept, too.
     """
 
     def __init__(
         self,
-        label: Label,
+        label: Callable[[np.ndarray], Any],
         domain: Box,
         lattice: tuple[int, ...],
         n_symbols: int,
         pool: ThreadPoolExecutor | None,
         progress: Callable[[Progress], None] | None,
+        scored: bool = False,
     ) -> None:
         self._label, self._domain, self._lattice = label, domain, lattice
         self._pool, self._progress = pool, progress
@@ -80,7 +83,8 @@ class LatticePoints:
         self._strides = [math.prod(extents[i + 1 :]) for i in range(domain.n)]
         self._keys = np.array([2**63 - 1])  # larger than any key, so that a search ends within
         self._masks = np.zeros(1, dtype=self.dtype)
-        self._pending: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._scored, self._scores = scored, np.zeros((1, 0))
+        self._pending: tuple[np.ndarray, ...] | None = None
         self.count = 0
         self.indifferent = 0
         self.not_finite = 0
@@ -125,33 +129,51 @@ class LatticePoints:
 
     def answer(self, question: Question, level: int, max_level: int, cells: int) -> np.ndarray:
         """Return the masks (K,) of a question's keys, solving those that are new."""
+        return self.answer_with_scores(question, level, max_level, cells)[0]
+
+    def answer_with_scores(
+        self, question: Question, level: int, max_level: int, cells: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the masks (K,) and scores (K, S) of a question's keys; NaN where unknown."""
         keys = question.distinct[question.new]
-        masks = self._solve(keys, level, max_level, cells)
-        known = self._masks[question.places]
-        known[question.new] = masks
-        self._pending = (question.places[question.new], keys, masks)
+        found = self._solve(keys, level, max_level, cells)
+        self._pending = (question.places[question.new], keys, *found)
         self.count += len(keys)
-        answers = np.empty(len(question.order), dtype=self.dtype)
-        answers[question.order] = known[np.cumsum(question.first, dtype=np.int32) - 1]
-        return answers
+        rows = np.cumsum(question.first, dtype=np.int32) - 1
+        answers = []
+        for kept, new in zip((self._masks, self._scores), found):
+            known = kept[question.places]
+            known[question.new] = new
+            answer = np.empty((len(question.order), *kept.shape[1:]), dtype=kept.dtype)
+            if answer.size:
+                answer[question.order] = known[rows]
+            answers.append(answer)
+        return answers[0], answers[1]
 
     def _merge(self) -> None:
         """Put the points of the last answer among the sorted ones."""
         if self._pending is not None:
-            places, keys, masks = self._pending
+            places, keys, masks, scores = self._pending
             self._keys = np.insert(self._keys, places, keys)
             self._masks = np.insert(self._masks, places, masks)
+            if scores.size:
+                self._scores = np.insert(self._scores, places, scores, axis=0)
             self._pending = None
 
-    def _solve(self, keys: np.ndarray, level: int, max_level: int, cells: int) -> np.ndarray:
+    def _solve(
+        self, keys: np.ndarray, level: int, max_level: int, cells: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         started = time.perf_counter()
         masks = np.empty(len(keys), dtype=self.dtype)
+        scores: dict[int, np.ndarray] = {}
         size = min(CHUNK, max(256, -(-len(keys) // 16)))
         parts = [slice(i, i + size) for i in range(0, len(keys), size)]
         missing = np.zeros(len(keys), dtype=bool)
 
         def work(part: slice) -> int:
             found = self._label(self._states(keys[part]))
+            if self._scored:
+                found, scores[part.start] = found
             missing[part] = found == 0
             masks[part] = found
             return len(found)
@@ -165,7 +187,17 @@ class LatticePoints:
         self.seconds += time.perf_counter() - started
         self._count_missing(keys, masks, missing)
         self.indifferent += int(np.count_nonzero(several(masks)))
-        return masks
+        return masks, self._joined(scores, missing)
+
+    def _joined(self, parts: dict[int, np.ndarray], missing: np.ndarray) -> np.ndarray:
+        """Return the scores (K, S) of new points, from those of the parts that they begin."""
+        if not parts:
+            return np.zeros((len(missing), self._scores.shape[1]))
+        scores = np.concatenate([parts[start] for start in sorted(parts)]).astype(float)
+        scores[missing] = np.nan
+        if not self._scores.size:
+            self._scores = np.zeros((len(self._keys), scores.shape[1]))
+        return scores
 
     def _map(self, work: Callable[[slice], int], parts: Iterable[slice]) -> Iterator[int]:
         return self._pool.map(work, parts) if self._pool else map(work, parts)
@@ -188,6 +220,16 @@ class LatticePoints:
                 f"state {self.example}: check the model there, and whether `steps` and the horizon "
                 "fit it"
             )
+
+    def offsets(self, keys: np.ndarray, corners: np.ndarray) -> np.ndarray:
+        """Return keys (K,) as lattice points relative to corners (K, n), ahead on periodic axes."""
+        found = np.empty(corners.shape, dtype=np.int64)
+        rest = keys
+        for i, stride in enumerate(self._strides):
+            k = rest // stride
+            rest = rest - k * stride
+            found[:, i] = (k - corners[:, i]) % (self._lattice[i] + 1 - self._domain.periodic[i])
+        return found
 
     def _states(self, keys: np.ndarray) -> np.ndarray:
         """Return the states (K, n) of keys (K,)."""

@@ -54,8 +54,6 @@ EVIDENCE = {
     "agreement": (("states", "agreeing"), ("share", "low", "high", "confidence")),
 }
 """Kinds of evidence, and the counts and shares that each has at least."""
-ROLES = ("vertices", "centers", "others", "quarter")
-"""What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
 SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
 

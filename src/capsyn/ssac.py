@@ -114,6 +114,35 @@ class BatchController:
         """
         return self.possible(self.solve(states))
 
+    def scored(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `masks` (B,) and, of the same solves, `smooth_scores` of states (B, n)."""
+        solution = self.solve(states)
+        return self.possible(solution), self.smooth_scores(solution)
+
+    def smooth_scores(self, solution: Solution) -> np.ndarray:
+        """Return scores (B, N) as affine in the state as can be; the largest is best.
+
+        Steepest rule: ``-dJ_dlam - |u|_R^2``. Eq. (8), whose squares grow with the fourth power of
+        the state where costs are quadratic, without ``alpha_d^2``, which all symbols share, and
+        over twice the root of ``alpha_d^2 + mean(dJ_dlam^2)``:
+        ``(2 alpha_d dJ_dlam - dJ_dlam^2 - |u|_R^2) / ...`` orders the symbols alike, and for large
+        ``|alpha_d|`` is ``-dJ_dlam``. With ``on_no_descent="default"`` the default's comes last,
+        (B, N + 1): the best score plus that symbol's ``dJ_dlam``.
+        """
+        gradients = solution.gradients
+        with np.errstate(all="ignore"):
+            scores = -gradients - self.efforts
+            if self.settings.rule == "schedule":
+                wanted = self._wanted(solution)
+                size = 2 * np.sqrt(wanted**2 + (gradients**2).mean(axis=1, keepdims=True))
+                scores = (2 * wanted - gradients) * gradients - self.efforts
+                scores = np.where(size > 0, scores / size, -self.efforts)
+            if self.settings.on_no_descent == "default":
+                best = scores.argmax(axis=1)[:, None]
+                default = np.take_along_axis(scores + gradients, best, axis=1)
+                scores = np.hstack([scores, default])
+        return scores
+
     def possible(self, solution: Solution) -> np.ndarray:
         """Return the masks (B,) of solved states; see `masks`."""
         low, high = self._bounds(solution)

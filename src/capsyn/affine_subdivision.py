@@ -1,0 +1,440 @@
+"""Subdivision with affine leaves: cells are split where their rows are wrong, not on the surface.
+
+Cells wait in a list; the next blocks to be split are taken from it in rounds, so that no more than
+a round's test points are in memory beside the solved points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.affine_fit import fit_cells
+from capsyn.affine_leaves import AffineLeaves
+from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
+from capsyn.cell_points import CellPoints
+from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
+from capsyn.errors import ProblemError, SynthesisError
+from capsyn.lattice_points import LatticePoints, Question
+from capsyn.masks import most_voted, preferred, several
+from capsyn.propositions import worst_case_solves
+
+LATTICE = 2**14
+"""Steps along an axis that the lattice of rows has at most, unless the cells need more."""
+LEAST_STEPS = 8
+"""Least steps along the edge of a finest cell."""
+ROUND_POINTS = 2**21
+"""Test points of the blocks that are split in one round, at most."""
+ROUND_SHARE = 4
+"""One in so many of the solves that are left is spent in one round."""
+CHUNK_SCORES = 2**21
+"""Scores that are fitted at a time."""
+
+
+def lattice_level(
+    partitions: tuple[int, ...], refinement: tuple[int, ...], max_level: int
+) -> int:
+    """Return the level whose cells are the lattice steps of rows.
+
+    Raises
+    ------
+    ProblemError
+        There would be 2^31 steps or more along an axis.
+    """
+    level = max_level
+    while min(refinement) ** (level - max_level) < LEAST_STEPS:
+        level += 1
+    if max(lattice_counts(partitions, refinement, level)) > MAX_COUNT:
+        raise ProblemError(f"`max_level` {max_level} is too high for affine leaves")
+    while max(lattice_counts(partitions, refinement, level + 1)) <= LATTICE:
+        level += 1
+    return level
+
+
+@dataclass(eq=False)
+class _Cells:
+    """Cells in the order of their making, those of a block together.
+
+    ``child`` is the first child or -1; ``label`` a symbol, or -1 where rows decide; ``seen`` the
+    labels of the test points where they disagree with the leaf, else 0; ``row`` its first row.
+    """
+
+    corner: np.ndarray
+    level: np.ndarray
+    child: np.ndarray
+    label: np.ndarray
+    accepted: np.ndarray
+    error: np.ndarray
+    seen: np.ndarray
+    row: np.ndarray
+    rows: np.ndarray
+
+    def add(self, other: _Cells) -> _Cells:
+        """Return these cells and others."""
+        pairs = zip(vars(self).values(), vars(other).values())
+        return _Cells(*(np.concatenate(pair) for pair in pairs))
+
+
+class AffineSubdivision:
+    """Algorithm 1 with affine leaves, in rounds."""
+
+    def __init__(
+        self,
+        partitions: tuple[int, ...],
+        refinement: tuple[int, ...],
+        max_level: int,
+        test_points: CellPoints,
+        seed: int,
+        order: list[int],
+        points: LatticePoints,
+        max_solves: int | None,
+        tolerance: float,
+        plain: bool,
+    ) -> None:
+        self._n, self._q, self._r = len(partitions), partitions, refinement
+        self._max_level, self._test_points, self._seed = max_level, test_points, seed
+        self._order, self._points = order, points
+        self._blocks = CellBlocks(points, test_points, self._n, seed)
+        self._offsets = test_points.offsets(self._n)
+        self._max_solves, self._tolerance, self._plain = max_solves, tolerance, plain
+        self._lattice_level = lattice_level(partitions, refinement, max_level)
+        self._counts = lattice_counts(partitions, refinement, self._lattice_level)
+        self._roles = np.zeros(len(ROLES), dtype=np.int64)
+        self._solves = np.zeros(max_level + 1, dtype=np.int64)
+        self._streams = 0
+        self._needed = 0
+        self._stopped = False
+        self._rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self._row_count = 0
+        self._summary: dict[str, Any] = {}
+
+    def run(self) -> CellTree:
+        """Return the cells."""
+        roots = grid_places(self._q) * self._size(0)
+        made = self._evaluate([(0, roots)])
+        if made is None:
+            raise ProblemError(
+                f"`max_solves` must be at least the {self._needed} solves of level 0; "
+                f"got {self._max_solves}"
+            )
+        cells, spent = made, 0
+        while (chosen := self._next(cells, spent)).size:
+            before = self._points.count
+            new = self._split(cells, chosen)
+            if new is None:
+                break
+            spent = (self._points.count - before) // max(1, len(new.level) // self._children)
+            cells = cells.add(new)
+            if len(cells.level) > MAX_COUNT:
+                raise SynthesisError("there are more cells than 32-bit entries can number")
+        self._stopped = self._max_solves is not None and bool(self._open(cells).any())
+        self._points.check_finite(self._points.count)
+        return self._tree(cells)
+
+    @property
+    def _children(self) -> int:
+        return math.prod(self._r)
+
+    def _size(self, level: int, finest: int = FINE) -> np.ndarray:
+        """Return the edge lengths (n,) of cells of a level; `finest` is that of finest ones."""
+        return finest * np.array([r ** (self._max_level - level) for r in self._r], dtype=np.int64)
+
+    def _open(self, cells: _Cells) -> np.ndarray:
+        """Return which cells may yet be split; where solves are counted, accepted ones too."""
+        waiting = ~cells.accepted if self._max_solves is None else cells.error > 0
+        return waiting & (cells.child < 0) & (cells.level < self._max_level)
+
+    def _next(self, cells: _Cells, spent: int) -> np.ndarray:
+        """Return the cells to split in the next round; `spent` solves went into a block before.
+
+        Where solves are counted those come first whose estimated error, times their volume, is
+        largest.
+        """
+        chosen = np.flatnonzero(self._open(cells))
+        block = self._test_points.in_block(self._r)
+        room = max(1, ROUND_POINTS // block)
+        if self._max_solves is not None:
+            left = self._max_solves - self._points.count
+            room = min(room, max(1, left // (ROUND_SHARE * max(1, spent or block))))
+            shares = np.array([1.0 / self._children**k for k in range(self._max_level + 1)])
+            error = cells.error[chosen] * shares[cells.level[chosen]]
+            chosen = chosen[np.argsort(-error, kind="stable")]
+        return chosen[:room]
+
+    def _split(self, cells: _Cells, chosen: np.ndarray) -> _Cells | None:
+        """Split the cells, or fewer where there are too few solves left; None where for none."""
+        while chosen.size:
+            groups, order = [], []
+            for level in np.unique(cells.level[chosen]):
+                here = chosen[cells.level[chosen] == level]
+                groups.append((int(level) + 1, cells.corner[here]))
+                order.append(here)
+            new = self._evaluate(groups)
+            if new is not None:
+                split = np.concatenate(order)
+                cells.child[split] = len(cells.level) + self._children * np.arange(len(split))
+                return new
+            chosen = chosen[: len(chosen) // 2]
+        return None
+
+    def _evaluate(self, groups: list[tuple[int, np.ndarray]]) -> _Cells | None:
+        """Return the children, of some levels, in blocks with these lower corners (M, n).
+
+        The cells of the root grid are their own parents. None where that takes too many solves.
+        """
+        tests, keys, roles, levels = [], [], [], []
+        for level, parents in groups:
+            split = np.array(self._r if level else (1,) * self._n)
+            found, table, role = self._blocks.keys(
+                parents, split, self._size(level), self._streams + len(tests)
+            )
+            tests.append((level, parents, split, found.shape, table, len(keys)))
+            keys.append(found.ravel())
+            roles.append(np.repeat(role, len(parents)))
+            levels.append(np.full(found.size, level))
+        question = self._points.ask(np.concatenate(keys))
+        self._needed = int(question.new.sum())
+        if self._exceeds(question):
+            return None
+        self._streams += len(tests)
+        samples = question.samples
+        self._roles += np.bincount(np.concatenate(roles)[samples], minlength=len(ROLES))
+        self._solves += np.bincount(np.concatenate(levels)[samples], minlength=len(self._solves))
+        deepest = max(level for level, _ in groups)
+        masks, scores = self._points.answer_with_scores(
+            question, deepest, self._max_level, sum(len(p) for _, p in groups)
+        )
+        made: list[_Cells] = []
+        start = 0
+        for (level, parents, split, shape, table, _), found in zip(tests, keys):
+            part = slice(start, start + shape[0] * shape[1])
+            start = part.stop
+            chunk = max(1, CHUNK_SCORES // (table.size * scores.shape[1]))
+            for first in range(0, len(parents), chunk):
+                some = slice(first, first + chunk)
+                made.append(
+                    self._cells(
+                        level,
+                        parents[some],
+                        split,
+                        table,
+                        found.reshape(shape)[:, some],
+                        masks[part].reshape(shape)[:, some],
+                        scores[part].reshape(*shape, -1)[:, some],
+                    )
+                )
+        whole = made[0]
+        for more in made[1:]:
+            whole = whole.add(more)
+        return whole
+
+    def _exceeds(self, question: Question) -> bool:
+        allowed = self._max_solves
+        return allowed is not None and self._points.count + int(question.new.sum()) > allowed
+
+    def _cells(
+        self,
+        level: int,
+        parents: np.ndarray,
+        split: np.ndarray,
+        table: np.ndarray,
+        keys: np.ndarray,
+        masks: np.ndarray,
+        scores: np.ndarray,
+    ) -> _Cells:
+        """Return the children of blocks, fitted: keys, masks (U, M) and scores (U, M, S)."""
+        size, children = self._size(level), len(table)
+        corners = (parents[:, None, :] + grid_places(split) * size).reshape(-1, self._n)
+        rows = np.moveaxis(table, 0, 1)  # (P, children)
+
+        def spread(values: np.ndarray) -> np.ndarray:
+            """Return values of test points (U, M, ...) as those of cells (P, M children, ...)."""
+            found = np.swapaxes(values[rows], 1, 2)
+            return found.reshape(len(rows), children * len(parents), *values.shape[2:])
+
+        cell_masks = spread(masks)
+        shared = common = np.bitwise_and.reduce(cell_masks, axis=0)
+        if level < self._max_level:
+            common = self._quarter_rule(common, cell_masks, corners, size, level)
+        label = preferred(common, self._order)
+        count = len(corners)
+        made = _Cells(
+            corners,
+            np.full(count, level, dtype=np.int8),
+            np.full(count, -1),
+            label,
+            common != 0,
+            np.zeros(count),
+            np.zeros(count, dtype=np.uint64),
+            np.zeros(count, dtype=np.int64),
+            np.zeros(count, dtype=np.int64),
+        )
+        mixed = np.flatnonzero(common == 0)
+        if not mixed.size:
+            return made
+        of_mixed = spread(scores)[:, mixed]
+        known = np.isfinite(of_mixed).all(axis=(0, 2))
+        self._fit(made, mixed[known], cell_masks, of_mixed[:, known], spread(keys), level)
+        hidden = mixed[shared[mixed] != 0]  # only points of the quarter rule disagree
+        made.accepted[hidden] = False
+        made.error[hidden] = np.maximum(made.error[hidden], 1 / len(rows))
+        rest = mixed[~known]
+        if rest.size:
+            made.label[rest], made.seen[rest] = most_voted(cell_masks[:, rest], self._order)
+            bits = cell_masks[:, rest] >> made.label[rest].astype(cell_masks.dtype)
+            made.error[rest] = (bits & cell_masks.dtype.type(1) == 0).mean(axis=0)
+        return made
+
+    def _fit(
+        self,
+        made: _Cells,
+        cells: np.ndarray,
+        masks: np.ndarray,
+        scores: np.ndarray,
+        keys: np.ndarray,
+        level: int,
+    ) -> None:
+        """Give some cells their rows, from masks and keys (P, all cells) and scores (P, K, S)."""
+        if not cells.size:
+            return
+        fine = self._size(level)
+        steps = self._size(level, 1) * np.array(
+            [r ** (self._lattice_level - self._max_level) for r in self._r]
+        )
+        corners = made.corner[cells]
+        places = np.empty((len(masks), len(cells), self._n), dtype=np.int64)
+        fixed = len(self._offsets)
+        places[:fixed] = (self._offsets * (fine // 2))[:, None, :]
+        for p in range(fixed, len(masks)):
+            places[p] = self._points.offsets(keys[p, cells], corners)
+        # in Python integers a product of large cells would not overflow either: FINE <= 8
+        places = np.minimum(places * steps // fine, steps - 1)
+        corners = corners // fine * steps
+        some = masks[:, cells]
+        fits = fit_cells(
+            scores, some, self._offsets, places, corners, steps, self._counts,
+            self._tolerance, self._plain,
+        )  # fmt: skip
+        one = fits.used.sum(axis=1) == 1
+        made.label[cells] = np.where(one, fits.used.argmax(axis=1), -1)
+        made.accepted[cells] = fits.wrong == 0
+        made.error[cells] = fits.error
+        seen = np.bitwise_or.reduce(np.where(several(some), some.dtype.type(0), some), axis=0)
+        bits = np.uint64(1) << np.arange(fits.used.shape[1], dtype=np.uint64)
+        own = np.bitwise_or.reduce(np.where(fits.used, bits, np.uint64(0)), axis=1)
+        made.seen[cells] = np.where(fits.wrong == 0, np.uint64(0), seen.astype(np.uint64) | own)
+        kept = fits.used & ~one[:, None]
+        cell, symbol = np.nonzero(kept)
+        made.rows[cells] = kept.sum(axis=1)
+        made.row[cells] = self._row_count + np.cumsum(made.rows[cells]) - made.rows[cells]
+        self._row_count += len(cell)
+        self._rows.append(
+            (
+                symbol.astype(np.int32),
+                fits.constants[cell, symbol].astype(np.int32),
+                fits.slopes[cell, symbol].astype(np.int16),
+            )
+        )
+
+    def _quarter_rule(
+        self,
+        common: np.ndarray,
+        masks: np.ndarray,
+        corners: np.ndarray,
+        size: np.ndarray,
+        level: int,
+    ) -> np.ndarray:
+        """Return `common` (M,) after a second look at tied points of uniform cells."""
+        movable = np.flatnonzero((self._offsets != 1).any(axis=1))
+        point, cell = np.nonzero(several(masks[movable]) & (common != 0))
+        if not cell.size:
+            return common
+        keys = self._blocks.quarter_keys(corners[cell], size, self._offsets[movable[point]])
+        question = self._points.ask(keys)
+        if self._exceeds(question):
+            return common
+        new = int(question.new.sum())
+        self._roles[ROLES.index("quarter")] += new
+        self._solves[level] += new
+        moved = self._points.answer(question, level, self._max_level, common.size)
+        common = common.copy()
+        np.bitwise_and.at(common, cell, moved)
+        return common
+
+    def _tree(self, cells: _Cells) -> CellTree:
+        """Return the cells in the order of a `CellTree`."""
+        tables = [np.concatenate(x) for x in zip(*self._rows)] if self._rows else []
+        blocks, leaves, levels = [], [], []
+        here, start = np.arange(math.prod(self._q)), 0
+        for level, places in self._by_level(cells):
+            here, split = places, cells.child[places] >= 0
+            start += len(here)
+            entries = -1 - cells.label[here].astype(np.int64)
+            entries[split] = start + self._children * np.arange(np.count_nonzero(split))
+            blocks.append(entries)
+            leaves.append(here[~split])
+            mixed = int(np.count_nonzero(split | (cells.seen[here] != 0)))
+            solves = int(self._solves[level])
+            levels.append({"cells": len(here), "mixed": mixed, "solves": solves})
+        order = np.concatenate([here for _, here in self._by_level(cells)])
+        entries = np.concatenate(blocks)
+        leaf = cells.child[order] < 0
+        affine = np.flatnonzero(leaf & (cells.label[order] < 0))
+        first = max(self._order) + 1
+        entries[affine] = -1 - (first + np.arange(len(affine)))
+        made = None
+        if affine.size:
+            rows, row = cells.rows[order[affine]], cells.row[order[affine]]
+            ends = np.cumsum(rows)
+            picked = np.repeat(row - ends + rows, rows) + np.arange(ends[-1])
+            made = AffineLeaves.of(first, rows, *(table[picked] for table in tables))
+        mixed_cells = np.flatnonzero(leaf & (cells.seen[order] != 0))
+        self._summary = {
+            "cells": int(leaf.sum()),
+            "affine_leaves": len(affine),
+            "leaves_by_level": [len(x) for x in leaves],
+            "mixed_cells": len(mixed_cells),
+            "levels": levels,
+        }
+        return CellTree(
+            self._q,
+            self._r,
+            self._lattice_level,
+            entries.astype(np.int32),
+            mixed_cells.astype(np.int32),
+            cells.seen[order[mixed_cells]],
+            made,
+        )
+
+    def _by_level(self, cells: _Cells) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield (level, cells (M,)) in the order of a `CellTree`."""
+        here = np.arange(math.prod(self._q))
+        for level in range(self._max_level + 1):
+            yield level, here
+            starts = cells.child[here[cells.child[here] >= 0]]
+            if not starts.size:
+                return
+            here = (starts[:, None] + np.arange(self._children)).ravel()
+
+    def statistics(self) -> dict[str, Any]:
+        """Return the counts of the subdivision as plain data."""
+        points = self._points
+        return self._summary | {
+            "leaves": "affine",
+            "tolerance": self._tolerance,
+            "solves": points.count,
+            "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
+            "stopped_by_max_solves": self._stopped,
+            "indifferent_points": points.indifferent,
+            "not_finite_points": points.not_finite,
+            "not_finite_example": points.example,
+            "test_points": str(self._test_points),
+            "seed": self._seed,
+            "worst_case_solves": worst_case_solves(
+                self._q, self._r, self._max_level, self._test_points.interior(self._n)
+            ),
+        }
