@@ -48,6 +48,7 @@ ORDER = [
     "lattice_points",
     "cell_blocks",
     "affine_fit",
+    "growing_cells",
     "affine_subdivision",
     "subdivision",
     "problem",

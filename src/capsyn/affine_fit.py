@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -26,7 +26,7 @@ class Fits:
     used : (M, S) bool
         Which rows are the largest anywhere in their cell.
     wrong : (M,)
-        Share of the test points whose symbol is wrong, by more than the tolerance.
+        Share of the test points whose symbol is wrong.
     error : (M,)
         Estimated share of the cell where the symbol is wrong.
     """
@@ -36,6 +36,14 @@ class Fits:
     used: np.ndarray
     wrong: np.ndarray
     error: np.ndarray
+
+    def better(self, other: Fits) -> Fits:
+        """Return for each cell the rows with fewer wrong points, of equals with less error."""
+        mine = (self.wrong < other.wrong) | (
+            (self.wrong == other.wrong) & (self.error <= other.error)
+        )
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(Fits))
+        return Fits(*(np.where(mine.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
 
 
 def point_weights(offsets: np.ndarray) -> np.ndarray:
@@ -55,15 +63,15 @@ def fit_cells(
     corners: np.ndarray,
     size: np.ndarray,
     counts: tuple[int, ...],
-    tolerance: float,
     plain: bool = False,
 ) -> Fits:
     """Return the affine rows of cells.
 
     Parameters
     ----------
-    scores : (P, M, S)
-        Scores of the symbols at the cells' test points; the largest is best.
+    scores : (P, M, V, S)
+        Scores of the symbols at the cells' test points, in V variants; the largest of the first is
+        best. Of each cell that variant is kept whose rows do best.
     masks : (P, M)
         Sets of the symbols that are right there.
     offsets : (F, n)
@@ -75,27 +83,59 @@ def fit_cells(
         Lower corners of the cells [lattice steps].
     size, counts : (n,)
         Edge lengths of the cells, and of the lattice [lattice steps].
-    tolerance : float
-        Share of the largest difference of scores in a cell by which a symbol may score less than
-        the best without being wrong.
     plain : bool
         The scores are mere indicators of labels: rows that mistake a label are corrected.
 
     Notes
     -----
     In coordinates of -1 to 1, fixed points are orthogonal, so that least squares are weighted
-    sums. The estimated error is the weighted mean over the test points of ``min(1, rho / margin)^2``
-    (Chebyshev's inequality), with `margin` the difference of the two largest rows there and `rho`
-    the root mean square of its error.
+    sums. The estimated error is the weighted mean over the test points of
+    ``min(1, rho / margin)^2`` (Chebyshev's inequality), with `margin` the difference of the two
+    largest rows there and `rho` the root mean square of its error.
     """
-    weights = point_weights(offsets)
-    levels, slopes = _least_squares(scores[: len(offsets)], offsets - 1, weights)
+    kept: Fits | None = None
+    for variant in range(scores.shape[2]):
+        rows = _rows(scores[:, :, variant], masks, offsets, corners, size, counts, plain)
+        fits = _judged(scores[:, :, variant], masks, offsets, places, corners, size, rows)
+        kept = fits if kept is None else kept.better(fits)
+    assert kept is not None
+    return kept
+
+
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Constants (M, S), slopes (M, S, n), and the scales (M,) that they are rounded with."""
+
+
+def _rows(
+    scores: np.ndarray,
+    masks: np.ndarray,
+    offsets: np.ndarray,
+    corners: np.ndarray,
+    size: np.ndarray,
+    counts: tuple[int, ...],
+    plain: bool,
+) -> _Rows:
+    """Return the rows of one variant of the scores (P, M, S)."""
+    levels, slopes = _least_squares(scores[: len(offsets)], offsets - 1, point_weights(offsets))
     if plain:
         levels, slopes = _corrected(levels, slopes, masks[: len(offsets)], offsets - 1)
-    constants, slopes, scale = _rounded(levels, slopes, corners, size, counts)
+    return _rounded(levels, slopes, corners, size, counts)
+
+
+def _judged(
+    scores: np.ndarray,
+    masks: np.ndarray,
+    offsets: np.ndarray,
+    places: np.ndarray,
+    corners: np.ndarray,
+    size: np.ndarray,
+    rows: _Rows,
+) -> Fits:
+    """Return rows with what they do at the test points, for scores (P, M, S)."""
+    constants, slopes, scale = rows
     corner_values = constants + np.einsum("msi,mi->ms", slopes, corners)
     shape = masks.shape
-    right, regret = np.empty(shape, dtype=bool), np.empty(shape)
+    wrong = np.empty(shape, dtype=bool)
     margin, residual = np.empty(shape), np.empty(shape)
     cells = np.arange(shape[1])
     for p in range(shape[0]):
@@ -108,13 +148,10 @@ def fit_cells(
         margin[p] = (top - values[cells, second]) / scale
         here = scores[p]
         residual[p] = here[cells, best] - here[cells, second] - margin[p]
-        right[p] = (masks[p] >> best.astype(masks.dtype)) & masks.dtype.type(1) != 0
-        regret[p] = here.max(axis=1) - here[cells, best]
-    spread = np.ptp(scores, axis=2).max(axis=0)
-    wrong = ~right & (regret > tolerance * spread)
-    shares = np.full(shape[0], 1 / shape[0])
-    if shape[0] == len(offsets):
-        shares = weights
+        wrong[p] = (masks[p] >> best.astype(masks.dtype)) & masks.dtype.type(1) == 0
+    shares = point_weights(offsets)
+    if shape[0] > len(offsets):
+        shares = np.full(shape[0], 1 / shape[0])
     rho = np.sqrt(np.einsum("pm,p->m", residual**2, shares))
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.minimum(1.0, np.where(rho > 0, rho / margin, 0.0))
@@ -126,7 +163,7 @@ def fit_cells(
 def _least_squares(
     scores: np.ndarray, signs: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return values at the centre (M, S) and slopes (M, S, n) of rows; `signs` (P, n) in -1 .. 1."""
+    """Return values at the centre (M, S) and slopes (M, S, n); `signs` are -1 to 1, (P, n)."""
     levels = np.zeros(scores.shape[1:])
     slopes = np.zeros((*levels.shape, signs.shape[1]))
     strength = weights @ signs**2
@@ -186,7 +223,9 @@ def _rounded(
             (LARGEST_SUM - lattice.sum() - 2) / sums.max(axis=1),
             LARGEST_SLOPE / np.abs(per_step).max(axis=(1, 2)),
         )
-    flat = ~((scale > 0) & np.isfinite(scale))  # scores that are all alike, or beyond floating point
+    flat = ~(
+        (scale > 0) & np.isfinite(scale)
+    )  # scores that are all alike, or beyond floating point
     scale[flat], levels[flat], per_step[flat] = 1.0, 0.0, 0.0
     whole = np.rint(per_step * scale[:, None, None])
     constants = np.rint(levels * scale[:, None] - np.einsum("msi,mi->ms", whole, middle))

@@ -11,6 +11,13 @@ from capsyn.errors import PolicyFormatError
 LARGEST_SUM = 2**30 - 1
 """Most that a row may come to anywhere on the lattice; differences of rows fit 32 bits."""
 LARGEST_SLOPE = 2**15 - 1
+ROW_ARRAYS = {
+    "row_starts": np.int32,
+    "row_symbols": np.int32,
+    "row_constants": np.int32,
+    "row_slopes": np.int16,
+}
+"""The tables as files and kernels call them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +52,15 @@ class AffineLeaves:
             frozen = getattr(self, name).view()
             frozen.flags.writeable = False
             object.__setattr__(self, name, frozen)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the tables by the names of `ROW_ARRAYS`."""
+        return {name: getattr(self, name.removeprefix("row_")) for name in ROW_ARRAYS}
+
+    @staticmethod
+    def of_arrays(first: int, arrays: dict[str, np.ndarray]) -> AffineLeaves:
+        """Return the leaves with such tables."""
+        return AffineLeaves(first, *(arrays[name] for name in ROW_ARRAYS))
 
     def __len__(self) -> int:
         return len(self.starts) - 1

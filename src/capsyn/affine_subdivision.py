@@ -7,76 +7,26 @@ a round's test points are in memory beside the solved points.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from capsyn.affine_fit import fit_cells
-from capsyn.affine_leaves import AffineLeaves
 from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
 from capsyn.cell_points import CellPoints
 from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
 from capsyn.errors import ProblemError, SynthesisError
+from capsyn.growing_cells import GrowingCells, Rows, lattice_level
 from capsyn.lattice_points import LatticePoints, Question
 from capsyn.masks import most_voted, preferred, several
 from capsyn.propositions import worst_case_solves
 
-LATTICE = 2**14
-"""Steps along an axis that the lattice of rows has at most, unless the cells need more."""
-LEAST_STEPS = 8
-"""Least steps along the edge of a finest cell."""
 ROUND_POINTS = 2**21
 """Test points of the blocks that are split in one round, at most."""
 ROUND_SHARE = 4
 """One in so many of the solves that are left is spent in one round."""
 CHUNK_SCORES = 2**21
 """Scores that are fitted at a time."""
-
-
-def lattice_level(
-    partitions: tuple[int, ...], refinement: tuple[int, ...], max_level: int
-) -> int:
-    """Return the level whose cells are the lattice steps of rows.
-
-    Raises
-    ------
-    ProblemError
-        There would be 2^31 steps or more along an axis.
-    """
-    level = max_level
-    while min(refinement) ** (level - max_level) < LEAST_STEPS:
-        level += 1
-    if max(lattice_counts(partitions, refinement, level)) > MAX_COUNT:
-        raise ProblemError(f"`max_level` {max_level} is too high for affine leaves")
-    while max(lattice_counts(partitions, refinement, level + 1)) <= LATTICE:
-        level += 1
-    return level
-
-
-@dataclass(eq=False)
-class _Cells:
-    """Cells in the order of their making, those of a block together.
-
-    ``child`` is the first child or -1; ``label`` a symbol, or -1 where rows decide; ``seen`` the
-    labels of the test points where they disagree with the leaf, else 0; ``row`` its first row.
-    """
-
-    corner: np.ndarray
-    level: np.ndarray
-    child: np.ndarray
-    label: np.ndarray
-    accepted: np.ndarray
-    error: np.ndarray
-    seen: np.ndarray
-    row: np.ndarray
-    rows: np.ndarray
-
-    def add(self, other: _Cells) -> _Cells:
-        """Return these cells and others."""
-        pairs = zip(vars(self).values(), vars(other).values())
-        return _Cells(*(np.concatenate(pair) for pair in pairs))
 
 
 class AffineSubdivision:
@@ -92,7 +42,7 @@ class AffineSubdivision:
         order: list[int],
         points: LatticePoints,
         max_solves: int | None,
-        tolerance: float,
+        leaf_error: float,
         plain: bool,
     ) -> None:
         self._n, self._q, self._r = len(partitions), partitions, refinement
@@ -100,7 +50,7 @@ class AffineSubdivision:
         self._order, self._points = order, points
         self._blocks = CellBlocks(points, test_points, self._n, seed)
         self._offsets = test_points.offsets(self._n)
-        self._max_solves, self._tolerance, self._plain = max_solves, tolerance, plain
+        self._max_solves, self._leaf_error, self._plain = max_solves, leaf_error, plain
         self._lattice_level = lattice_level(partitions, refinement, max_level)
         self._counts = lattice_counts(partitions, refinement, self._lattice_level)
         self._roles = np.zeros(len(ROLES), dtype=np.int64)
@@ -108,7 +58,7 @@ class AffineSubdivision:
         self._streams = 0
         self._needed = 0
         self._stopped = False
-        self._rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self._rows: list[Rows] = []
         self._row_count = 0
         self._summary: dict[str, Any] = {}
 
@@ -128,12 +78,17 @@ class AffineSubdivision:
             if new is None:
                 break
             spent = (self._points.count - before) // max(1, len(new.level) // self._children)
-            cells = cells.add(new)
+            cells = GrowingCells.joined([cells, new])
             if len(cells.level) > MAX_COUNT:
                 raise SynthesisError("there are more cells than 32-bit entries can number")
         self._stopped = self._max_solves is not None and bool(self._open(cells).any())
         self._points.check_finite(self._points.count)
-        return self._tree(cells)
+        tree = cells.tree(self._q, self._r, self._lattice_level, max(self._order) + 1, self._rows)
+        self._summary = self._counts_of(cells) | {
+            "affine_leaves": 0 if tree.affine is None else len(tree.affine),
+            "mixed_cells": len(tree.mixed_cells),
+        }
+        return tree
 
     @property
     def _children(self) -> int:
@@ -143,12 +98,12 @@ class AffineSubdivision:
         """Return the edge lengths (n,) of cells of a level; `finest` is that of finest ones."""
         return finest * np.array([r ** (self._max_level - level) for r in self._r], dtype=np.int64)
 
-    def _open(self, cells: _Cells) -> np.ndarray:
+    def _open(self, cells: GrowingCells) -> np.ndarray:
         """Return which cells may yet be split; where solves are counted, accepted ones too."""
         waiting = ~cells.accepted if self._max_solves is None else cells.error > 0
         return waiting & (cells.child < 0) & (cells.level < self._max_level)
 
-    def _next(self, cells: _Cells, spent: int) -> np.ndarray:
+    def _next(self, cells: GrowingCells, spent: int) -> np.ndarray:
         """Return the cells to split in the next round; `spent` solves went into a block before.
 
         Where solves are counted those come first whose estimated error, times their volume, is
@@ -165,7 +120,7 @@ class AffineSubdivision:
             chosen = chosen[np.argsort(-error, kind="stable")]
         return chosen[:room]
 
-    def _split(self, cells: _Cells, chosen: np.ndarray) -> _Cells | None:
+    def _split(self, cells: GrowingCells, chosen: np.ndarray) -> GrowingCells | None:
         """Split the cells, or fewer where there are too few solves left; None where for none."""
         while chosen.size:
             groups, order = [], []
@@ -181,18 +136,20 @@ class AffineSubdivision:
             chosen = chosen[: len(chosen) // 2]
         return None
 
-    def _evaluate(self, groups: list[tuple[int, np.ndarray]]) -> _Cells | None:
+    def _evaluate(self, groups: list[tuple[int, np.ndarray]]) -> GrowingCells | None:
         """Return the children, of some levels, in blocks with these lower corners (M, n).
 
         The cells of the root grid are their own parents. None where that takes too many solves.
         """
-        tests, keys, roles, levels = [], [], [], []
+        tests: list[tuple[int, np.ndarray, np.ndarray, tuple[int, ...], np.ndarray]] = []
+        keys: list[np.ndarray] = []
+        roles, levels = [], []
         for level, parents in groups:
             split = np.array(self._r if level else (1,) * self._n)
             found, table, role = self._blocks.keys(
                 parents, split, self._size(level), self._streams + len(tests)
             )
-            tests.append((level, parents, split, found.shape, table, len(keys)))
+            tests.append((level, parents, split, found.shape, table))
             keys.append(found.ravel())
             roles.append(np.repeat(role, len(parents)))
             levels.append(np.full(found.size, level))
@@ -208,12 +165,12 @@ class AffineSubdivision:
         masks, scores = self._points.answer_with_scores(
             question, deepest, self._max_level, sum(len(p) for _, p in groups)
         )
-        made: list[_Cells] = []
+        made: list[GrowingCells] = []
         start = 0
-        for (level, parents, split, shape, table, _), found in zip(tests, keys):
+        for (level, parents, split, shape, table), found in zip(tests, keys):
             part = slice(start, start + shape[0] * shape[1])
             start = part.stop
-            chunk = max(1, CHUNK_SCORES // (table.size * scores.shape[1]))
+            chunk = max(1, CHUNK_SCORES // (table.size * scores[0].size))
             for first in range(0, len(parents), chunk):
                 some = slice(first, first + chunk)
                 made.append(
@@ -224,13 +181,10 @@ class AffineSubdivision:
                         table,
                         found.reshape(shape)[:, some],
                         masks[part].reshape(shape)[:, some],
-                        scores[part].reshape(*shape, -1)[:, some],
+                        scores[part].reshape(*shape, *scores.shape[1:])[:, some],
                     )
                 )
-        whole = made[0]
-        for more in made[1:]:
-            whole = whole.add(more)
-        return whole
+        return GrowingCells.joined(made)
 
     def _exceeds(self, question: Question) -> bool:
         allowed = self._max_solves
@@ -245,8 +199,8 @@ class AffineSubdivision:
         keys: np.ndarray,
         masks: np.ndarray,
         scores: np.ndarray,
-    ) -> _Cells:
-        """Return the children of blocks, fitted: keys, masks (U, M) and scores (U, M, S)."""
+    ) -> GrowingCells:
+        """Return the children of blocks, fitted: keys, masks (U, M) and scores (U, M, V, S)."""
         size, children = self._size(level), len(table)
         corners = (parents[:, None, :] + grid_places(split) * size).reshape(-1, self._n)
         rows = np.moveaxis(table, 0, 1)  # (P, children)
@@ -260,24 +214,13 @@ class AffineSubdivision:
         shared = common = np.bitwise_and.reduce(cell_masks, axis=0)
         if level < self._max_level:
             common = self._quarter_rule(common, cell_masks, corners, size, level)
-        label = preferred(common, self._order)
-        count = len(corners)
-        made = _Cells(
-            corners,
-            np.full(count, level, dtype=np.int8),
-            np.full(count, -1),
-            label,
-            common != 0,
-            np.zeros(count),
-            np.zeros(count, dtype=np.uint64),
-            np.zeros(count, dtype=np.int64),
-            np.zeros(count, dtype=np.int64),
-        )
+        made = GrowingCells.uniform(corners, level, preferred(common, self._order))
+        made.accepted[:] = common != 0
         mixed = np.flatnonzero(common == 0)
         if not mixed.size:
             return made
         of_mixed = spread(scores)[:, mixed]
-        known = np.isfinite(of_mixed).all(axis=(0, 2))
+        known = np.isfinite(of_mixed).all(axis=(0, 2, 3))
         self._fit(made, mixed[known], cell_masks, of_mixed[:, known], spread(keys), level)
         hidden = mixed[shared[mixed] != 0]  # only points of the quarter rule disagree
         made.accepted[hidden] = False
@@ -291,14 +234,14 @@ class AffineSubdivision:
 
     def _fit(
         self,
-        made: _Cells,
+        made: GrowingCells,
         cells: np.ndarray,
         masks: np.ndarray,
         scores: np.ndarray,
         keys: np.ndarray,
         level: int,
     ) -> None:
-        """Give some cells their rows, from masks and keys (P, all cells) and scores (P, K, S)."""
+        """Give some cells their rows, from masks and keys (P, all cells) and scores (P, K, V, S)."""
         if not cells.size:
             return
         fine = self._size(level)
@@ -316,29 +259,10 @@ class AffineSubdivision:
         corners = corners // fine * steps
         some = masks[:, cells]
         fits = fit_cells(
-            scores, some, self._offsets, places, corners, steps, self._counts,
-            self._tolerance, self._plain,
+            scores, some, self._offsets, places, corners, steps, self._counts, self._plain,
         )  # fmt: skip
-        one = fits.used.sum(axis=1) == 1
-        made.label[cells] = np.where(one, fits.used.argmax(axis=1), -1)
-        made.accepted[cells] = fits.wrong == 0
-        made.error[cells] = fits.error
-        seen = np.bitwise_or.reduce(np.where(several(some), some.dtype.type(0), some), axis=0)
-        bits = np.uint64(1) << np.arange(fits.used.shape[1], dtype=np.uint64)
-        own = np.bitwise_or.reduce(np.where(fits.used, bits, np.uint64(0)), axis=1)
-        made.seen[cells] = np.where(fits.wrong == 0, np.uint64(0), seen.astype(np.uint64) | own)
-        kept = fits.used & ~one[:, None]
-        cell, symbol = np.nonzero(kept)
-        made.rows[cells] = kept.sum(axis=1)
-        made.row[cells] = self._row_count + np.cumsum(made.rows[cells]) - made.rows[cells]
-        self._row_count += len(cell)
-        self._rows.append(
-            (
-                symbol.astype(np.int32),
-                fits.constants[cell, symbol].astype(np.int32),
-                fits.slopes[cell, symbol].astype(np.int16),
-            )
-        )
+        self._rows.append(made.fit(cells, fits, some, self._row_count, self._leaf_error))
+        self._row_count += len(self._rows[-1].symbols)
 
     def _quarter_rule(
         self,
@@ -365,67 +289,22 @@ class AffineSubdivision:
         np.bitwise_and.at(common, cell, moved)
         return common
 
-    def _tree(self, cells: _Cells) -> CellTree:
-        """Return the cells in the order of a `CellTree`."""
-        tables = [np.concatenate(x) for x in zip(*self._rows)] if self._rows else []
-        blocks, leaves, levels = [], [], []
-        here, start = np.arange(math.prod(self._q)), 0
-        for level, places in self._by_level(cells):
-            here, split = places, cells.child[places] >= 0
-            start += len(here)
-            entries = -1 - cells.label[here].astype(np.int64)
-            entries[split] = start + self._children * np.arange(np.count_nonzero(split))
-            blocks.append(entries)
-            leaves.append(here[~split])
+    def _counts_of(self, cells: GrowingCells) -> dict[str, Any]:
+        """Return the counts of cells by level."""
+        leaves, levels = [], []
+        for level, here in enumerate(cells.by_level(math.prod(self._q), self._children)):
+            split = cells.child[here] >= 0
             mixed = int(np.count_nonzero(split | (cells.seen[here] != 0)))
-            solves = int(self._solves[level])
-            levels.append({"cells": len(here), "mixed": mixed, "solves": solves})
-        order = np.concatenate([here for _, here in self._by_level(cells)])
-        entries = np.concatenate(blocks)
-        leaf = cells.child[order] < 0
-        affine = np.flatnonzero(leaf & (cells.label[order] < 0))
-        first = max(self._order) + 1
-        entries[affine] = -1 - (first + np.arange(len(affine)))
-        made = None
-        if affine.size:
-            rows, row = cells.rows[order[affine]], cells.row[order[affine]]
-            ends = np.cumsum(rows)
-            picked = np.repeat(row - ends + rows, rows) + np.arange(ends[-1])
-            made = AffineLeaves.of(first, rows, *(table[picked] for table in tables))
-        mixed_cells = np.flatnonzero(leaf & (cells.seen[order] != 0))
-        self._summary = {
-            "cells": int(leaf.sum()),
-            "affine_leaves": len(affine),
-            "leaves_by_level": [len(x) for x in leaves],
-            "mixed_cells": len(mixed_cells),
-            "levels": levels,
-        }
-        return CellTree(
-            self._q,
-            self._r,
-            self._lattice_level,
-            entries.astype(np.int32),
-            mixed_cells.astype(np.int32),
-            cells.seen[order[mixed_cells]],
-            made,
-        )
-
-    def _by_level(self, cells: _Cells) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield (level, cells (M,)) in the order of a `CellTree`."""
-        here = np.arange(math.prod(self._q))
-        for level in range(self._max_level + 1):
-            yield level, here
-            starts = cells.child[here[cells.child[here] >= 0]]
-            if not starts.size:
-                return
-            here = (starts[:, None] + np.arange(self._children)).ravel()
+            leaves.append(int(np.count_nonzero(~split)))
+            levels.append({"cells": len(here), "mixed": mixed, "solves": int(self._solves[level])})
+        return {"cells": sum(leaves), "leaves_by_level": leaves, "levels": levels}
 
     def statistics(self) -> dict[str, Any]:
         """Return the counts of the subdivision as plain data."""
         points = self._points
         return self._summary | {
             "leaves": "affine",
-            "tolerance": self._tolerance,
+            "leaf_error": self._leaf_error,
             "solves": points.count,
             "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
             "stopped_by_max_solves": self._stopped,

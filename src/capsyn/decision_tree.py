@@ -7,8 +7,6 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
-import numpy as np
-
 from capsyn.errors import ProblemError
 from capsyn.policy import Policy
 from capsyn.split_tree import SplitTree

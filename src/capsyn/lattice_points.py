@@ -53,7 +53,8 @@ class LatticePoints:
 
     A mask has bit `i` where symbol `i` could be best, bit N for the default; it is kept in the
     smallest unsigned type that holds N + 1 bits. Where `scored`, the labelling function gives
-    scores (B, S) beside its masks (B,), and they are kept, too.
+    scores (B, V, S) in V variants beside its masks (B,), and they are
+    kept, too.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class LatticePoints:
         self._strides = [math.prod(extents[i + 1 :]) for i in range(domain.n)]
         self._keys = np.array([2**63 - 1])  # larger than any key, so that a search ends within
         self._masks = np.zeros(1, dtype=self.dtype)
-        self._scored, self._scores = scored, np.zeros((1, 0))
+        self._scored, self._scores = scored, np.zeros((1, 0, 0))
         self._pending: tuple[np.ndarray, ...] | None = None
         self.count = 0
         self.indifferent = 0
@@ -134,7 +135,7 @@ class LatticePoints:
     def answer_with_scores(
         self, question: Question, level: int, max_level: int, cells: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the masks (K,) and scores (K, S) of a question's keys; NaN where unknown."""
+        """Return the masks (K,) and scores (K, V, S) of a question's keys; NaN where unknown."""
         keys = question.distinct[question.new]
         found = self._solve(keys, level, max_level, cells)
         self._pending = (question.places[question.new], keys, *found)
@@ -190,13 +191,13 @@ class LatticePoints:
         return masks, self._joined(scores, missing)
 
     def _joined(self, parts: dict[int, np.ndarray], missing: np.ndarray) -> np.ndarray:
-        """Return the scores (K, S) of new points, from those of the parts that they begin."""
+        """Return the scores (K, V, S) of new points, from those of the parts that they begin."""
         if not parts:
-            return np.zeros((len(missing), self._scores.shape[1]))
+            return np.zeros((len(missing), *self._scores.shape[1:]))
         scores = np.concatenate([parts[start] for start in sorted(parts)]).astype(float)
         scores[missing] = np.nan
         if not self._scores.size:
-            self._scores = np.zeros((len(self._keys), scores.shape[1]))
+            self._scores = np.zeros((len(self._keys), *scores.shape[1:]))
         return scores
 
     def _map(self, work: Callable[[slice], int], parts: Iterable[slice]) -> Iterator[int]:

@@ -13,7 +13,7 @@ from capsyn.validation import describe
 Label = Callable[[np.ndarray], np.ndarray]
 """A labelling function: states (B, n) to masks (B,), 0 where there is no finite answer."""
 Scored = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""One with scores: states (B, n) to masks (B,) and scores (B, S)."""
+"""One with scores: states (B, n) to masks (B,) and scores (B, V, S) in V variants."""
 
 
 def several(masks: np.ndarray) -> np.ndarray:
@@ -106,7 +106,7 @@ def indicators(label: Label, n_symbols: int) -> Scored:
     def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         masks = label(states)
         held = (masks.astype(np.uint64)[:, None] >> bits & np.uint64(1)).astype(float)
-        return masks, held / np.maximum(held.sum(axis=1, keepdims=True), 1)
+        return masks, (held / np.maximum(held.sum(axis=1, keepdims=True), 1))[:, None]
 
     return scored
 
@@ -121,7 +121,7 @@ def masks_of_scores(label: Callable[[np.ndarray], np.ndarray], n_symbols: int) -
         bits = np.uint64(1) << np.arange(scores.shape[1], dtype=np.uint64)
         masks = np.bitwise_or.reduce(np.where(best, bits, np.uint64(0)), axis=1)
         masks[~finite] = 0
-        return masks, scores
+        return masks, scores[:, None]
 
     return scored
 
@@ -136,7 +136,12 @@ def checked_pair(label: Callable[[np.ndarray], Any], n_symbols: int) -> Scored:
                 f"`label` must return a pair of masks and scores; got {describe(found)}"
             )
         masks = checked_masks(lambda _: found[0], n_symbols)(states)
-        return masks, _checked_scores(found[1], len(states), n_symbols)
+        scores = np.asarray(found[1])
+        if scores.ndim == 3:
+            for variant in np.moveaxis(scores, 1, 0):
+                _checked_scores(variant, len(states), n_symbols)
+            return masks, scores
+        return masks, _checked_scores(scores, len(states), n_symbols)[:, None]
 
     return scored
 

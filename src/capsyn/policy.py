@@ -211,7 +211,9 @@ class Policy:
     def has_planes(self) -> bool:
         """Whether planes that are oblique to the axes bound symbols: affine leaves, or splits."""
         cells = self.cells
-        return (cells.affine is not None) if isinstance(cells, CellTree) else bool(len(cells.planes))
+        return (
+            (cells.affine is not None) if isinstance(cells, CellTree) else bool(len(cells.planes))
+        )
 
     @functools.cached_property
     def mixed_share(self) -> float:

@@ -120,27 +120,36 @@ class BatchController:
         return self.possible(solution), self.smooth_scores(solution)
 
     def smooth_scores(self, solution: Solution) -> np.ndarray:
-        """Return scores (B, N) as affine in the state as can be; the largest is best.
+        """Return scores (B, V, N) as affine in the state as can be, in V variants.
 
-        Steepest rule: ``-dJ_dlam - |u|_R^2``. Eq. (8), whose squares grow with the fourth power of
-        the state where costs are quadratic, without ``alpha_d^2``, which all symbols share, and
-        over twice the root of ``alpha_d^2 + mean(dJ_dlam^2)``:
-        ``(2 alpha_d dJ_dlam - dJ_dlam^2 - |u|_R^2) / ...`` orders the symbols alike, and for large
-        ``|alpha_d|`` is ``-dJ_dlam``. With ``on_no_descent="default"`` the default's comes last,
-        (B, N + 1): the best score plus that symbol's ``dJ_dlam``.
+        The largest of the first variant is best. Steepest rule: ``-dJ_dlam - |u|_R^2``. Eq. (8)
+        grows with the fourth power of the state where costs are quadratic; without ``alpha_d^2``,
+        which all symbols share, it is ``dJ_dlam (dJ_dlam - 2 alpha_d) + |u|_R^2``. The first
+        variant is minus this over ``2 (alpha_d^2 + mean(dJ_dlam^2))^(1/2)``. The second leaves the
+        square out, so that what is left, over ``2 |alpha_d|``, is ``dJ_dlam`` and the effort: it
+        orders two symbols alike wherever the mean of their ``dJ_dlam`` exceeds ``alpha_d``, and
+        has slopes where J0, and with it alpha_d, vanishes. With ``on_no_descent="default"`` the
+        default's comes last, (B, V, N + 1): the best score plus that symbol's ``dJ_dlam``.
         """
         gradients = solution.gradients
         with np.errstate(all="ignore"):
-            scores = -gradients - self.efforts
-            if self.settings.rule == "schedule":
-                wanted = self._wanted(solution)
+            if self.settings.rule == "steepest":
+                scores = (-gradients - self.efforts)[:, None]
+            else:
+                wanted, extra = self._wanted(solution), self.efforts - self.efforts.min()
                 size = 2 * np.sqrt(wanted**2 + (gradients**2).mean(axis=1, keepdims=True))
-                scores = (2 * wanted - gradients) * gradients - self.efforts
-                scores = np.where(size > 0, scores / size, -self.efforts)
+                squares = (2 * wanted - gradients) * gradients - extra
+                first = np.where(size > 0, squares / size, -extra)
+                price = np.where(extra > 0, extra / (2 * np.abs(wanted)), 0.0)
+                second = np.where(
+                    np.isfinite(price).all(axis=1)[:, None], -gradients - price, first
+                )
+                scores = np.stack([first, second], axis=1)
             if self.settings.on_no_descent == "default":
-                best = scores.argmax(axis=1)[:, None]
-                default = np.take_along_axis(scores + gradients, best, axis=1)
-                scores = np.hstack([scores, default])
+                best = scores[:, :1].argmax(axis=2)[:, :, None]
+                slope = np.take_along_axis(gradients[:, None], best, axis=2)
+                default = scores.max(axis=2, keepdims=True) + slope
+                scores = np.concatenate([scores, default], axis=2)
         return scores
 
     def possible(self, solution: Solution) -> np.ndarray:

@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.affine_subdivision import AffineSubdivision, lattice_level
+from capsyn.affine_subdivision import AffineSubdivision
 from capsyn.alphabet import Alphabet
 from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
 from capsyn.cell_points import CellPoints
 from capsyn.cells import CellTree, grid_settings, lattice_counts
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
+from capsyn.growing_cells import lattice_level
 from capsyn.lattice_points import LatticePoints, Progress, Question
 from capsyn.masks import (
     Label,
@@ -51,7 +52,7 @@ def subdivide(
     refinement: Any = 2,
     max_level: int = 4,
     leaves: str = "constant",
-    leaf_tolerance: float = 0.0,
+    leaf_error: float = 0.01,
     test_points: str = "vertices+center",
     seed: int = 0,
     returns: str = "symbols",
@@ -80,9 +81,8 @@ def subdivide(
         One symbol for each cell, or for cells on a switching surface rows that are affine in the
         state: the symbol of the largest. Rows are fitted to the scores at the cell's test points,
         or, without scores, to its labels, and kept as integers.
-    leaf_tolerance : float
-        Share, of the largest difference of scores in a cell, that a symbol given by rows may score
-        less than the best without being wrong; below 1.
+    leaf_error : float
+        Largest estimated share of a cell, 0 to 1, where its rows may be wrong; see the notes.
     test_points : str
         ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` (their centres) and
         ``+random:R`` added as wanted; or ``"center+faces"``, without the 2^n vertices.
@@ -123,8 +123,12 @@ def subdivide(
     way to the cell's centre and must agree there too. A mixed cell of the finest level takes the
     symbol that most of its points could have, among those that some point determines alone.
 
-    With affine leaves, a cell that is not uniform is accepted when its rows are right, within the
-    tolerance, at all its test points; else it is split.
+    With affine leaves, a cell that is not uniform is accepted when its rows give all its test
+    points a symbol that could be best there, and their estimated error is at most `leaf_error`:
+    the mean over the test points of ``min(1, rho / margin)^2``, with `margin` the difference of the
+    two largest rows and `rho` the root mean square of what it differs by from that of the scores
+    (Chebyshev's inequality). Else it is split. So refinement follows the curvature of surfaces.
+    Of centre and other fixed points, which rows are fitted to, the centre has half the weight.
     """
     if not callable(label):
         raise ProblemError(f"`label` must be a function; got {describe(label)}")
@@ -136,9 +140,9 @@ def subdivide(
     points, lattice = check_size(
         domain, n_symbols, q, r, max_level, test_points, max_solves, leaves
     )
-    leaf_tolerance = finite_number("leaf_tolerance", leaf_tolerance, least=0.0)
-    if leaf_tolerance >= 1:
-        raise ProblemError(f"`leaf_tolerance` must be below 1; got {leaf_tolerance:g}")
+    leaf_error = finite_number("leaf_error", leaf_error, least=0.0)
+    if leaf_error > 1:
+        raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
     one_of("returns", returns, list(RETURNS))
     seed = whole_number("seed", seed, least=0)
     threads = whole_number("threads", threads, least=1)
@@ -155,7 +159,7 @@ def subdivide(
         work: _Subdivision | AffineSubdivision = _Subdivision(*given)
         if affine:
             plain = not returns.endswith("scores")
-            work = AffineSubdivision(*given, leaf_tolerance, plain)
+            work = AffineSubdivision(*given, leaf_error, plain)
         cells = work.run()
     return Policy(
         name=name,

@@ -38,7 +38,7 @@ def synthesize(
     outside: Outside | None = None,
     min_dwell: float | None = None,
     leaves: str = "constant",
-    leaf_tolerance: float = 0.0,
+    leaf_error: float = 0.01,
     test_points: str = "vertices+center",
     seed: int = 0,
     max_solves: int | None = None,
@@ -57,8 +57,8 @@ def synthesize(
     leaves : "constant" or "affine"
         One symbol for each cell, or rows that are affine in the state for cells on a switching
         surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
-    leaf_tolerance : float
-        How much less than the best a symbol of affine leaves may score; see `subdivide`.
+    leaf_error : float
+        Largest estimated share of a cell where its rows may be wrong; see `subdivide`.
     test_points : str
         ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` and ``+random:R`` added as
         wanted; or ``"center+faces"`` and more, without the 2^n vertices.
@@ -128,7 +128,7 @@ def synthesize(
         refinement=problem.refinement,
         max_level=problem.max_level,
         leaves=leaves,
-        leaf_tolerance=leaf_tolerance,
+        leaf_error=leaf_error,
         test_points=test_points,
         seed=seed,
         returns="masks+scores" if affine else "masks",
