@@ -82,6 +82,7 @@ ORDER = [
     "compression.plane_tree",
     "compression.oblique",
     "compression.coarsening",
+    "compression.affine_tree",
     "compression.proof",
     "compression.judge",
     "compression.compress",

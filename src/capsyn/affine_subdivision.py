@@ -241,7 +241,7 @@ class AffineSubdivision:
         keys: np.ndarray,
         level: int,
     ) -> None:
-        """Give some cells their rows, from masks and keys (P, all cells) and scores (P, K, V, S)."""
+        """Give some cells their rows: masks and keys (P, all cells), scores (P, K, V, S)."""
         if not cells.size:
             return
         fine = self._size(level)

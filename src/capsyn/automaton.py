@@ -13,7 +13,6 @@ from capsyn.errors import ProblemError
 from capsyn.face_rates import POSSIBLE, SLIDING, UNDECIDED
 from capsyn.policy import Policy
 from capsyn.regions import Partitions, Region, connected_partitions, regions
-from capsyn.split_tree import SplitTree
 from capsyn.switching import Switching, switching
 from capsyn.validation import describe
 
@@ -138,9 +137,11 @@ class Automaton:
         """
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
-        if isinstance(policy.cells, SplitTree) and len(policy.cells.planes):
+        if policy.has_planes:
+            what = "oblique splits" if isinstance(policy.cells, SplitTree) else "affine leaves"
             raise ProblemError(
-                f"`policy` must have cells or splits along the axes; {policy!r} has oblique splits"
+                f"`policy` must have cells of one symbol each or splits along the axes; {policy!r} "
+                f"has {what}"
             )
         partitions = connected_partitions(policy.cells, policy.domain.periodic)
         found = tuple(regions(policy.cells, partitions))

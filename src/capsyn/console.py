@@ -306,6 +306,9 @@ def print_report(data: dict[str, Any]) -> None:
             "cells",
             f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
         )
+        if data["affine_leaves"]:
+            steps = " x ".join(str(state["steps"]) for state in data["states"])
+            line("affine", f"{data['affine_leaves']:,} of the cells, on a lattice of {steps} steps")
         line("table", f"{data['packed_bytes']:,} bytes packed")
     else:
         _print_tree(data)

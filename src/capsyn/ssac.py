@@ -141,9 +141,8 @@ class BatchController:
                 squares = (2 * wanted - gradients) * gradients - extra
                 first = np.where(size > 0, squares / size, -extra)
                 price = np.where(extra > 0, extra / (2 * np.abs(wanted)), 0.0)
-                second = np.where(
-                    np.isfinite(price).all(axis=1)[:, None], -gradients - price, first
-                )
+                finite = np.isfinite(price).all(axis=1, keepdims=True)
+                second = np.where(finite, -gradients - price, first)
                 scores = np.stack([first, second], axis=1)
             if self.settings.on_no_descent == "default":
                 best = scores[:, :1].argmax(axis=2)[:, :, None]
