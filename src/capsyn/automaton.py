@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells import CellTree
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.face_rates import POSSIBLE, SLIDING, UNDECIDED
@@ -138,7 +139,7 @@ class Automaton:
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
         if policy.has_planes:
-            what = "oblique splits" if isinstance(policy.cells, SplitTree) else "affine leaves"
+            what = "affine leaves" if isinstance(policy.cells, CellTree) else "oblique splits"
             raise ProblemError(
                 f"`policy` must have cells of one symbol each or splits along the axes; {policy!r} "
                 f"has {what}"

@@ -143,10 +143,10 @@ class LatticePoints:
         rows = np.cumsum(question.first, dtype=np.int32) - 1
         answers = []
         for kept, new in zip((self._masks, self._scores), found):
-            known = kept[question.places]
-            known[question.new] = new
             answer = np.empty((len(question.order), *kept.shape[1:]), dtype=kept.dtype)
             if answer.size:
+                known = kept[question.places]
+                known[question.new] = new
                 answer[question.order] = known[rows]
             answers.append(answer)
         return answers[0], answers[1]
