@@ -46,10 +46,10 @@ class Fits:
         return Fits(*(np.where(mine.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
 
 
-def point_weights(offsets: np.ndarray) -> np.ndarray:
+def point_weights(offsets: np.ndarray, plain: bool = False) -> np.ndarray:
     """Return the weights (P,) of fixed test points (P, n), in halves of the cell."""
     center = (offsets == 1).all(axis=1)
-    if not center.any() or center.all():
+    if plain or not center.any() or center.all():
         return np.full(len(offsets), 1 / len(offsets))
     others = np.count_nonzero(~center)
     return np.where(center, CENTER_WEIGHT, (1 - CENTER_WEIGHT) / others)
@@ -116,7 +116,9 @@ def _rows(
     plain: bool,
 ) -> _Rows:
     """Return the rows of one variant of the scores (P, M, S)."""
-    levels, slopes = _least_squares(scores[: len(offsets)], offsets - 1, point_weights(offsets))
+    levels, slopes = _least_squares(
+        scores[: len(offsets)], offsets - 1, point_weights(offsets, plain)
+    )
     if plain:
         levels, slopes = _corrected(levels, slopes, masks[: len(offsets)], offsets - 1)
     return _rounded(levels, slopes, corners, size, counts)

@@ -51,6 +51,8 @@ class AffineSubdivision:
         self._blocks = CellBlocks(points, test_points, self._n, seed)
         self._offsets = test_points.offsets(self._n)
         self._max_solves, self._leaf_error, self._plain = max_solves, leaf_error, plain
+        # without vertices, cells whose test points agree may have others in their corners
+        self._everywhere = not (plain or test_points.vertices)
         self._lattice_level = lattice_level(partitions, refinement, max_level)
         self._counts = lattice_counts(partitions, refinement, self._lattice_level)
         self._roles = np.zeros(len(ROLES), dtype=np.int64)
@@ -216,16 +218,18 @@ class AffineSubdivision:
             common = self._quarter_rule(common, cell_masks, corners, size, level)
         made = GrowingCells.uniform(corners, level, preferred(common, self._order))
         made.accepted[:] = common != 0
-        mixed = np.flatnonzero(common == 0)
+        mixed = np.flatnonzero((common == 0) | self._everywhere)
         if not mixed.size:
             return made
         of_mixed = spread(scores)[:, mixed]
         known = np.isfinite(of_mixed).all(axis=(0, 2, 3))
         self._fit(made, mixed[known], cell_masks, of_mixed[:, known], spread(keys), level)
-        hidden = mixed[shared[mixed] != 0]  # only points of the quarter rule disagree
+        hidden = np.flatnonzero((common == 0) & (shared != 0))  # by points of the quarter rule
         made.accepted[hidden] = False
         made.error[hidden] = np.maximum(made.error[hidden], 1 / len(rows))
-        rest = mixed[~known]
+        whole = (common != 0) & (made.label >= 0)
+        made.accepted[whole], made.error[whole], made.seen[whole] = True, 0.0, 0
+        rest = mixed[~known & (common[mixed] == 0)]
         if rest.size:
             made.label[rest], made.seen[rest] = most_voted(cell_masks[:, rest], self._order)
             bits = cell_masks[:, rest] >> made.label[rest].astype(cell_masks.dtype)

@@ -1,4 +1,4 @@
-"""Two links, the upper end driven (a pendubot) by three torques; four states, two of them angles."""
+"""A double pendulum, driven at the shoulder (a pendubot) by three torques; four states."""
 
 from __future__ import annotations
 
