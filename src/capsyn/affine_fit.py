@@ -93,6 +93,8 @@ def fit_cells(
     ``min(1, rho / margin)^2`` (Chebyshev's inequality), with `margin` the difference of the two
     largest rows there and `rho` the root mean square of its error.
     """
+    largest = np.abs(scores).max(axis=(0, 3))
+    scores = scores / np.where(largest > 0, largest, 1.0)[:, :, None]  # any size: no overflow
     kept: Fits | None = None
     for variant in range(scores.shape[2]):
         rows = _rows(scores[:, :, variant], masks, offsets, corners, size, counts, plain)

@@ -63,7 +63,7 @@ class AffineLeaves:
         return AffineLeaves(first, *(arrays[name] for name in ROW_ARRAYS))
 
     def __len__(self) -> int:
-        return len(self.starts) - 1
+        return max(0, len(self.starts) - 1)
 
     @staticmethod
     def of(

@@ -25,6 +25,8 @@ ROUND_POINTS = 2**21
 """Test points of the blocks that are split in one round, at most."""
 ROUND_SHARE = 4
 """One in so many of the solves that are left is spent in one round."""
+NEGLIGIBLE = 1e-6
+"""Estimated error for which no solves are spent: that of rounding rows."""
 CHUNK_SCORES = 2**21
 """Scores that are fitted at a time."""
 
@@ -102,7 +104,8 @@ class AffineSubdivision:
 
     def _open(self, cells: GrowingCells) -> np.ndarray:
         """Return which cells may yet be split; where solves are counted, accepted ones too."""
-        waiting = ~cells.accepted if self._max_solves is None else cells.error > 0
+        counted = self._max_solves is not None
+        waiting = cells.error > NEGLIGIBLE if counted else ~cells.accepted
         return waiting & (cells.child < 0) & (cells.level < self._max_level)
 
     def _next(self, cells: GrowingCells, spent: int) -> np.ndarray:

@@ -148,6 +148,9 @@ class BatchController:
                 best = scores[:, :1].argmax(axis=2)[:, :, None]
                 slope = np.take_along_axis(gradients[:, None], best, axis=2)
                 default = scores.max(axis=2, keepdims=True) + slope
+                # symbols that are the default itself must not tie with it
+                same = (solution.scales == 0)[:, None]
+                scores = np.where(same, scores.min(axis=2, keepdims=True) - 1e-3, scores)
                 scores = np.concatenate([scores, default], axis=2)
         return scores
 
