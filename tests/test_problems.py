@@ -93,9 +93,9 @@ EXPECTED = {
         "symbols": [[-5.0], [0.0], [5.0]],
         "default": [0.0],
         "horizon": 0.5,
-        "settings": SsacSettings(gamma=-5.0, steps=48),
+        "settings": SsacSettings(rule="steepest", control_weight=0.5, steps=48),
         "partitions": (4,) * 4,
-        "max_level": 3,
+        "max_level": 2,
         "target": double_pendulum.has_upright_energy,
     },
     "boost-converter": {

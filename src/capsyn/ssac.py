@@ -150,7 +150,8 @@ class BatchController:
                 default = scores.max(axis=2, keepdims=True) + slope
                 # symbols that are the default itself must not tie with it
                 same = (solution.scales == 0)[:, None]
-                scores = np.where(same, scores.min(axis=2, keepdims=True) - 1e-3, scores)
+                low, high = scores.min(axis=2, keepdims=True), scores.max(axis=2, keepdims=True)
+                scores = np.where(same, 2 * low - high, scores)
                 scores = np.concatenate([scores, default], axis=2)
         return scores
 

@@ -54,10 +54,12 @@ def double_pendulum() -> Problem:
     """Return the problem of pumping a double pendulum up to the energy of standing.
 
     It does not stand up: no torque at the shoulder is asked to balance anything. Without a torque
-    the energy E is conserved, so that ``dJ_dlam_i = E omega_1 u_i``: the switching surfaces are
-    the plane ``omega_1 = 0`` and two curved ones beside ``E = 0``, between which the torque is off.
-    With affine leaves of level 2, 480 of 500 random starts come within 5 % of the energy in 20 s
-    at 500 Hz; where the links swing faster than the domain knows, the nearest cell decides.
+    the energy E is conserved, so that ``dJ_dlam_i = E omega_1 u_i``: the torque is against
+    ``E omega_1``, and off where that is within 2.5 J rad/s, between curved surfaces on which the
+    energy, all four states together, decides. Constant leaves need some nine million solves to
+    agree with sSAC on 98 % of the volume, affine ones 100,000. With 300,000 of these 479 of 500
+    random starts come within 5 % of the energy in 20 s at 500 Hz; where the links swing faster
+    than the domain knows, the nearest cell decides.
     """
     return Problem(
         name="double-pendulum",
@@ -75,8 +77,8 @@ def double_pendulum() -> Problem:
         terminal_cost=lambda x: 0.5 * energy(x) ** 2,
         target=has_upright_energy,
         outside="nearest",
-        settings=SsacSettings(gamma=-5.0, steps=48),
+        settings=SsacSettings(rule="steepest", control_weight=0.5, steps=48),
         partitions=4,
-        max_level=3,
+        max_level=2,
         description="energy of a double pendulum by three torques at the shoulder",
     )
