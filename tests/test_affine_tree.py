@@ -20,6 +20,7 @@ from capsyn import (
     synthesize,
 )
 from capsyn.complexity import complexity
+from capsyn.compression.curve import size_curve
 from capsyn.compression.proof import prove
 from capsyn.errors import ProblemError
 from capsyn.packing import packed_bytes
@@ -83,6 +84,7 @@ def test_what_a_policy_of_affine_leaves_cannot_do_is_one_line(pendulum):
     for work, message in (
         (lambda: compress(pendulum, "freedom"), "modes exact and linear"),
         (lambda: compress(pendulum, level=1), "modes exact and linear"),
+        (lambda: size_curve(pendulum, states=1000), "has affine leaves"),
         (lambda: Automaton.of(pendulum), "has affine leaves"),
         (lambda: lyapunov(pendulum, lambda x: x[1] ** 2), "leaves='constant'"),
     ):
@@ -140,7 +142,7 @@ def test_command_line(tmp_path):
     shown, _ = capsyn("info", path)
     assert f"{data['affine_leaves']:,} of the cells" in shown
     symbol = json.loads(capsyn("query", path, 0.1, 0.2, 0.3, 0.4, "--json")[0])
-    assert symbol["index"] == policy([0.1, 0.2, 0.3, 0.4])
+    assert symbol["symbol"] == policy([0.1, 0.2, 0.3, 0.4])
     line = error_of("synth", "cart-pole", "--leaves", "linear", "-o", path)
     assert "`leaves` must be one of constant, affine" in line
     line = error_of("compress", path, "--mode", "freedom", "-o", tmp_path / "t.cap")

@@ -21,7 +21,7 @@ from capsyn.lattice_points import LatticePoints, Question
 from capsyn.masks import most_voted, preferred, several
 from capsyn.propositions import worst_case_solves
 
-ROUND_POINTS = 2**21
+ROUND_POINTS = 2**19
 """Test points of the blocks that are split in one round, at most."""
 ROUND_SHARE = 4
 """One in so many of the solves that are left is spent in one round."""

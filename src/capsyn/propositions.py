@@ -20,7 +20,7 @@ BYTES_PER_MASK = 4
 """Peak memory of a subdivision: per solved point, per test point of a block of cells, and per
 byte of the masks of a cell's test points; measured and rounded up."""
 BYTES_PER_CELL = 120
-ROUND_BYTES = 500_000_000
+ROUND_BYTES = 300_000_000
 """The same of affine leaves: per cell beside its rows, and for one round."""
 
 
@@ -124,7 +124,8 @@ def worst_case_affine_memory(
 ) -> int:
     """Return a bound of the bytes that a subdivision with affine leaves takes; see above.
 
-    Solved points keep their scores, cells their rows; test points only those of a round.
+    Solved points keep their scores, cells their rows; test points are those of a round, the root
+    grid being one.
     """
     n, children = len(partitions), math.prod(refinement)
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
@@ -136,7 +137,8 @@ def worst_case_affine_memory(
     solved = solves * (BYTES_PER_SOLVE + 24 * labels)
     # of the cells of all levels, twice: while they are put in order
     rows = 2 * min(cells, 4 * solves) * (BYTES_PER_CELL + labels * (8 + 2 * n))
-    return solved + rows + ROUND_BYTES
+    root = math.prod(partitions) * test_points.in_block((1,) * n)
+    return solved + rows + max(ROUND_BYTES, root * (BYTES_PER_KEY + 24 * labels))
 
 
 def available_memory() -> int | None:
