@@ -144,7 +144,7 @@ def test_command_line(tmp_path):
     symbol = json.loads(capsyn("query", path, 0.1, 0.2, 0.3, 0.4, "--json")[0])
     assert symbol["symbol"] == policy([0.1, 0.2, 0.3, 0.4])
     line = error_of("synth", "cart-pole", "--leaves", "linear", "-o", path)
-    assert "`leaves` must be one of constant, affine" in line
+    assert "`leaves` must be one of 'constant', 'affine'" in line
     line = error_of("compress", path, "--mode", "freedom", "-o", tmp_path / "t.cap")
     assert "affine leaves" in line
     capsyn("export", path, "--to", "c", "-o", tmp_path / "c")
