@@ -227,9 +227,7 @@ def _rounded(
             (LARGEST_SUM - lattice.sum() - 2) / sums.max(axis=1),
             LARGEST_SLOPE / np.abs(per_step).max(axis=(1, 2)),
         )
-    flat = ~(
-        (scale > 0) & np.isfinite(scale)
-    )  # scores that are all alike, or beyond floating point
+    flat = ~((scale > 0) & np.isfinite(scale))  # scores that are all alike
     scale[flat], levels[flat], per_step[flat] = 1.0, 0.0, 0.0
     whole = np.rint(per_step * scale[:, None, None])
     constants = np.rint(levels * scale[:, None] - np.einsum("msi,mi->ms", whole, middle))

@@ -219,7 +219,8 @@ class AffineSubdivision:
         shared = common = np.bitwise_and.reduce(cell_masks, axis=0)
         if level < self._max_level:
             common = self._quarter_rule(common, cell_masks, corners, size, level)
-        made = GrowingCells.uniform(corners, level, preferred(common, self._order))
+        uniform = preferred(common, self._order)
+        made = GrowingCells.uniform(corners, level, uniform.copy())
         made.accepted[:] = common != 0
         mixed = np.flatnonzero((common == 0) | self._everywhere)
         if not mixed.size:
@@ -231,6 +232,7 @@ class AffineSubdivision:
         made.accepted[hidden] = False
         made.error[hidden] = np.maximum(made.error[hidden], 1 / len(rows))
         whole = (common != 0) & (made.label >= 0)
+        made.label[whole] = uniform[whole]
         made.accepted[whole], made.error[whole], made.seen[whole] = True, 0.0, 0
         rest = mixed[~known & (common[mixed] == 0)]
         if rest.size:
@@ -261,7 +263,7 @@ class AffineSubdivision:
         places[:fixed] = (self._offsets * (fine // 2))[:, None, :]
         for p in range(fixed, len(masks)):
             places[p] = self._points.offsets(keys[p, cells], corners)
-        # in Python integers a product of large cells would not overflow either: FINE <= 8
+        # below 2^63: cells have at most 2^31 steps, and no more lattice units than that
         places = np.minimum(places * steps // fine, steps - 1)
         corners = corners // fine * steps
         some = masks[:, cells]
