@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from capsyn import Box, Policy, SsacSettings, agreement, problems, subdivide, synthesize
-from capsyn.affine_fit import fit_cells, point_weights
+from capsyn.affine_fit import _used, fit_cells, point_weights
 from capsyn.cell_points import CellPoints
 from capsyn.errors import ProblemError, SynthesisError
 from capsyn.growing_cells import lattice_level
@@ -64,8 +64,17 @@ def leaf_tests(policy):
 
 
 @settings(max_examples=40)
-@given(st.integers(1, 3), st.integers(2, 5), st.integers(0, 99), st.integers(1, 3), st.booleans())
-def test_accepted_leaves_are_right_at_all_their_test_points(n, symbols, seed, partitions, plain):
+@given(
+    st.integers(1, 3),
+    st.integers(2, 5),
+    st.integers(0, 99),
+    st.integers(1, 3),
+    st.booleans(),
+    st.sampled_from([0.05, 1.0]),
+)
+def test_accepted_leaves_are_right_at_all_their_test_points(
+    n, symbols, seed, partitions, plain, leaf_error
+):
     scores = waves(n, symbols, seed)
 
     def label(states):
@@ -78,10 +87,12 @@ def test_accepted_leaves_are_right_at_all_their_test_points(n, symbols, seed, pa
         partitions=partitions,
         max_level=5 - n,
         leaves="affine",
-        leaf_error=0.05,
+        leaf_error=leaf_error,
         returns="symbols" if plain else "scores",
     )
     tree, mixed = policy.cells, set(policy.cells.mixed_cells.tolist())
+    finest = [x.entries for x in tree.leaves() if x.level == 5 - n]
+    assert mixed <= set(np.concatenate([*finest, np.zeros(0, dtype=int)]).tolist())
     tested = 0
     for entry, states, steps in leaf_tests(policy):
         if entry not in mixed:
@@ -94,6 +105,28 @@ def test_accepted_leaves_are_right_at_all_their_test_points(n, symbols, seed, pa
     assert statistics["mixed_cells"] == len(mixed)
     assert sum(statistics["solves_by_role"].values()) == statistics["solves"]
     assert sum(level["solves"] for level in statistics["levels"]) == statistics["solves"]
+
+
+def test_random_test_points_are_judged_where_they_lie():
+    box = Box([0.0, 0.0], [1.0, 1.0], periodic=[True, False])
+
+    def scores(states):
+        angle = 2 * np.pi * states[:, 0]
+        bent = np.stack([np.sin(angle), np.cos(angle), states[:, 1] - 0.5], axis=1)
+        return bent + 0.3 * np.sin(9 * states[:, 1:] * np.arange(3))
+
+    label, asked = recorded(scores)
+    options = {"partitions": 6, "max_level": 0, "leaves": "affine", "returns": "scores"}
+    policy = subdivide(label, box, 3, test_points="vertices+center+random:6", **options)
+    points = np.concatenate(asked)
+    inside = points[(points * 6 % 1 != 0).all(axis=1)]
+    assert len(inside) > 36 * 6
+    entries = policy.cells.find(box.locate(inside, policy.cells.counts))
+    wrong = policy(inside) != scores(inside).argmax(axis=1)
+    mixed = set(policy.cells.mixed_cells.tolist())
+    assert wrong.any() and set(entries[wrong].tolist()) <= mixed
+    fewer = subdivide(scores, box, 3, **options).cells.mixed_cells.tolist()
+    assert set(fewer) < mixed  # random points see more
 
 
 def test_flat_surfaces_are_not_refined():
@@ -327,6 +360,22 @@ def test_rows_that_are_left_out_are_largest_nowhere(seed, symbols):
     values = fits.constants[0] + steps @ fits.slopes[0].T
     best = values.argmax(axis=1)
     assert fits.used[0, best].all()
+
+
+@given(st.integers(0, 500), st.integers(2, 5))
+def test_used_rows_are_those_that_no_other_beats_everywhere(seed, symbols):
+    rng = np.random.default_rng(seed)
+    constants = rng.integers(-4, 5, (1, symbols))
+    slopes = rng.integers(-2, 3, (1, symbols, 2))
+    corner, size = rng.integers(0, 9, (1, 2)), np.array([3, 4])
+    steps = corner + np.stack(np.meshgrid(np.arange(3), np.arange(4)), -1).reshape(-1, 2)
+    values = constants[0] + steps @ slopes[0].T
+    expected = [
+        not any((values[:, j] >= values[:, i] + (j > i)).all() for j in range(symbols) if j != i)
+        for i in range(symbols)
+    ]
+    used = _used(constants, slopes, corner, size)
+    assert used.tolist() == [expected] and used[0, values.argmax(axis=1)].all()
 
 
 def test_weights_see_the_mean_of_a_square():

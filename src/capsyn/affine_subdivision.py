@@ -261,7 +261,7 @@ class AffineSubdivision:
         places = np.empty((len(masks), len(cells), self._n), dtype=np.int64)
         fixed = len(self._offsets)
         places[:fixed] = (self._offsets * (fine // 2))[:, None, :]
-        for p in range(fixed, len(masks)):
+        for p in range(fixed, len(masks)):  # random points, which lie inside
             places[p] = self._points.offsets(keys[p, cells], corners)
         # below 2^63: cells have at most 2^31 steps, and no more lattice units than that
         places = np.minimum(places * steps // fine, steps - 1)

@@ -223,13 +223,13 @@ class LatticePoints:
             )
 
     def offsets(self, keys: np.ndarray, corners: np.ndarray) -> np.ndarray:
-        """Return keys (K,) as lattice points relative to corners (K, n), ahead on periodic axes."""
+        """Return keys (K,) as lattice points (K, n) relative to corners of the same cells."""
         found = np.empty(corners.shape, dtype=np.int64)
         rest = keys
         for i, stride in enumerate(self._strides):
             k = rest // stride
             rest = rest - k * stride
-            found[:, i] = (k - corners[:, i]) % (self._lattice[i] + 1 - self._domain.periodic[i])
+            found[:, i] = k - corners[:, i]
         return found
 
     def _states(self, keys: np.ndarray) -> np.ndarray:
