@@ -129,6 +129,20 @@ def test_random_test_points_are_judged_where_they_lie():
     assert set(fewer) < mixed  # random points see more
 
 
+def test_a_tie_hides_no_surface():
+    def scores(states):
+        wave = np.round(np.sin(2 * np.pi * states[:, 0]), 9)  # ties at 0, 1 / 2 and 1
+        return np.stack([wave, 0 * wave], axis=1)
+
+    for budget in (None, 40):
+        policy = subdivide(
+            scores, unit_box(1), 2, partitions=1, max_level=3, leaves="affine", returns="scores",
+            max_solves=budget,
+        )  # fmt: skip
+        assert policy.statistics["solves_by_role"]["quarter"] >= 2
+        assert policy([[0.2], [0.4], [0.6], [0.9]]).tolist() == [0, 0, 1, 1]
+
+
 def test_flat_surfaces_are_not_refined():
     scores = waves(4, 3, 1, curvature=0.0)
     policy = subdivide(

@@ -151,6 +151,12 @@ def test_command_line(tmp_path):
     assert (tmp_path / "c" / "golden.csv").exists()
 
 
+def test_wrong_test_points_of_affine_leaves_are_no_coarse_boundaries():
+    policy = synthesize(problems.get("spacecraft"), leaves="affine", max_level=0)
+    assert policy.mixed_share > 0.9
+    assert not [hint for hint in report(policy)["hints"] if "coarse" in hint]
+
+
 def test_targets_travel_with_the_problems():
     for name in ("planar-quadrotor", "spacecraft"):
         policy = synthesize(problems.get(name), leaves="affine", max_level=0)

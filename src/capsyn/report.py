@@ -100,7 +100,7 @@ def hints(policy: Policy) -> list[str]:
         steepest = policy.settings is not None and policy.settings.rule == "steepest"
         weights = "control_weight" if steepest else "gamma and control_weight"
         found.append(f"never used: {', '.join(unused)}; drop them, or look at {weights}")
-    if policy.mixed_share > 0.1:
+    if policy.mixed_share > 0.1 and not policy.has_planes:
         found.append(
             f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "
             "the boundaries are coarse; raise max_level"
