@@ -202,6 +202,22 @@ def test_every_point_is_solved_once_and_a_budget_is_kept():
         )
 
 
+def test_progress_of_a_budget_is_one_count():
+    scores, seen = waves(3, 3, 8), []
+    options = {"partitions": 3, "max_level": 3, "leaves": "affine", "returns": "scores"}
+    policy = subdivide(
+        scores, unit_box(3), 3, **options, max_solves=3000, progress=seen.append, threads=2
+    )
+    assert {(p.level, p.max_level, p.solves) for p in seen} == {(3, 3, 3000)}
+    solved = [p.solved for p in seen]
+    assert solved == sorted(solved) and solved[-1] == seen[-1].total
+    assert solved[-1] == policy.statistics["solves"]
+    seen.clear()
+    subdivide(scores, unit_box(3), 3, **options, progress=seen.append)
+    assert [p.level for p in seen] == sorted(p.level for p in seen)
+    assert all(p.solved <= p.solves for p in seen)
+
+
 def test_a_budget_goes_where_surfaces_bend():
     def scores(states):
         bend = np.where(states[:, 0] < 0.5, 0.3 * np.sin(12 * states[:, 0]), 0.0)

@@ -166,7 +166,8 @@ class AffineSubdivision:
         samples = question.samples
         self._roles += np.bincount(np.concatenate(roles)[samples], minlength=len(ROLES))
         self._solves += np.bincount(np.concatenate(levels)[samples], minlength=len(self._solves))
-        deepest = max(level for level, _ in groups)
+        counted = self._max_solves is not None  # then any level may come next
+        deepest = self._max_level if counted else max(level for level, _ in groups)
         masks, scores = self._points.answer_with_scores(
             question, deepest, self._max_level, sum(len(p) for _, p in groups)
         )
@@ -293,7 +294,8 @@ class AffineSubdivision:
         new = int(question.new.sum())
         self._roles[ROLES.index("quarter")] += new
         self._solves[level] += new
-        moved = self._points.answer(question, level, self._max_level, common.size)
+        shown = level if self._max_solves is None else self._max_level
+        moved = self._points.answer(question, shown, self._max_level, common.size)
         common = common.copy()
         np.bitwise_and.at(common, cell, moved)
         return common

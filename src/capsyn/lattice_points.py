@@ -35,7 +35,8 @@ class Progress:
         Cells of this level.
     solved, solves : int
         Points that are solved, and all of them, of this level's test points; later, of those of
-        the quarter rule.
+        the quarter rule. Of a budget that is spent on cells of any level, all solves since the
+        start, and the budget.
     total : int
         Points solved since the start.
     """
@@ -54,7 +55,7 @@ class LatticePoints:
     A mask has bit `i` where symbol `i` could be best, bit N for the default; it is kept in the
     smallest unsigned type that holds N + 1 bits. Where `scored`, the labelling function gives
     scores (B, V, S) in V variants beside its masks (B,), and they are
-    kept, too.
+    kept, too. With a `goal`, progress is reported as all solves so far of so many.
     """
 
     def __init__(
@@ -66,9 +67,10 @@ class LatticePoints:
         pool: ThreadPoolExecutor | None,
         progress: Callable[[Progress], None] | None,
         scored: bool = False,
+        goal: int | None = None,
     ) -> None:
         self._label, self._domain, self._lattice = label, domain, lattice
-        self._pool, self._progress = pool, progress
+        self._pool, self._progress, self._goal = pool, progress, goal
         bits = next(b for b in (8, 16, 32, 64) if n_symbols < b)
         self.dtype = np.dtype(f"uint{bits}").type
         self._default = self.dtype(1 << n_symbols)
@@ -184,7 +186,8 @@ class LatticePoints:
             done += count
             if self._progress:
                 total = self.count + done
-                self._progress(Progress(level, max_level, cells, done, len(keys), total))
+                solved, solves = (done, len(keys)) if self._goal is None else (total, self._goal)
+                self._progress(Progress(level, max_level, cells, solved, solves, total))
         self.seconds += time.perf_counter() - started
         self._count_missing(keys, masks, missing)
         self.indifferent += int(np.count_nonzero(several(masks)))

@@ -153,7 +153,14 @@ def subdivide(
     started = time.perf_counter()
     with ThreadPoolExecutor(threads) as pool:
         store = LatticePoints(
-            labels, domain, lattice, n_symbols, pool if threads > 1 else None, progress, affine
+            labels,
+            domain,
+            lattice,
+            n_symbols,
+            pool if threads > 1 else None,
+            progress,
+            affine,
+            max_solves if affine else None,
         )
         given = (q, r, max_level, points, seed, order, store, max_solves)
         work: _Subdivision | AffineSubdivision = _Subdivision(*given)
