@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from c_machines import Library
 from capsyn import (
     Automaton,
     Ball,
@@ -23,11 +24,15 @@ from capsyn.complexity import complexity
 from capsyn.compression.curve import size_curve
 from capsyn.compression.proof import prove
 from capsyn.errors import ProblemError
+from capsyn.exports.c import files
+from capsyn.exports.golden import golden_vectors
+from capsyn.exports.plan import Plan
 from capsyn.packing import packed_bytes
 from capsyn.plots import plot_policy
 from capsyn.report import report
 from exported import made_by, module
 from test_cli import capsyn, error_of
+from test_export_c import assert_golden
 from trees import GRIDS, random_affine_policy
 
 
@@ -78,6 +83,15 @@ def test_an_export_gives_the_same_symbols(pendulum, tmp_path):
     states = pendulum.domain.sample(2000, 4)
     found = [made.decide(state)[0] for state in states.tolist()]
     assert np.array_equal(np.where(np.array(found) == 2, -1, found), pendulum(states))
+
+
+@pytest.mark.parametrize(("name", "level"), [("cart-pendulum", 3), ("planar-quadrotor", 0)])
+def test_exported_c_gives_the_same_symbols_without_overflow(name, level, tmp_path):
+    plan = Plan.of(synthesize(problems.get(name), leaves="affine", max_level=level))
+    golden = golden_vectors(plan)
+    options = ["-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover"]
+    library = Library(files(plan, golden), tmp_path, plan.n, "gcc", options)
+    assert_golden(library, golden, True)
 
 
 def test_what_a_policy_of_affine_leaves_cannot_do_is_one_line(pendulum):
