@@ -418,6 +418,7 @@ def test_weights_see_the_mean_of_a_square():
 def test_lattice_levels():
     assert lattice_level((9,), (2,), 4) == 10  # 9 * 2^10 = 9,216 of 16,384 steps
     assert lattice_level((3,) * 6, (2,) * 6, 1) == 12
+    assert lattice_level((100, 3), (2, 2), 1) == 11  # 204,800 and 6,144
     assert lattice_level((1000,), (2,), 10) == 13  # eight steps along a finest cell
     assert lattice_level((5,), (100,), 2) == 3
     with pytest.raises(ProblemError, match="`max_level` 30 is too high for affine leaves"):

@@ -15,8 +15,9 @@ from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
 from capsyn.errors import ProblemError
 from capsyn.masks import several
 
-LATTICE = 2**14
-"""Steps along an axis that the lattice of rows has at most, unless the cells need more."""
+LATTICE, FEW, MANY = 2**14, 2**12, 2**18
+"""Steps along an axis that the lattice of rows has at most, unless the cells need more, or another
+axis has few: then many."""
 LEAST_STEPS = 8
 """Least steps along the edge of a finest cell."""
 
@@ -34,9 +35,13 @@ def lattice_level(partitions: tuple[int, ...], refinement: tuple[int, ...], max_
         level += 1
     if max(lattice_counts(partitions, refinement, level)) > MAX_COUNT:
         raise ProblemError(f"`max_level` {max_level} is too high for affine leaves")
-    while max(lattice_counts(partitions, refinement, level + 1)) <= LATTICE:
+    while True:
+        least = min(lattice_counts(partitions, refinement, level))
+        if max(lattice_counts(partitions, refinement, level + 1)) > (
+            MANY if least < FEW else LATTICE
+        ):
+            return level
         level += 1
-    return level
 
 
 @dataclass(eq=False)
