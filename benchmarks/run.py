@@ -10,7 +10,9 @@ from capsyn import __version__
 from capsyn.native.build import find_compiler
 
 HERE = Path(__file__).parent
-QUESTIONS = "solve synthesis lookup compression closed_loop explorer command counts exports".split()
+QUESTIONS = (
+    "solve synthesis dimensions lookup compression closed_loop explorer command counts exports"
+).split()
 
 INTRODUCTION = """# Benchmarks
 

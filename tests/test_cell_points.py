@@ -78,6 +78,20 @@ def test_offsets_are_vertices_center_and_edge_midpoints(points, n):
     assert interior >= len(offsets) - 2**n + points.random
 
 
+@pytest.mark.parametrize("n", [1, 2, 3, 7])
+def test_faces_may_take_the_place_of_vertices(n):
+    points = CellPoints.parse("center + faces + random:4")
+    assert str(points) == "center+faces+random:4" and CellPoints.parse(str(points)) == points
+    offsets = points.offsets(n)
+    assert len(offsets) == 2 * n + 1 == len(np.unique(offsets, axis=0))
+    assert ((offsets - 1) ** 2).sum(axis=1).tolist() == [0] + [1] * (2 * n)
+    assert points.interior(n) == 2 * n + 5
+    split = (2,) * n
+    assert points.in_block(split) == 5 * 2**n + n * 3 * 2 ** (n - 1)
+    both = CellPoints.parse("vertices+faces")
+    assert len(both.offsets(n)) == (2 if n == 1 else 2**n + 2 * n)
+
+
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_full_choice_has_as_many_points_as_the_formula_says(n):
     assert len(CellPoints(True, True).offsets(n)) == 2**n + 1 + n * 2 ** (n - 1)

@@ -58,6 +58,10 @@ def test_list_names_every_problem():
         "double-tank-a",
         "double-tank-b",
         "cart-pole",
+        "planar-quadrotor",
+        "spacecraft",
+        "double-pendulum",
+        "boost-converter",
     ]
     assert "cart-pole" in capsyn("list")[0]
 

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from capsyn import Ball, SsacSettings, problems
+from capsyn import Ball, Box, SsacSettings, problems
 from capsyn.errors import ProblemError
-from capsyn.problems import cart_pendulum, double_tank
+from capsyn.problems import cart_pendulum, double_pendulum, double_tank, spacecraft
 
 TANK = {
     "bounds": ([0.0, 0.0], [1.0, 1.0]),
@@ -57,10 +57,65 @@ EXPECTED = {
         "max_level": 2,
         "target": None,
     },
+    "planar-quadrotor": {
+        "bounds": ([-2.0, -2.0, -0.6, -2.0, -2.0, -2.0], [2.0, 2.0, 0.6, 2.0, 2.0, 2.0]),
+        "periodic": (False,) * 6,
+        "outside": "nearest",
+        "symbols": [
+            [a * 9.81 / 2, b * 9.81 / 2] for a, b in itertools.product((0.5, 1.5), repeat=2)
+        ],
+        "default": [9.81 / 2, 9.81 / 2],
+        "horizon": 0.8,
+        "settings": SsacSettings(rule="steepest", steps=16),
+        "partitions": (3,) * 6,
+        "max_level": 1,
+        "target": Ball([0.0] * 6, 0.2),
+    },
+    "spacecraft": {
+        "bounds": ([-0.6] * 6, [0.6] * 6),
+        "periodic": (False,) * 6,
+        "outside": "nearest",
+        "symbols": [
+            *([s * 0.4 * (i == axis) for i in range(3)] for axis in range(3) for s in (1, -1)),
+            [0.0] * 3,
+        ],
+        "default": [0.0] * 3,
+        "horizon": 2.0,
+        "settings": SsacSettings(rule="steepest", control_weight=0.1, steps=16),
+        "partitions": (3,) * 6,
+        "max_level": 1,
+        "target": Ball([0.0] * 6, 0.05),
+    },
+    "double-pendulum": {
+        "bounds": ([0.0, 0.0, -6.0, -9.0], [2 * np.pi, 2 * np.pi, 6.0, 9.0]),
+        "periodic": (True, True, False, False),
+        "outside": "nearest",
+        "symbols": [[-5.0], [0.0], [5.0]],
+        "default": [0.0],
+        "horizon": 0.5,
+        "settings": SsacSettings(rule="steepest", control_weight=0.5, steps=48),
+        "partitions": (4,) * 4,
+        "max_level": 2,
+        "target": double_pendulum.has_upright_energy,
+    },
+    "boost-converter": {
+        "bounds": ([0.0, 0.0], [12.0, 60.0]),
+        "periodic": (False, False),
+        "outside": "nearest",
+        "symbols": [[0.0], [1.0]],
+        "default": [0.5],
+        "horizon": 1e-3,
+        "settings": SsacSettings(
+            rule="steepest", steps=16, sample_time=5e-6, initial_duration=1e-4
+        ),
+        "partitions": (9, 9),
+        "max_level": 4,
+        "target": Box([3.5, 39.0], [4.5, 41.0], names=["current", "voltage"]),
+    },
 }
 
 
-def test_names_are_the_five_problems_of_the_issue():
+def test_names_are_those_of_the_issues():
     assert problems.names() == list(EXPECTED)
 
 
@@ -129,6 +184,66 @@ def test_cart_pole_is_the_model_of_problems_md():
     fall = (9.81 * np.sin(theta) + 5.0 * np.cos(theta)) / 2
     assert np.allclose(rates, [v, 5.0, omega, fall])
     assert np.isclose(running, x**2 + 0.5 * v**2 + 10 * theta**2 + omega**2) and terminal == 0.0
+
+
+def test_quadrotor_is_the_model_of_problems_md():
+    state, thrusts = [0.3, -0.4, 0.2, 0.9, -0.5, 0.7], [3.0, 6.0]
+    rates, running, terminal = values("planar-quadrotor", state, thrusts)
+    lift = [-9.0 * np.sin(0.2), 9.0 * np.cos(0.2) - 9.81]  # m = 1: along the tilted axis, gravity
+    assert np.allclose(rates, [0.9, -0.5, 0.7, *lift, 0.25 * (3.0 - 6.0) / 0.1])
+    cost = 0.3**2 + 0.4**2 + 2 * 0.2**2 + 0.3 * (0.9**2 + 0.5**2) + 0.2 * 0.7**2
+    assert np.isclose(running, cost) and np.isclose(terminal, 5 * cost)
+    hover = values("planar-quadrotor", np.zeros(6), [9.81 / 2, 9.81 / 2])[0]
+    assert np.allclose(hover, 0.0)
+
+
+def test_spacecraft_turns_as_its_attitude_says():
+    inertia = np.array([1.0, 1.3, 0.8])
+    sigma, omega, torque = np.array([[0.3, -0.2, 0.1], [0.5, -0.4, 0.2], [0.1, 0.0, -0.4]])
+    rates, running, terminal = values("spacecraft", [*sigma, *omega], torque)
+
+    def rotation(p):  # from the world to the body, by the cross-product matrix of p
+        tilde = np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]])
+        square = p @ p
+        return np.eye(3) + (8 * tilde @ tilde - 4 * (1 - square) * tilde) / (1 + square) ** 2
+
+    step = 1e-6
+    turned = (rotation(sigma + step * rates[:3]) - rotation(sigma - step * rates[:3])) / (2 * step)
+    spin = turned @ rotation(sigma).T  # -[omega x]
+    assert np.allclose(rotation(sigma) @ rotation(sigma).T, np.eye(3))
+    assert np.allclose([spin[1, 2], spin[2, 0], spin[0, 1]], omega, atol=1e-8)
+    assert np.allclose(inertia * rates[3:], torque - np.cross(omega, inertia * omega))
+    assert np.isclose(running, sigma @ sigma + 0.5 * omega @ omega)
+    assert np.isclose(terminal, 2 * running)
+
+
+def test_spacecraft_cross_product():
+    a, b = np.random.default_rng(0).normal(size=(2, 3))
+    assert np.allclose(spacecraft.cross(list(a), list(b)), np.cross(a, b))
+
+
+def test_double_pendulum_keeps_its_energy_but_for_the_work_of_the_shoulder():
+    x = ca.SX.sym("x", 4)
+    slope = ca.Function("slope", [x], [ca.gradient(double_pendulum.energy(x), x)])
+    for state in np.random.default_rng(0).uniform(-3, 3, (20, 4)):
+        for torque in (-5.0, 0.0, 5.0):
+            rates, running, terminal = values("double-pendulum", state, [torque])
+            power = float(ca.dot(slope(state), rates))
+            assert np.isclose(power, torque * state[2], atol=1e-9)
+            assert np.allclose(rates[:2], state[2:]) and running == 0.0
+            assert np.isclose(terminal, 0.5 * float(double_pendulum.energy(state)) ** 2)
+    assert float(double_pendulum.energy([0, 0, 0, 0])) == 0.0  # standing
+    assert np.isclose(float(double_pendulum.energy([np.pi, 0, 0, 0])), -6 * 9.81)  # hanging
+
+
+def test_boost_converter_rests_at_its_averaged_steady_state():
+    rates, running, terminal = values("boost-converter", [4.0, 40.0], [0.5])
+    assert np.allclose(rates, 0.0) and running == terminal == 0.0
+    on, off = (values("boost-converter", [3.0, 30.0], [u])[0] for u in (1.0, 0.0))
+    assert np.allclose(on, [20 / 1e-3, -30 / 20 / 100e-6])
+    assert np.allclose(off, [(20 - 30) / 1e-3, (3 - 30 / 20) / 100e-6])
+    stored = 0.5 * (1e-3 * 1.0**2 + 100e-6 * 10.0**2)  # J
+    assert np.isclose(values("boost-converter", [3.0, 30.0], [0.0])[2], 1000 * stored)
 
 
 def test_signed_root_is_odd_smooth_and_a_root():

@@ -155,6 +155,37 @@ def test_available_memory_is_read_or_unknown(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("n", "partitions", "level", "n_symbols", "points", "max_solves"),
+    [
+        (2, 9, 4, 2, "vertices+center", None),
+        (4, 3, 2, 12, "vertices+center", 40_000),
+        (6, 3, 2, 7, "vertices+center", 60_000),
+        (6, 2, 1, 12, "center+faces+random:9", None),
+        (2, 200, 0, 3, "vertices", None),
+    ],
+)
+def test_worst_case_memory_of_affine_leaves(n, partitions, level, n_symbols, points, max_solves):
+    def label(states):
+        found = noise(states, 1)
+        bits = [found >> np.uint64(3 * k) & np.uint64(1023) for k in range(n_symbols)]
+        return np.stack(bits, axis=1).astype(float)
+
+    grid = {"partitions": partitions, "max_level": level, "test_points": points}
+    tracemalloc.start()
+    try:
+        subdivide(
+            label, unit_box(n), n_symbols, **grid, leaves="affine", returns="scores",
+            max_solves=max_solves,
+        )  # fmt: skip
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < props.worst_case_affine_memory(
+        (partitions,) * n, (2,) * n, level, CellPoints.parse(points), n_symbols, max_solves
+    )
+
+
+@pytest.mark.parametrize(
     ("n", "partitions", "level", "n_symbols", "points"),
     [
         (1, 1000, 5, 40, "vertices"),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 
 from capsyn import Alphabet, Box, Policy
-from capsyn.cells import CellTree
+from capsyn.affine_leaves import AffineLeaves
+from capsyn.cells import CellTree, lattice_counts
 
 GRIDS = [
     ((1,), (2,), 0),
@@ -80,3 +82,48 @@ def states_at_faces(domain: Box, counts: tuple[int, ...], size: int, seed: int =
     inner = domain.sample(size, seed)
     states = np.where(rng.random(states.shape) < 0.3, inner, states)
     return np.vstack([states, np.nextafter(states, -np.inf), np.nextafter(states, np.inf)])
+
+
+def random_affine_tree(
+    partitions: tuple[int, ...],
+    refinement: tuple[int, ...],
+    max_level: int,
+    labels: int = 3,
+    seed: int = 0,
+) -> CellTree:
+    """Return a random tree with about half its leaves affine, on a lattice one level finer."""
+    rng = np.random.default_rng([7, seed])
+    tree = random_tree(partitions, refinement, max_level, labels, seed=seed)
+    counts = lattice_counts(partitions, refinement, max_level + 1)
+    entries = tree.entries.copy()
+    chosen = rng.random(len(entries)) < 0.5
+    chosen[-1] = True  # the last cell is a leaf
+    places = np.flatnonzero((entries < 0) & chosen)
+    entries[places] = -1 - labels - np.arange(len(places))
+    sets = [np.sort(rng.permutation(labels)[: rng.integers(2, labels + 1)]) for _ in places]
+    symbols = np.concatenate(sets)
+    slopes = rng.integers(-9, 10, (len(symbols), len(counts)))
+    constants = -(slopes @ (rng.random(len(counts)) * counts)).astype(int)
+    affine = AffineLeaves.of(
+        labels,
+        np.array([len(s) for s in sets]),
+        symbols.astype(np.int32),
+        constants.astype(np.int32),
+        slopes.astype(np.int16),
+    )
+    seen = tree.mixed_labels | np.uint64(2**labels - 1)
+    return CellTree(
+        partitions,
+        refinement,
+        max_level + 1,
+        entries,
+        tree.mixed_cells,
+        seen,
+        affine,
+    )
+
+
+def random_affine_policy(grid: int, periodic: bool = False, seed: int = 0) -> Policy:
+    """Return a `random_policy` of affine leaves."""
+    policy = random_policy(grid, periodic, seed)
+    return dataclasses.replace(policy, cells=random_affine_tree(*GRIDS[grid], seed=seed))

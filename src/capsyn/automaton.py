@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells import CellTree
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.face_rates import POSSIBLE, SLIDING, UNDECIDED
 from capsyn.policy import Policy
 from capsyn.regions import Partitions, Region, connected_partitions, regions
-from capsyn.split_tree import SplitTree
 from capsyn.switching import Switching, switching
 from capsyn.validation import describe
 
@@ -138,9 +138,11 @@ class Automaton:
         """
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
-        if isinstance(policy.cells, SplitTree) and len(policy.cells.planes):
+        if policy.has_planes:
+            what = "affine leaves" if isinstance(policy.cells, CellTree) else "oblique splits"
             raise ProblemError(
-                f"`policy` must have cells or splits along the axes; {policy!r} has oblique splits"
+                f"`policy` must have cells of one symbol each or splits along the axes; {policy!r} "
+                f"has {what}"
             )
         partitions = connected_partitions(policy.cells, policy.domain.periodic)
         found = tuple(regions(policy.cells, partitions))

@@ -13,12 +13,12 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.validation import describe
 
-NAMES = ("vertices", "center", "edge_midpoints", "random")
+NAMES = ("vertices", "center", "edge_midpoints", "faces", "random")
 
 
 @dataclass(frozen=True)
 class CellPoints:
-    """The test points of a cell: its vertices, and what is added to them.
+    """The test points of a cell: its vertices, or the centre and the faces, and what is added.
 
     Parameters
     ----------
@@ -26,21 +26,29 @@ class CellPoints:
         Add them.
     random : int
         Number of random interior points to add.
+    faces : bool
+        Add the centres of the 2 n faces.
+    vertices : bool
+        Test the 2^n vertices; without them centre and faces must be there.
     """
 
     center: bool = True
     edge_midpoints: bool = False
     random: int = 0
+    faces: bool = False
+    vertices: bool = True
 
     @staticmethod
     def parse(text: Any) -> CellPoints:
         """Return the test points that a text such as ``"vertices+center+random:2"`` names."""
         parts = [p.strip() for p in text.split("+")] if isinstance(text, str) else []
         names = [p.partition(":")[0] for p in parts]
-        if "vertices" not in names or len(set(names)) < len(names) or set(names) - set(NAMES):
+        enough = "vertices" in names or {"center", "faces"} <= set(names)
+        if not enough or len(set(names)) < len(names) or set(names) - set(NAMES):
             raise ProblemError(
                 "`test_points` must be 'vertices', then any of '+center', '+edge_midpoints', "
-                f"'+random:R'; got {describe(text)}"
+                "'+faces', '+random:R', or 'center+faces' with more; "
+                f"got {describe(text)}"
             )
         count = 0
         for name, part in zip(names, parts):
@@ -52,28 +60,38 @@ class CellPoints:
                     "`test_points` takes a count for random alone, as 'random:2'; "
                     f"got {describe(part)}"
                 )
-        return CellPoints("center" in names, "edge_midpoints" in names, count)
+        return CellPoints(
+            "center" in names,
+            "edge_midpoints" in names,
+            count,
+            "faces" in names,
+            "vertices" in names,
+        )
 
     def __str__(self) -> str:
-        names = ["vertices"]
-        names += ["center"] * self.center + ["edge_midpoints"] * self.edge_midpoints
+        names = ["vertices"] * self.vertices + ["center"] * self.center
+        names += ["edge_midpoints"] * self.edge_midpoints + ["faces"] * self.faces
         return "+".join(names + [f"random:{self.random}"] * bool(self.random))
 
     def interior(self, n: int) -> int:
         """Return how many points a cell of `n` axes has beside its vertices, at most."""
         edges = n * 2 ** (n - 1) if self.edge_midpoints else 0
-        return int(self.center) + edges + self.random
+        return int(self.center) + edges + 2 * n * self.faces + self.random
 
     def in_block(self, split: Sequence[int]) -> int:
         """Return how many different points a block of `split` cells per axis has."""
         vertices, cells = math.prod(k + 1 for k in split), math.prod(split)
         edges = sum(vertices // (k + 1) * k for k in split) if self.edge_midpoints else 0
-        return vertices + (int(self.center) + self.random) * cells + edges
+        faces = sum(cells // k * (k + 1) for k in split) if self.faces else 0
+        inner = (int(self.center) + self.random) * cells
+        return vertices * self.vertices + inner + edges + faces
 
     def offsets(self, n: int) -> np.ndarray:
         """Return the fixed points (P, n) in halves of the cell: vertices, the centre, the rest."""
-        points = list(itertools.product((0, 2), repeat=n))
+        points = list(itertools.product((0, 2), repeat=n)) if self.vertices else []
         points += [(1,) * n] * self.center
+        if self.faces:
+            points += [(1,) * i + (k,) + (1,) * (n - 1 - i) for i in range(n) for k in (0, 2)]
         if self.edge_midpoints:
             points += [p for p in itertools.product((0, 1, 2), repeat=n) if p.count(1) == 1]
         return np.array(list(dict.fromkeys(points)))  # for n = 1 the edge is the cell

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.errors import PolicyFormatError
+from capsyn.affine_leaves import AffineLeaves
+from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.validation import whole_number, whole_numbers
 
 MAX_COUNT = 2**31 - 1
@@ -82,9 +83,14 @@ class CellTree:
         The root grid in C order, then blocks of ``prod(refinement)`` children in C order, level
         by level. An entry >= 0 is the place of its block; an entry < 0 is ``-1 - leaf``.
     mixed_cells : (K,) int32
-        Leaf entries, ascending, whose test points did not agree.
+        Leaf entries, ascending, whose test points did not agree; in a tree with affine leaves
+        those whose rows are wrong at one.
     mixed_labels : (K,) uint64
-        For each of them the set of labels seen, as a bit mask.
+        For each of them the set of labels seen, as a bit mask, with those of its rows.
+    affine : AffineLeaves, optional
+        The affine leaves, numbered in the order of their entries. Their rows are values on the
+        lattice of finest cells; `max_level` is then that of the lattice, and no cell may be split
+        so often.
     """
 
     partitions: tuple[int, ...]
@@ -93,6 +99,7 @@ class CellTree:
     entries: np.ndarray
     mixed_cells: np.ndarray
     mixed_labels: np.ndarray
+    affine: AffineLeaves | None = None
 
     def __post_init__(self) -> None:
         for name in ("entries", "mixed_cells", "mixed_labels"):
@@ -135,8 +142,16 @@ class CellTree:
         return entry
 
     def labels(self, steps: np.ndarray) -> np.ndarray:
-        """Return the leaf numbers (B,) of finest cells (B, n)."""
-        return self.labels_at(self.find(steps))
+        """Return the labels (B,) of finest cells (B, n): symbols, and N for the default."""
+        return self.labels_in(self.find(steps), steps)
+
+    def labels_in(self, places: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return the labels (B,) of finest cells (B, n) in leaf entries (B,)."""
+        labels = self.labels_at(places)
+        if self.affine is not None:
+            rest = np.flatnonzero(labels >= self.affine.first)
+            labels[rest] = self.affine.labels(labels[rest], steps[rest])
+        return labels
 
     def labels_at(self, places: np.ndarray) -> np.ndarray:
         """Return the leaf numbers of leaf entries."""
@@ -167,8 +182,27 @@ class CellTree:
             leaf = self.entries[places] < 0
             yield Leaves(level, places[leaf], lower[leaf], -1 - self.entries[places[leaf]])
 
+    @property
+    def depth(self) -> int:
+        """Highest level of a cell."""
+        return max(level for level, _, _ in self.levels())
+
+    def volumes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the leaf entries (M,) and their volumes (M,) [finest cells]."""
+        places, volumes = [], []
+        for leaves in self.leaves():
+            places.append(leaves.entries)
+            size = np.prod(self.sizes(leaves.level), dtype=float)
+            volumes.append(np.full(len(leaves.entries), size))
+        return np.concatenate(places), np.concatenate(volumes)
+
     def boxes(self) -> Boxes:
-        """Return the leaf cells as boxes, level by level."""
+        """Return the leaf cells as boxes, level by level; `ProblemError` where some are affine."""
+        if self.affine is not None:
+            raise ProblemError(
+                "a policy with affine leaves has no boxes of one symbol each; "
+                "synthesize with leaves='constant' for this"
+            )
         leaves = list(self.leaves())
         lower = np.concatenate([x.lower for x in leaves])
         levels = np.repeat([x.level for x in leaves], [len(x.labels) for x in leaves])
@@ -192,15 +226,16 @@ class CellTree:
         Parameters
         ----------
         leaf_count : int
-            Number of different leaves: leaf numbers must be below it.
+            Number of labels, N + 1: leaf numbers of constant leaves must be below it.
         """
+        known = leaf_count + (0 if self.affine is None else len(self.affine))
         entries, children = self.entries, math.prod(self.refinement)
         level, start, end = 0, 0, math.prod(self.partitions)
         if len(entries) < end:
             raise PolicyFormatError(f"{len(entries)} cells are fewer than the root grid's {end}")
         while True:  # blocks follow each other without gaps, so this ends at the last entry
             here = entries[start:end]
-            if (here < -leaf_count).any():
+            if (here < -known).any():
                 raise PolicyFormatError("a cell has an unknown label")
             blocks = here[here >= 0].astype(np.int64)
             if not np.array_equal(blocks, end + children * np.arange(len(blocks))):
@@ -223,11 +258,24 @@ class CellTree:
             or (entries[mixed] >= 0).any()
         ):
             raise PolicyFormatError("the mixed cells are no ascending leaf cells")
-        leaf = (-1 - entries[mixed]).astype(np.uint64)
-        if not ((self.mixed_labels >> leaf) & np.uint64(1)).all():
+        leaf = -1 - entries[mixed].astype(np.int64)
+        own = np.uint64(1) << np.minimum(leaf, 63).astype(np.uint64)
+        if self.affine is not None:
+            self._check_affine(leaf_count)
+            rest = leaf >= leaf_count
+            own[rest] = self.affine.masks()[leaf[rest] - leaf_count]
+        if (own & ~self.mixed_labels).any():
             raise PolicyFormatError("a mixed cell's label is not among the labels seen in it")
         if leaf_count < 64 and (self.mixed_labels >> np.uint64(leaf_count)).any():
             raise PolicyFormatError("a mixed cell has an unknown label")
+
+    def _check_affine(self, leaf_count: int) -> None:
+        assert self.affine is not None
+        self.affine.check(self.counts, leaf_count)
+        leaves = -1 - self.entries[self.entries < 0].astype(np.int64)
+        numbers = leaves[leaves >= leaf_count] - leaf_count
+        if not np.array_equal(numbers, np.arange(len(self.affine))):
+            raise PolicyFormatError("the affine leaves are not numbered in the order of the cells")
 
 
 def lattice_counts(

@@ -116,10 +116,17 @@ def synth(
     outside: Outside = None,
     min_dwell: MinDwell = None,
     test_points: Annotated[
-        str, typer.Option(help="vertices, then +center, +edge_midpoints, +random:R.")
+        str,
+        typer.Option(help="vertices or center+faces, then +center, +edge_midpoints, +random:R."),
     ] = "vertices+center",
+    leaves: Annotated[
+        str, typer.Option(help="constant, or affine for far fewer solves.")
+    ] = "constant",
+    leaf_error: Annotated[float, typer.Option(help="Of affine leaves, accepted share.")] = 0.01,
     seed: Seed = 0,
-    max_solves: Annotated[int | None, typer.Option(help="Stop at a level before so many.")] = None,
+    max_solves: Annotated[
+        int | None, typer.Option(help="Most solves; affine leaves spend them.")
+    ] = None,
     backend: Backend = "auto",
     threads: Threads = None,
     as_json: Json = False,
@@ -163,6 +170,8 @@ def synth(
             outside=outside,
             min_dwell=min_dwell,
             test_points=test_points,
+            leaves=leaves,
+            leaf_error=leaf_error,
             seed=seed,
             max_solves=max_solves,
             backend=backend,

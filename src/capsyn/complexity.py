@@ -28,7 +28,7 @@ def complexity(policy: Policy) -> dict[str, Any]:
         volume, None where splits are oblique). ``automaton``: ``regions``, ``boxes`` that tile
         them, ``partitions`` (connected), ``edges`` and ``possible_edges``, ``switch_rate`` [1/s],
         ``sliding_share`` and ``switching_entropy`` [bits] (None without a model, see
-        `switching_entropy`). None where splits are oblique.
+        `switching_entropy`). None where splits are oblique or leaves affine.
     """
     tree = policy if isinstance(policy, DecisionTree) else exact_tree(policy)
     oblique = len(tree.cells.planes) > 0
@@ -43,7 +43,7 @@ def complexity(policy: Policy) -> dict[str, Any]:
             "comparisons": tree.depth,
             "mean_comparisons": mean_depth(tree),
         },
-        "automaton": None if oblique else _automaton(policy),
+        "automaton": None if oblique or policy.has_planes else _automaton(policy),
     }
 
 
@@ -83,11 +83,13 @@ def _table(cells: CellTree) -> dict[str, int]:
     comparisons = halvings(cells.partitions)
     if (cells.entries >= 0).any():
         comparisons += _levels(cells) * halvings(cells.refinement)
+    if cells.affine is not None:  # the rows of a leaf, one after the other
+        comparisons += int(np.diff(cells.affine.starts).max()) - 1
     return {"bytes": packed_bytes(cells), "comparisons": comparisons}
 
 
 def _levels(cells: CellTree) -> int:
-    return max(level for level, _, _ in cells.levels())
+    return cells.depth
 
 
 def mean_depth(tree: DecisionTree) -> float | None:

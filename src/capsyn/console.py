@@ -159,15 +159,18 @@ def print_evidence(found: dict[str, Any]) -> None:
 def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
     """Print what `capsyn.complexity.complexity` returns."""
     table, tree, machine = data["table"], data["tree"], data["automaton"]
+    planes = f" and {tree['planes']:,} oblique splits" if tree["planes"] else ""
+    mean = tree["mean_comparisons"]
+    average = "" if mean is None else f", {mean:.1f} on average"
     if from_cells:
         _line("", f"{table['comparisons']} comparisons at most")
         _line(
             "exact tree",
-            f"{tree['nodes']:,} nodes, {tree['bytes']:,} bytes packed, {tree['comparisons']} "
-            f"comparisons at most, {tree['mean_comparisons']:.1f} on average",
+            f"{tree['nodes']:,} nodes{planes}, {tree['bytes']:,} bytes packed, "
+            f"{tree['comparisons']} comparisons at most{average}",
         )
-    elif tree["mean_comparisons"] is not None:
-        _line("", f"{tree['mean_comparisons']:.1f} comparisons on average")
+    elif mean is not None:
+        _line("", f"{mean:.1f} comparisons on average")
     _line("entropy", f"{data['symbol_entropy']:.3f} bits of the symbols by volume")
     if machine is None:
         return
@@ -268,6 +271,9 @@ def print_report(data: dict[str, Any]) -> None:
             "cells",
             f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
         )
+        if data["affine_leaves"]:
+            steps = " x ".join(str(state["steps"]) for state in data["states"])
+            line("affine", f"{data['affine_leaves']:,} of the cells, on a lattice of {steps} steps")
         line("table", f"{data['packed_bytes']:,} bytes packed")
     else:
         _print_tree(data)

@@ -7,8 +7,6 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
-import numpy as np
-
 from capsyn.errors import ProblemError
 from capsyn.policy import Policy
 from capsyn.split_tree import SplitTree
@@ -18,8 +16,6 @@ from capsyn.verification.statistics import clopper_pearson
 CONFIDENCE = 0.95
 """Of the interval of the share of judging states that agree."""
 MODES = ("exact", "freedom", "linear")
-SAMPLES = 100_000
-"""States at which the volumes of a tree with oblique splits are estimated."""
 
 
 @dataclass(frozen=True)
@@ -184,19 +180,6 @@ class DecisionTree(Policy):
     def depth(self) -> int:
         """Most comparisons that a lookup takes."""
         return self.cells.depth
-
-    @functools.cached_property
-    def volume_shares(self) -> np.ndarray:
-        """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
-
-        Of a tree with oblique splits it is estimated at `SAMPLES` random states.
-        """
-        if not len(self.cells.planes):
-            return super().volume_shares
-        counts = self.cells.counts
-        steps = np.random.default_rng(0).integers(counts, size=(SAMPLES, self.domain.n))
-        found = np.bincount(self.cells.labels(steps), minlength=len(self.alphabet) + 1)
-        return found / SAMPLES
 
     @property
     def mixed_share(self) -> float:

@@ -7,12 +7,13 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
-from capsyn.masks import Label, several
+from capsyn.masks import several
 
 CHUNK = 8192
 """Most states that are labelled in one call."""
@@ -34,7 +35,8 @@ class Progress:
         Cells of this level.
     solved, solves : int
         Points that are solved, and all of them, of this level's test points; later, of those of
-        the quarter rule.
+        the quarter rule. Of a budget that is spent on cells of any level, all solves since the
+        start, and the budget.
     total : int
         Points solved since the start.
     """
@@ -51,20 +53,24 @@ class LatticePoints:
     """Solved lattice points: sorted integer keys, and a bit mask for each.
 
     A mask has bit `i` where symbol `i` could be best, bit N for the default; it is kept in the
-    smallest unsigned type that holds N + 1 bits.
+    smallest unsigned type that holds N + 1 bits. Where `scored`, the labelling function gives
+    scores (B, V, S) in V variants beside its masks (B,), and they are
+    kept, too. With a `goal`, progress is reported as all solves so far of so many.
     """
 
     def __init__(
         self,
-        label: Label,
+        label: Callable[[np.ndarray], Any],
         domain: Box,
         lattice: tuple[int, ...],
         n_symbols: int,
         pool: ThreadPoolExecutor | None,
         progress: Callable[[Progress], None] | None,
+        scored: bool = False,
+        goal: int | None = None,
     ) -> None:
         self._label, self._domain, self._lattice = label, domain, lattice
-        self._pool, self._progress = pool, progress
+        self._pool, self._progress, self._goal = pool, progress, goal
         bits = next(b for b in (8, 16, 32, 64) if n_symbols < b)
         self.dtype = np.dtype(f"uint{bits}").type
         self._default = self.dtype(1 << n_symbols)
@@ -80,7 +86,8 @@ class LatticePoints:
         self._strides = [math.prod(extents[i + 1 :]) for i in range(domain.n)]
         self._keys = np.array([2**63 - 1])  # larger than any key, so that a search ends within
         self._masks = np.zeros(1, dtype=self.dtype)
-        self._pending: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._scored, self._scores = scored, np.zeros((1, 0, 0))
+        self._pending: tuple[np.ndarray, ...] | None = None
         self.count = 0
         self.indifferent = 0
         self.not_finite = 0
@@ -125,33 +132,51 @@ class LatticePoints:
 
     def answer(self, question: Question, level: int, max_level: int, cells: int) -> np.ndarray:
         """Return the masks (K,) of a question's keys, solving those that are new."""
+        return self.answer_with_scores(question, level, max_level, cells)[0]
+
+    def answer_with_scores(
+        self, question: Question, level: int, max_level: int, cells: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the masks (K,) and scores (K, V, S) of a question's keys; NaN where unknown."""
         keys = question.distinct[question.new]
-        masks = self._solve(keys, level, max_level, cells)
-        known = self._masks[question.places]
-        known[question.new] = masks
-        self._pending = (question.places[question.new], keys, masks)
+        found = self._solve(keys, level, max_level, cells)
+        self._pending = (question.places[question.new], keys, *found)
         self.count += len(keys)
-        answers = np.empty(len(question.order), dtype=self.dtype)
-        answers[question.order] = known[np.cumsum(question.first, dtype=np.int32) - 1]
-        return answers
+        rows = np.cumsum(question.first, dtype=np.int32) - 1
+        answers = []
+        for kept, new in zip((self._masks, self._scores), found):
+            answer = np.empty((len(question.order), *kept.shape[1:]), dtype=kept.dtype)
+            if answer.size:
+                known = kept[question.places]
+                known[question.new] = new
+                answer[question.order] = known[rows]
+            answers.append(answer)
+        return answers[0], answers[1]
 
     def _merge(self) -> None:
         """Put the points of the last answer among the sorted ones."""
         if self._pending is not None:
-            places, keys, masks = self._pending
+            places, keys, masks, scores = self._pending
             self._keys = np.insert(self._keys, places, keys)
             self._masks = np.insert(self._masks, places, masks)
+            if scores.size:
+                self._scores = np.insert(self._scores, places, scores, axis=0)
             self._pending = None
 
-    def _solve(self, keys: np.ndarray, level: int, max_level: int, cells: int) -> np.ndarray:
+    def _solve(
+        self, keys: np.ndarray, level: int, max_level: int, cells: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         started = time.perf_counter()
         masks = np.empty(len(keys), dtype=self.dtype)
+        scores: dict[int, np.ndarray] = {}
         size = min(CHUNK, max(256, -(-len(keys) // 16)))
         parts = [slice(i, i + size) for i in range(0, len(keys), size)]
         missing = np.zeros(len(keys), dtype=bool)
 
         def work(part: slice) -> int:
             found = self._label(self._states(keys[part]))
+            if self._scored:
+                found, scores[part.start] = found
             missing[part] = found == 0
             masks[part] = found
             return len(found)
@@ -161,11 +186,22 @@ class LatticePoints:
             done += count
             if self._progress:
                 total = self.count + done
-                self._progress(Progress(level, max_level, cells, done, len(keys), total))
+                solved, solves = (done, len(keys)) if self._goal is None else (total, self._goal)
+                self._progress(Progress(level, max_level, cells, solved, solves, total))
         self.seconds += time.perf_counter() - started
         self._count_missing(keys, masks, missing)
         self.indifferent += int(np.count_nonzero(several(masks)))
-        return masks
+        return masks, self._joined(scores, missing)
+
+    def _joined(self, parts: dict[int, np.ndarray], missing: np.ndarray) -> np.ndarray:
+        """Return the scores (K, V, S) of new points, from those of the parts that they begin."""
+        if not parts:
+            return np.zeros((len(missing), *self._scores.shape[1:]))
+        scores = np.concatenate([parts[start] for start in sorted(parts)]).astype(float)
+        scores[missing] = np.nan
+        if not self._scores.size:
+            self._scores = np.zeros((len(self._keys), *scores.shape[1:]))
+        return scores
 
     def _map(self, work: Callable[[slice], int], parts: Iterable[slice]) -> Iterator[int]:
         return self._pool.map(work, parts) if self._pool else map(work, parts)
@@ -188,6 +224,16 @@ class LatticePoints:
                 f"state {self.example}: check the model there, and whether `steps` and the horizon "
                 "fit it"
             )
+
+    def offsets(self, keys: np.ndarray, corners: np.ndarray) -> np.ndarray:
+        """Return keys (K,) as lattice points (K, n) relative to corners of the same cells."""
+        found = np.empty(corners.shape, dtype=np.int64)
+        rest = keys
+        for i, stride in enumerate(self._strides):
+            k = rest // stride
+            rest = rest - k * stride
+            found[:, i] = k - corners[:, i]
+        return found
 
     def _states(self, keys: np.ndarray) -> np.ndarray:
         """Return the states (K, n) of keys (K,)."""

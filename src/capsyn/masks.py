@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.validation import describe
 
 Label = Callable[[np.ndarray], np.ndarray]
 """A labelling function: states (B, n) to masks (B,), 0 where there is no finite answer."""
+Scored = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""One with scores: states (B, n) to masks (B,) and scores (B, V, S) in V variants."""
 
 
 def several(masks: np.ndarray) -> np.ndarray:
@@ -23,6 +27,27 @@ def preferred(masks: np.ndarray, order: Sequence[int]) -> np.ndarray:
     for symbol in reversed(order[:-1]):
         labels[(masks & masks.dtype.type(1 << symbol)) != 0] = symbol
     return labels
+
+
+def most_voted(masks: np.ndarray, order: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the labels (K,) and the sets of labels seen (K,) of mixed cells.
+
+    `masks` (P, K) are those of their test points.
+
+    The labels seen are those of determined points, or of all points where none is determined.
+    Every point votes for each label it could have; ties go by `order`.
+    """
+    single = np.where(several(masks), masks.dtype.type(0), masks)
+    seen = np.bitwise_or.reduce(single, axis=0)
+    seen = np.where(seen == 0, np.bitwise_or.reduce(masks, axis=0), seen)
+    labels = np.full(len(seen), order[0], dtype=np.int32)
+    most = np.zeros(len(seen), dtype=np.int64)
+    for symbol in order:
+        bit = masks.dtype.type(1 << symbol)
+        votes = np.count_nonzero(masks & bit, axis=0) * ((seen & bit) != 0)
+        labels[votes > most] = symbol
+        most = np.maximum(votes, most)
+    return labels, np.asarray(seen)
 
 
 def checked_masks(label: Label, n_symbols: int) -> Label:
@@ -72,3 +97,63 @@ def masks_of_symbols(label: Label, n_symbols: int, name: str = "label") -> Label
         return np.uint64(1) << bits
 
     return masks
+
+
+def indicators(label: Label, n_symbols: int) -> Scored:
+    """Return a labelling function with scores (B, N + 1): 1, shared by the symbols of a mask."""
+    bits = np.arange(n_symbols + 1, dtype=np.uint64)
+
+    def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        masks = label(states)
+        held = (masks.astype(np.uint64)[:, None] >> bits & np.uint64(1)).astype(float)
+        return masks, (held / np.maximum(held.sum(axis=1, keepdims=True), 1))[:, None]
+
+    return scored
+
+
+def masks_of_scores(label: Callable[[np.ndarray], np.ndarray], n_symbols: int) -> Scored:
+    """Return a labelling function with scores, of one that gives scores (B, N) or (B, N + 1)."""
+
+    def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        scores = _checked_scores(label(states), len(states), n_symbols)
+        finite = np.isfinite(scores).all(axis=1)
+        best = scores == scores.max(axis=1, keepdims=True)
+        bits = np.uint64(1) << np.arange(scores.shape[1], dtype=np.uint64)
+        masks = np.bitwise_or.reduce(np.where(best, bits, np.uint64(0)), axis=1)
+        masks[~finite] = 0
+        return masks, scores[:, None]
+
+    return scored
+
+
+def checked_pair(label: Callable[[np.ndarray], Any], n_symbols: int) -> Scored:
+    """Return the labelling function, of masks and scores, with both checked."""
+
+    def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = label(states)
+        if not isinstance(found, tuple) or len(found) != 2:
+            raise ProblemError(
+                f"`label` must return a pair of masks and scores; got {describe(found)}"
+            )
+        masks = checked_masks(lambda _: found[0], n_symbols)(states)
+        scores = np.asarray(found[1])
+        if scores.ndim == 3:
+            for variant in np.moveaxis(scores, 1, 0):
+                _checked_scores(variant, len(states), n_symbols)
+            return masks, scores
+        return masks, _checked_scores(scores, len(states), n_symbols)[:, None]
+
+    return scored
+
+
+def _checked_scores(found: Any, count: int, n_symbols: int) -> np.ndarray:
+    scores = np.asarray(found)
+    if scores.dtype.kind != "f" or scores.shape not in (
+        (count, n_symbols),
+        (count, n_symbols + 1),
+    ):
+        raise ProblemError(
+            f"`label` must return ({count}, {n_symbols}) scores, or with the default's last "
+            f"({count}, {n_symbols + 1}); got {scores.dtype} of shape {scores.shape}"
+        )
+    return scores

@@ -16,7 +16,6 @@ from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
 from capsyn.policy import Policy
 from capsyn.simulation import Trajectory
-from capsyn.split_tree import SplitTree
 from capsyn.validation import describe, finite_number
 
 if TYPE_CHECKING:
@@ -89,7 +88,7 @@ def plot_policy(
     steps = domain.locate(point[None, :], tree.counts)[0]
     ax = plt.gca() if ax is None else ax
     colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
-    if isinstance(tree, SplitTree) and len(tree.planes):
+    if policy.has_planes:
         shown = _draw_pixels(policy, point, (horizontal, vertical), colors, ax)
     else:
         shown = _draw_boxes(policy, steps, (horizontal, vertical), colors, ax, outlines)

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 COMPILED_FROM = 50_000
 """Batches of this size are looked up by the compiled kernel where there is a compiler."""
 
+SAMPLES = 100_000
+"""States at which the volumes of symbols are estimated where planes bound them."""
+
 Outside = str | int
 
 
@@ -189,17 +192,35 @@ class Policy:
 
     @functools.cached_property
     def volume_shares(self) -> np.ndarray:
-        """Share of the domain's volume of each symbol, and of the default last, (N + 1,)."""
+        """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
+
+        Where planes bound symbols it is estimated at `SAMPLES` random states.
+        """
+        if self.has_planes:
+            return self._sampled_shares()
         boxes = self.cells.boxes()
         total = np.prod(self.cells.counts, dtype=float)
         return np.bincount(boxes.labels, boxes.volumes() / total, len(self.alphabet) + 1)
+
+    def _sampled_shares(self) -> np.ndarray:
+        steps = np.random.default_rng(0).integers(self.cells.counts, size=(SAMPLES, self.domain.n))
+        found = np.bincount(self.cells.labels(steps), minlength=len(self.alphabet) + 1)
+        return found / SAMPLES
+
+    @property
+    def has_planes(self) -> bool:
+        """Whether planes that are oblique to the axes bound symbols: affine leaves, or splits."""
+        cells = self.cells
+        return (
+            (cells.affine is not None) if isinstance(cells, CellTree) else bool(len(cells.planes))
+        )
 
     @functools.cached_property
     def mixed_share(self) -> float:
         """Share of the volume of finest cells whose test points did not agree."""
         cells = cell_tree(self)
-        boxes = cells.boxes()
-        mixed = boxes.volumes()[np.isin(boxes.places, cells.mixed_cells)]
+        places, volumes = cells.volumes()
+        mixed = volumes[np.isin(places, cells.mixed_cells)]
         return float(mixed.sum() / np.prod(cells.counts, dtype=float))
 
     def save(self, path: str | os.PathLike[str]) -> None:

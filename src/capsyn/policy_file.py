@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.affine_leaves import ROW_ARRAYS, AffineLeaves
 from capsyn.alphabet import Alphabet
 from capsyn.cells import MAX_COUNT, CellTree, grid_settings
 from capsyn.decision_tree import DecisionTree, Guarantee
@@ -26,9 +27,10 @@ from capsyn.targets import Target
 from capsyn.validation import describe, whole_numbers
 
 FORMAT = "capsyn-policy"
-VERSION = 2
-"""Newest version; decision trees have it, cells are written as version 1."""
+VERSION = 3
+"""Newest version. Cells are written as version 1, decision trees as 2, affine leaves as 3."""
 CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
+AFFINE_ARRAYS = CELL_ARRAYS | ROW_ARRAYS
 TREE_ARRAYS = {"split": np.int32, "threshold": np.int32, "second": np.int32, "planes": np.int32}
 KEYS = set(
     "name domain alphabet default outside min_dwell target horizon settings model "
@@ -54,8 +56,6 @@ EVIDENCE = {
     "agreement": (("states", "agreeing"), ("share", "low", "high", "confidence")),
 }
 """Kinds of evidence, and the counts and shares that each has at least."""
-ROLES = ("vertices", "centers", "others", "quarter")
-"""What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
 SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
 
@@ -65,7 +65,7 @@ def save(policy: Policy, path: str | os.PathLike[str]) -> None:
     content, arrays = content_of(policy), arrays_of(policy)
     document = {
         "format": FORMAT,
-        "version": VERSION if isinstance(policy, DecisionTree) else 1,
+        "version": _least_version(arrays),
         "policy": content,
         "sha256": _digest(content, arrays),
     }
@@ -130,8 +130,16 @@ def content_hash(policy: Policy) -> str:
 
 def arrays_of(policy: Policy) -> dict[str, np.ndarray]:
     """Return the arrays of a policy by their names in its file."""
-    names = TREE_ARRAYS if isinstance(policy, DecisionTree) else CELL_ARRAYS
-    return {name: getattr(policy.cells, name) for name in names}
+    cells = policy.cells
+    if isinstance(cells, SplitTree):
+        return {name: getattr(cells, name) for name in TREE_ARRAYS}
+    rows = {} if cells.affine is None else cells.affine.arrays()
+    return {name: getattr(cells, name) for name in CELL_ARRAYS} | rows
+
+
+def _least_version(arrays: dict[str, np.ndarray]) -> int:
+    """Return the first version that has files with such arrays."""
+    return 2 if "split" in arrays else 3 if "row_starts" in arrays else 1
 
 
 def load(path: str | os.PathLike[str]) -> Policy:
@@ -146,7 +154,7 @@ def load(path: str | os.PathLike[str]) -> Policy:
             if FORMAT not in metadata:
                 raise PolicyFormatError(f"'{path}' is a safetensors file but no policy")
             document = _parse(metadata[FORMAT], path)
-            if set(file.keys()) not in (set(CELL_ARRAYS), set(TREE_ARRAYS)):
+            if set(file.keys()) not in map(set, (CELL_ARRAYS, AFFINE_ARRAYS, TREE_ARRAYS)):
                 raise PolicyFormatError(f"'{path}' does not hold the arrays of a policy")
             arrays = {name: file.get_tensor(name) for name in sorted(file.keys())}
     except FileNotFoundError:
@@ -193,13 +201,14 @@ def _parse(text: str, path: str | os.PathLike[str]) -> dict[str, Any]:
 def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
     content = document["policy"]
     is_tree = "split" in arrays
-    for name, dtype in (TREE_ARRAYS if is_tree else CELL_ARRAYS).items():
-        axes, words = (2, "two") if name == "planes" else (1, "one")
+    for name in arrays:
+        dtype = (AFFINE_ARRAYS | TREE_ARRAYS)[name]
+        axes, words = (2, "two") if name in ("planes", "row_slopes") else (1, "one")
         if arrays[name].dtype != dtype or arrays[name].ndim != axes:
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
     if document["sha256"] != _digest(content, arrays):
         raise PolicyFormatError("its content does not match its checksum")
-    if document["version"] < (2 if is_tree else 1) or set(content) != (
+    if document["version"] < _least_version(arrays) or set(content) != (
         TREE_KEYS if is_tree else CELL_KEYS
     ):
         raise PolicyFormatError("its keys are not those of this format version")
@@ -225,7 +234,11 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
     partitions, refinement, max_level = grid_settings(
         content["partitions"], content["refinement"], content["max_level"], domain.n
     )
-    tree = CellTree(partitions, refinement, max_level, **arrays)
+    affine = None
+    if "row_starts" in arrays:
+        affine = AffineLeaves.of_arrays(len(alphabet) + 1, arrays)
+    entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
+    tree = CellTree(partitions, refinement, max_level, entries, mixed, labels, affine)
     domain.check_resolution(tree.counts)
     return Policy(cells=tree, **given)
 

@@ -19,6 +19,9 @@ BYTES_PER_KEY = 70
 BYTES_PER_MASK = 4
 """Peak memory of a subdivision: per solved point, per test point of a block of cells, and per
 byte of the masks of a cell's test points; measured and rounded up."""
+BYTES_PER_CELL = 120
+ROUND_BYTES = 300_000_000
+"""The same of affine leaves: per cell beside its rows, and for one round."""
 
 
 def level_for_precision(
@@ -106,8 +109,36 @@ def worst_case_memory(
         cells = min(cells, max(root, max_solves * children))
     keys = -(-cells // children) * test_points.in_block(split)
     mask_bytes = 2 ** (n_symbols // 8).bit_length()  # of N + 1 bits
-    masks = cells * (2**n + test_points.interior(n)) * mask_bytes
+    tests = 2**n * test_points.vertices + test_points.interior(n)
+    masks = cells * tests * mask_bytes
     return BYTES_PER_SOLVE * solves + BYTES_PER_KEY * keys + BYTES_PER_MASK * masks
+
+
+def worst_case_affine_memory(
+    partitions: Sequence[int],
+    refinement: Sequence[int],
+    max_level: int,
+    test_points: CellPoints,
+    n_symbols: int,
+    max_solves: int | None = None,
+) -> int:
+    """Return a bound of the bytes that a subdivision with affine leaves takes; see above.
+
+    Solved points keep their scores, cells their rows; test points are those of a round, the root
+    grid being one.
+    """
+    n, children = len(partitions), math.prod(refinement)
+    cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
+    solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
+    if max_solves is not None:  # every block of cells has at least one point of its own
+        solves = min(solves, max_solves)
+        cells = min(cells, max(math.prod(partitions), max_solves * children))
+    labels = n_symbols + 1
+    solved = solves * (BYTES_PER_SOLVE + 24 * labels)
+    # of the cells of all levels, twice: while they are put in order
+    rows = 2 * min(cells, 4 * solves) * (BYTES_PER_CELL + labels * (8 + 2 * n))
+    root = math.prod(partitions) * test_points.in_block((1,) * n)
+    return solved + rows + max(ROUND_BYTES, root * (BYTES_PER_KEY + 24 * labels))
 
 
 def available_memory() -> int | None:
@@ -129,12 +160,14 @@ def check_memory(
     test_points: CellPoints,
     n_symbols: int,
     max_solves: int | None,
+    affine: bool = False,
 ) -> None:
     """Raise `ProblemError` where the worst case exceeds the memory that is available."""
     available = available_memory()
+    estimate = worst_case_affine_memory if affine else worst_case_memory
 
     def need(level: int, solves: int | None = max_solves) -> int:
-        return worst_case_memory(partitions, refinement, level, test_points, n_symbols, solves)
+        return estimate(partitions, refinement, level, test_points, n_symbols, solves)
 
     if available is None or need(max_level) <= available:
         return

@@ -59,10 +59,12 @@ def _grid(cells: CellTree, axis: int) -> dict[str, int]:
 
 
 def _cells(policy: Policy, cells: CellTree) -> dict[str, Any]:
+    rows = {} if cells.affine is None else cells.affine.arrays()
     return {
-        "max_level": cells.max_level,
+        "max_level": cells.max_level if cells.affine is None else cells.depth,
         "cells": cells.leaf_count,
-        "table_bytes": cells.entries.nbytes,
+        "affine_leaves": 0 if cells.affine is None else len(cells.affine),
+        "table_bytes": cells.entries.nbytes + sum(array.nbytes for array in rows.values()),
         "packed_bytes": packed_bytes(cells),
         "mixed_cells": len(cells.mixed_cells),
         "mixed_share": policy.mixed_share,
@@ -98,7 +100,7 @@ def hints(policy: Policy) -> list[str]:
         steepest = policy.settings is not None and policy.settings.rule == "steepest"
         weights = "control_weight" if steepest else "gamma and control_weight"
         found.append(f"never used: {', '.join(unused)}; drop them, or look at {weights}")
-    if policy.mixed_share > 0.1:
+    if policy.mixed_share > 0.1 and not policy.has_planes:
         found.append(
             f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "
             "the boundaries are coarse; raise max_level"

@@ -141,6 +141,10 @@ class SplitTree:
         """Return the labels (B,) of lattice steps (B, n)."""
         return self.labels_at(self.find(steps))
 
+    def labels_in(self, places: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return the labels (B,) of leaf nodes, whatever the lattice steps (B, n) in them."""
+        return self.labels_at(places)
+
     def labels_at(self, places: np.ndarray) -> np.ndarray:
         """Return the labels of leaf nodes."""
         return self.threshold[places]

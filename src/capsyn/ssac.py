@@ -114,6 +114,47 @@ class BatchController:
         """
         return self.possible(self.solve(states))
 
+    def scored(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `masks` (B,) and, of the same solves, `smooth_scores` of states (B, n)."""
+        solution = self.solve(states)
+        return self.possible(solution), self.smooth_scores(solution)
+
+    def smooth_scores(self, solution: Solution) -> np.ndarray:
+        """Return scores (B, V, N) as affine in the state as can be, in V variants.
+
+        The largest of the first variant is best. Steepest rule: ``-dJ_dlam - |u|_R^2``. Eq. (8)
+        grows with the fourth power of the state where costs are quadratic; without ``alpha_d^2``,
+        which all symbols share, it is ``dJ_dlam (dJ_dlam - 2 alpha_d) + |u|_R^2``. The first
+        variant is minus this over ``2 (alpha_d^2 + mean(dJ_dlam^2))^(1/2)``. The second leaves the
+        square out, so that what is left, over ``2 |alpha_d|``, is ``dJ_dlam`` and the effort: it
+        orders two symbols alike wherever the mean of their ``dJ_dlam`` exceeds ``alpha_d``, and
+        has slopes where J0, and with it alpha_d, vanishes. With ``on_no_descent="default"`` the
+        default's comes last, (B, V, N + 1): the best score plus that symbol's ``dJ_dlam``.
+        """
+        gradients = solution.gradients
+        with np.errstate(all="ignore"):
+            if self.settings.rule == "steepest":
+                scores = (-gradients - self.efforts)[:, None]
+            else:
+                wanted, extra = self._wanted(solution), self.efforts - self.efforts.min()
+                size = 2 * np.sqrt(wanted**2 + (gradients**2).mean(axis=1, keepdims=True))
+                squares = (2 * wanted - gradients) * gradients - extra
+                first = np.where(size > 0, squares / size, -extra)
+                price = np.where(extra > 0, extra / (2 * np.abs(wanted)), 0.0)
+                finite = np.isfinite(price).all(axis=1, keepdims=True)
+                second = np.where(finite, -gradients - price, first)
+                scores = np.stack([first, second], axis=1)
+            if self.settings.on_no_descent == "default":
+                best = scores[:, :1].argmax(axis=2)[:, :, None]
+                slope = np.take_along_axis(gradients[:, None], best, axis=2)
+                default = scores.max(axis=2, keepdims=True) + slope
+                # symbols that are the default itself must not tie with it
+                same = (solution.scales == 0)[:, None]
+                low, high = scores.min(axis=2, keepdims=True), scores.max(axis=2, keepdims=True)
+                scores = np.where(same, 2 * low - high, scores)
+                scores = np.concatenate([scores, default], axis=2)
+        return scores
+
     def possible(self, solution: Solution) -> np.ndarray:
         """Return the masks (B,) of solved states; see `masks`."""
         low, high = self._bounds(solution)

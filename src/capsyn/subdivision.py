@@ -7,7 +7,6 @@ cells or levels share is solved once.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -15,30 +14,45 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.affine_subdivision import AffineSubdivision
 from capsyn.alphabet import Alphabet
+from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
 from capsyn.cell_points import CellPoints
 from capsyn.cells import CellTree, grid_settings, lattice_counts
 from capsyn.domain import Box
 from capsyn.errors import ProblemError, SynthesisError
+from capsyn.growing_cells import lattice_level
 from capsyn.lattice_points import LatticePoints, Progress, Question
-from capsyn.masks import Label, checked_masks, masks_of_symbols, preferred, several
+from capsyn.masks import (
+    Label,
+    Scored,
+    checked_masks,
+    checked_pair,
+    indicators,
+    masks_of_scores,
+    masks_of_symbols,
+    most_voted,
+    preferred,
+    several,
+)
 from capsyn.policy import Outside, Policy, check_outside
-from capsyn.policy_file import ROLES
 from capsyn.propositions import check_memory, worst_case_solves
-from capsyn.validation import describe, is_list, one_of, whole_number
+from capsyn.validation import describe, finite_number, is_list, one_of, whole_number
 
-FINE = 8
-"""Lattice units along the edge of a finest cell."""
+RETURNS = ("symbols", "masks", "scores", "masks+scores")
+LEAVES = ("constant", "affine")
 
 
 def subdivide(
-    label: Label,
+    label: Callable[[np.ndarray], Any],
     domain: Box,
     symbols: int | Alphabet,
     *,
     partitions: Any = 9,
     refinement: Any = 2,
     max_level: int = 4,
+    leaves: str = "constant",
+    leaf_error: float = 0.01,
     test_points: str = "vertices+center",
     seed: int = 0,
     returns: str = "symbols",
@@ -54,9 +68,7 @@ def subdivide(
     Parameters
     ----------
     label : callable
-        States (B, n) to symbol indices (B,), -1 for the default; or, with
-        ``returns="masks"``, to uint64 masks (B,) of the symbols that could be best, bit N for the
-        default, 0 where there is no finite answer.
+        States (B, n) to what `returns` says.
     domain : Box
         States to label.
     symbols : int or Alphabet
@@ -65,10 +77,22 @@ def subdivide(
         Cells of the root grid, and children of a split cell, per axis.
     max_level : int
         Most times that a cell is split.
+    leaves : "constant" or "affine"
+        One symbol for each cell, or for cells on a switching surface rows that are affine in the
+        state: the symbol of the largest. Rows are fitted to the scores at the cell's test points,
+        or, without scores, to its labels, and kept as integers.
+    leaf_error : float
+        Largest estimated share of a cell, 0 to 1, where its rows may be wrong; see the notes.
     test_points : str
-        ``"vertices+center"``, with ``+edge_midpoints`` and ``+random:R`` added as wanted.
+        ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` (their centres) and
+        ``+random:R`` added as wanted; or ``"center+faces"``, without the 2^n vertices.
     seed : int
         Seed of the random test points.
+    returns : "symbols", "masks", "scores" or "masks+scores"
+        What `label` returns: symbol indices (B,), -1 for the default; uint64 masks (B,) of the
+        symbols that could be best, bit N for the default, 0 where there is no finite answer;
+        scores (B, N), the largest is best, or (B, N + 1) with that of the default, NaN where there
+        is no finite answer; or a pair of masks and scores.
     preference : sequence of int, optional
         Symbols (N for the default), most preferred first, to break ties. Default: by index.
     outside : "error", "nearest" or symbol
@@ -76,7 +100,9 @@ def subdivide(
     name : str
         Name of the policy.
     max_solves : int, optional
-        Stop before a level that would exceed so many solves, with a valid coarser policy.
+        Of constant leaves: stop before a level that would exceed so many solves, with a valid
+        coarser policy. Of affine ones: spend them on the cells where the estimated error is
+        largest, until they are used up or no cell can be split.
     threads : int
         Threads that call `label`; the result does not depend on it.
     progress : callable, optional
@@ -96,6 +122,13 @@ def subdivide(
     point (not a random one) of a uniform cell where several symbols tie is moved a quarter of the
     way to the cell's centre and must agree there too. A mixed cell of the finest level takes the
     symbol that most of its points could have, among those that some point determines alone.
+
+    With affine leaves, a cell that is not uniform is accepted when its rows give all its test
+    points a symbol that could be best there, and their estimated error is at most `leaf_error`:
+    the mean over the test points of ``min(1, rho / margin)^2``, with `margin` the difference of the
+    two largest rows and `rho` the root mean square of what it differs by from that of the scores
+    (Chebyshev's inequality). Else it is split. So refinement follows the curvature of surfaces.
+    Of centre and other fixed points, which rows are fitted to, the centre has half the weight.
     """
     if not callable(label):
         raise ProblemError(f"`label` must be a function; got {describe(label)}")
@@ -104,19 +137,36 @@ def subdivide(
     alphabet = symbols if isinstance(symbols, Alphabet) else Alphabet(range(_count(symbols)))
     n_symbols = len(alphabet)
     q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
-    points, lattice = check_size(domain, n_symbols, q, r, max_level, test_points, max_solves)
-    one_of("returns", returns, ["symbols", "masks"])
+    points, lattice = check_size(
+        domain, n_symbols, q, r, max_level, test_points, max_solves, leaves
+    )
+    leaf_error = finite_number("leaf_error", leaf_error, least=0.0)
+    if leaf_error > 1:
+        raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
+    one_of("returns", returns, list(RETURNS))
     seed = whole_number("seed", seed, least=0)
     threads = whole_number("threads", threads, least=1)
     order = list(range(n_symbols + 1)) if preference is None else _order(preference, n_symbols)
     outside = check_outside(outside, alphabet)
-    masks = (checked_masks if returns == "masks" else masks_of_symbols)(label, n_symbols)
+    affine = leaves == "affine"
+    labels = _scored(label, returns, n_symbols) if affine else _masks(label, returns, n_symbols)
     started = time.perf_counter()
     with ThreadPoolExecutor(threads) as pool:
         store = LatticePoints(
-            masks, domain, lattice, n_symbols, pool if threads > 1 else None, progress
+            labels,
+            domain,
+            lattice,
+            n_symbols,
+            pool if threads > 1 else None,
+            progress,
+            affine,
+            max_solves if affine else None,
         )
-        work = _Subdivision(q, r, max_level, points, seed, order, store, max_solves)
+        given = (q, r, max_level, points, seed, order, store, max_solves)
+        work: _Subdivision | AffineSubdivision = _Subdivision(*given)
+        if affine:
+            plain = not returns.endswith("scores")
+            work = AffineSubdivision(*given, leaf_error, plain)
         cells = work.run()
     return Policy(
         name=name,
@@ -141,15 +191,41 @@ def check_size(
     max_level: int,
     test_points: str,
     max_solves: int | None,
+    leaves: str = "constant",
 ) -> tuple[CellPoints, tuple[int, ...]]:
     """Return the test points, and the lattice (n,), that floating point and memory can hold."""
+    one_of("leaves", leaves, list(LEAVES))
     points = CellPoints.parse(test_points)
     if max_solves is not None:
         max_solves = whole_number("max_solves", max_solves, least=1)
     lattice = tuple(FINE * k for k in lattice_counts(partitions, refinement, max_level))
     domain.check_resolution(lattice)
-    check_memory(partitions, refinement, max_level, points, n_symbols, max_solves)
+    if leaves == "affine":
+        level = lattice_level(partitions, refinement, max_level)
+        domain.check_resolution(lattice_counts(partitions, refinement, level))
+    check_memory(
+        partitions, refinement, max_level, points, n_symbols, max_solves, leaves == "affine"
+    )
     return points, lattice
+
+
+def _masks(label: Callable[[np.ndarray], Any], returns: str, n_symbols: int) -> Label:
+    """Return a labelling function that gives checked masks."""
+    if returns == "masks":
+        return checked_masks(label, n_symbols)
+    if returns == "symbols":
+        return masks_of_symbols(label, n_symbols)
+    scored = _scored(label, returns, n_symbols)
+    return lambda states: scored(states)[0]
+
+
+def _scored(label: Callable[[np.ndarray], Any], returns: str, n_symbols: int) -> Scored:
+    """Return a labelling function that gives checked masks and scores."""
+    if returns == "scores":
+        return masks_of_scores(label, n_symbols)
+    if returns == "masks+scores":
+        return checked_pair(label, n_symbols)
+    return indicators(_masks(label, returns, n_symbols), n_symbols)
 
 
 def _count(symbols: Any) -> int:
@@ -186,6 +262,7 @@ class _Subdivision:
         self._n, self._q, self._r = len(partitions), partitions, refinement
         self._max_level, self._test_points, self._seed = max_level, test_points, seed
         self._order, self._points = order, points
+        self._blocks = CellBlocks(points, test_points, self._n, seed)
         self._offsets = test_points.offsets(self._n)
         self._roles = np.zeros(len(ROLES), dtype=np.int64)
         self._levels: list[dict[str, int]] = []
@@ -196,7 +273,7 @@ class _Subdivision:
         """Return the cells."""
         blocks: list[np.ndarray] = []  # entries, level by level
         size = FINE * np.array([r**self._max_level for r in self._r])
-        parents = _grid(np.array(self._q)) * size  # lower corners in lattice units
+        parents = grid_places(self._q) * size  # lower corners in lattice units
         start = last = 0
         mixed = np.empty(0, dtype=np.int64)  # within the last level
         seen = np.empty(0, dtype=np.uint64)
@@ -207,7 +284,7 @@ class _Subdivision:
             cells = children * len(parents)
             if start + cells > 2**31 - 1:
                 raise SynthesisError(f"level {level} has more cells than 32-bit entries can number")
-            keys, table, roles = self._test_keys(parents, split, size, level)
+            keys, table, roles = self._blocks.keys(parents, split, size, level)
             question = self._points.ask(keys.ravel())
             new = int(question.new.sum())
             if self._exceeds(question):
@@ -229,14 +306,14 @@ class _Subdivision:
             mixed = np.flatnonzero(common.T == 0)
             parent, child = np.divmod(mixed, children)
             points = masks.reshape(len(masks), cells).take(child * len(parents) + parent, axis=1)
-            labels, seen = self._mode(points)
+            labels, seen = most_voted(points, self._order)
             entries[mixed] = -1 - labels
             self._levels.append({"cells": cells, "mixed": len(mixed), "solves": new})
             blocks.append(entries)
             last, start = start, start + cells
             if level == self._max_level or not mixed.size:
                 break
-            parents = parents[parent] + _grid(split)[child] * size
+            parents = parents[parent] + grid_places(split)[child] * size
         self._points.check_finite(self._points.count)
         return CellTree(
             self._q,
@@ -277,44 +354,6 @@ class _Subdivision:
         """
         return np.array(self._r if level else (1,) * self._n)
 
-    def _test_keys(
-        self, parents: np.ndarray, split: np.ndarray, size: np.ndarray, level: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the keys of a level's test points.
-
-        Returns
-        -------
-        keys : (U, parents)
-            Keys of the U different points of a block of children.
-        table : (children, P)
-            The rows of `keys` that are the test points of each child.
-        roles : (U,)
-            Indices into `ROLES`.
-        """
-        grid = _grid(split)
-        local = 2 * grid[:, None, :] + self._offsets[None, :, :]
-        extents = tuple(2 * split + 1)
-        numbers = np.ravel_multi_index(tuple(np.moveaxis(local, -1, 0)), extents)
-        distinct, table = np.unique(numbers, return_inverse=True)
-        table = table.reshape(numbers.shape)
-        halves = np.stack(np.unravel_index(distinct, extents), axis=1)
-        odd = (halves % 2).sum(axis=1)
-        roles = np.where(odd == 0, 0, np.where(odd == self._n, 1, 2))
-        keys = self._points.encode(halves * (size // 2), parents)
-        count = self._test_points.random
-        if count:
-            rng = np.random.default_rng([self._seed, level])
-            shape = (len(parents), len(grid), count, self._n)
-            inner = grid[:, None, :] * size + rng.integers(1, size, size=shape)
-            inner = np.moveaxis(inner, 0, 2).reshape(-1, len(parents), self._n)
-            strides = self._points.encode(inner.reshape(-1, self._n), np.zeros((1, self._n), int))
-            corners = self._points.encode(np.zeros((1, self._n), int), parents)
-            keys = np.vstack([keys, strides.reshape(-1, len(parents)) + corners])
-            rows = len(distinct) + np.arange(len(grid) * count).reshape(len(grid), count)
-            table = np.hstack([table, rows])
-            roles = np.append(roles, np.full(len(grid) * count, 2))
-        return keys, table, roles
-
     def _exceeds(self, question: Question) -> bool:
         """Return whether a question, or one before, would take more solves than are allowed."""
         allowed = self._max_solves
@@ -343,12 +382,9 @@ class _Subdivision:
         point, child, parent = np.nonzero(tied)
         if not child.size:
             return common
-        # offset / 2 + (1 / 2 - offset / 2) / 4 = (3 offset + 1) / 8 of the cell, offset in halves
-        eighths = 3 * self._offsets[movable[point]] + 1
-        corners = parents[parent] + _grid(self._split(level))[child] * size
-        places = corners + eighths * (size // FINE)
+        corners = parents[parent] + grid_places(self._split(level))[child] * size
         question = self._points.ask(
-            self._points.encode(np.zeros((1, self._n), dtype=np.int64), places)[0]
+            self._blocks.quarter_keys(corners, size, self._offsets[movable[point]])
         )
         if self._exceeds(question):
             return common
@@ -357,29 +393,3 @@ class _Subdivision:
         common = common.copy()
         np.bitwise_and.at(common, (child, parent), moved)
         return common
-
-    def _mode(self, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the labels (K,) and the sets of labels seen (K,) of mixed cells.
-
-        `masks` (P, K) are those of their test points.
-
-        The labels seen are those of determined points, or of all points where none is determined.
-        Every point votes for each label it could have; ties go by preference.
-        """
-        single = np.where(several(masks), masks.dtype.type(0), masks)
-        seen = np.bitwise_or.reduce(single, axis=0)
-        seen = np.where(seen == 0, np.bitwise_or.reduce(masks, axis=0), seen)
-        labels = np.full(len(seen), self._order[0], dtype=np.int32)
-        most = np.zeros(len(seen), dtype=np.int64)
-        for symbol in self._order:
-            bit = masks.dtype.type(1 << symbol)
-            votes = np.count_nonzero(masks & bit, axis=0) * ((seen & bit) != 0)
-            labels[votes > most] = symbol
-            most = np.maximum(votes, most)
-        return labels, np.asarray(seen)
-
-
-def _grid(split: np.ndarray) -> np.ndarray:
-    """Return the integer positions (children, n) of the cells of a block in C order."""
-    places = np.arange(math.prod(split.tolist()))
-    return np.stack(np.unravel_index(places, tuple(split.tolist())), axis=1)

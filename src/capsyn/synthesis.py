@@ -37,6 +37,8 @@ def synthesize(
     settings: SsacSettings | None = None,
     outside: Outside | None = None,
     min_dwell: float | None = None,
+    leaves: str = "constant",
+    leaf_error: float = 0.01,
     test_points: str = "vertices+center",
     seed: int = 0,
     max_solves: int | None = None,
@@ -52,12 +54,19 @@ def synthesize(
         System, goal and alphabet, with their own settings.
     partitions, refinement, max_level, settings, outside, min_dwell : optional
         Override the problem's own.
+    leaves : "constant" or "affine"
+        One symbol for each cell, or rows that are affine in the state for cells on a switching
+        surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
+    leaf_error : float
+        Largest estimated share of a cell where its rows may be wrong; see `subdivide`.
     test_points : str
-        ``"vertices+center"``, with ``+edge_midpoints`` and ``+random:R`` added as wanted.
+        ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` and ``+random:R`` added as
+        wanted; or ``"center+faces"`` and more, without the 2^n vertices.
     seed : int
         Seed of everything that is random.
     max_solves : int, optional
-        Stop before a level that would exceed so many solves, with a valid coarser policy.
+        Of constant leaves: stop before a level that would exceed so many solves, with a valid
+        coarser policy. Of affine ones: spend them where the estimated error is largest.
     backend : "auto", "c" or "numpy"
         How to solve: compiled where there is a compiler, or as told.
     threads : int, optional
@@ -104,21 +113,25 @@ def synthesize(
         problem.max_level,
         test_points,
         max_solves,
+        leaves,
     )
     started = time.perf_counter()
     model = transcribe(problem)
     controller = problem_controller(problem, model, backend, seed)
     ready = time.perf_counter()
+    affine = leaves == "affine"
     policy = subdivide(
-        controller.masks,
+        controller.scored if affine else controller.masks,
         domain,
         problem.alphabet,
         partitions=problem.partitions,
         refinement=problem.refinement,
         max_level=problem.max_level,
+        leaves=leaves,
+        leaf_error=leaf_error,
         test_points=test_points,
         seed=seed,
-        returns="masks",
+        returns="masks+scores" if affine else "masks",
         preference=controller.preference,
         outside=problem.outside,
         name=problem.name,

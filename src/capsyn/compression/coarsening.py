@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from capsyn.cells import CellTree
+from capsyn.errors import ProblemError
 from capsyn.policy import Policy, cell_tree
 
 
@@ -18,6 +19,8 @@ def cut_off(policy: Policy, level: int) -> Policy:
     all labels that are in it or were seen in it.
     """
     cells = cell_tree(policy)
+    if cells.affine is not None:
+        raise ProblemError(f"`policy` must have constant leaves only; {policy!r} has affine leaves")
     labels = len(policy.alphabet) + 1
     leaf = np.where(cells.entries < 0, -1 - cells.entries, 0)
     masks = np.where(cells.entries < 0, np.uint64(1) << leaf.astype(np.uint64), np.uint64(0))

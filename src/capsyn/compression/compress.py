@@ -6,6 +6,7 @@ import dataclasses
 import warnings
 from collections.abc import Iterable, Iterator
 
+from capsyn.compression.affine_tree import affine_tree
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
@@ -98,6 +99,12 @@ def compress(
             raise ProblemError(
                 f"`{name}` is for mode {' and '.join(modes)} only; got {describe(value)}"
             )
+    if cells.affine is not None and (mode == "freedom" or level is not None):
+        got = "level" if level is not None else "mode 'freedom'"
+        raise ProblemError(
+            "`policy` has affine leaves, for which there are modes exact and linear, without "
+            f"level; got {got}"
+        )
     if agreement is not None:
         agreement = finite_number("agreement", agreement, above=0.0)
         if agreement >= 1:
@@ -136,7 +143,13 @@ def compress(
 
 
 def exact_tree(policy: Policy, level: int | None = None) -> DecisionTree:
-    """Return the tree of mode exact of a policy, cut off at a level."""
+    """Return the tree of mode exact of a policy, cut off at a level.
+
+    That of a policy with affine leaves has oblique splits.
+    """
+    if cell_tree(policy).affine is not None:
+        guarantee = Guarantee("exact", content_hash(policy))  # by construction
+        return DecisionTree.of(policy, affine_tree(cell_tree(policy)), guarantee)
     base = policy if level is None else cut_off(policy, level)
     return _proved_tree(policy, base, "exact", level, exact_prices(base))
 

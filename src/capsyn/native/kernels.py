@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.affine_leaves import ROW_ARRAYS
 from capsyn.cells import CellTree
 from capsyn.domain import Box
 from capsyn.model import Model
@@ -104,6 +105,11 @@ class TreeArguments(ctypes.Structure):
         ),
         ("oblique", ctypes.c_int64),
         ("shift", ctypes.c_int64),
+        ("affine", ctypes.c_int64),
+        *(
+            (name, ctypes.c_void_p)
+            for name in "row_starts row_symbols row_constants row_slopes".split()
+        ),
     ]
 
     @staticmethod
@@ -115,11 +121,15 @@ class TreeArguments(ctypes.Structure):
             "periodic": np.array(domain.periodic, dtype=np.uint8),
             "counts": np.array(cells.counts, dtype=np.int64),
         }
-        made = TreeArguments()
+        made = TreeArguments(affine=2**63 - 1)
         if isinstance(cells, CellTree):
             arrays["partitions"] = np.array(cells.partitions, dtype=np.int64)
             arrays["refinement"] = np.array(cells.refinement, dtype=np.int64)
             arrays["entries"] = np.ascontiguousarray(cells.entries, dtype=np.int32)
+            if cells.affine is not None:
+                made.affine = cells.affine.first
+                for name, values in cells.affine.arrays().items():
+                    arrays[name] = np.ascontiguousarray(values, dtype=ROW_ARRAYS[name])
         else:
             arrays["nodes"], arrays["planes"] = (
                 cells.rows,

@@ -26,6 +26,9 @@ typedef struct {
     const node *nodes; /* of a decision tree; threshold of a leaf: its label */
     const int32_t *planes, *starts;
     int64_t oblique, shift;
+    int64_t affine; /* number of the first affine leaf of a cell tree; see AffineLeaves */
+    const int32_t *row_starts, *row_symbols, *row_constants;
+    const int16_t *row_slopes;
 } tree;
 
 /* What a lookup needs of a tree beside its arrays. */
@@ -127,11 +130,29 @@ static int32_t label_of_node(const uint32_t *restrict k, const tree *t)
     return t->nodes[at].threshold;
 }
 
+/* The symbol of an affine leaf at the finest cell k: that of the first of its largest rows. */
+static int32_t label_of_rows(const uint32_t *restrict k, const tree *t, int64_t leaf)
+{
+    int64_t most = INT64_MIN;
+    int32_t best = 0;
+    for (int32_t row = t->row_starts[leaf]; row < t->row_starts[leaf + 1]; ++row) {
+        int64_t value = t->row_constants[row];
+        for (int i = 0; i < STATES; ++i)
+            value += t->row_slopes[(int64_t)row * STATES + i] * (int64_t)k[i];
+        if (value > most) {
+            most = value;
+            best = t->row_symbols[row];
+        }
+    }
+    return best;
+}
+
 static inline int32_t label_of(const uint32_t *restrict k, const tree *cells, const measures *m)
 {
     if (cells->nodes)
         return label_of_node(k, cells);
-    return -1 - (m->binary ? leaf_of_bits(k, cells, m->level) : leaf_of(k, cells, m));
+    const int32_t leaf = -1 - (m->binary ? leaf_of_bits(k, cells, m->level) : leaf_of(k, cells, m));
+    return leaf >= cells->affine ? label_of_rows(k, cells, leaf - cells->affine) : leaf;
 }
 
 /* The finest cell that holds a state or is nearest to it; whether there is one. */

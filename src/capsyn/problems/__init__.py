@@ -15,6 +15,10 @@ _MAKERS = {
     "double-tank-a": ("double_tank", "double_tank_a"),
     "double-tank-b": ("double_tank", "double_tank_b"),
     "cart-pole": ("cart_pole", "cart_pole"),
+    "planar-quadrotor": ("planar_quadrotor", "planar_quadrotor"),
+    "spacecraft": ("spacecraft", "spacecraft"),
+    "double-pendulum": ("double_pendulum", "double_pendulum"),
+    "boost-converter": ("boost_converter", "boost_converter"),
 }
 
 

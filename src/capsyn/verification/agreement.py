@@ -269,8 +269,9 @@ class _Tally:
     def add(self, states: np.ndarray, masks: np.ndarray, preference: tuple[int, ...]) -> None:
         """Count states (B, n) with the controller's masks (B,)."""
         tree, default = self._policy.cells, self._leaves - 1
-        cells = tree.find(self._policy.domain.locate(states, tree.counts))
-        own = tree.labels_at(cells)
+        steps = self._policy.domain.locate(states, tree.counts)
+        cells = tree.find(steps)
+        own = tree.labels_in(cells, steps)
         self._ties += int(several(masks).sum())
         self._not_finite += int((masks == 0).sum())
         masks = np.where(masks == 0, np.uint64(1 << default), masks)
@@ -333,6 +334,7 @@ class _Tally:
         places, states = (np.concatenate(parts) for parts in zip(*self._examples))
         order = np.argsort(places)
         examples = states[order[np.searchsorted(places, cells, sorter=order)]]
+        own = tree.labels_in(cells, domain.locate(examples, tree.counts))
         sizes = np.stack([tree.sizes(k) for k in range(tree.max_level + 1)])
         low = domain.points(lower, tree.counts)
         high = domain.points(lower + sizes[level], tree.counts)
@@ -348,7 +350,7 @@ class _Tally:
                     level=int(level[i]),
                     lower=tuple(low[i].tolist()),
                     upper=tuple(high[i].tolist()),
-                    symbol=symbol(int(tree.labels_at(cells[i]))),
+                    symbol=symbol(int(own[i])),
                     others=tuple(symbol(k) for k in range(self._leaves) if seen >> k & 1),
                     states=int(self._drawn[cells[i]]),
                     disagreeing=int(self._wrong[cells[i]]),

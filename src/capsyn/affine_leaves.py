@@ -1,0 +1,127 @@
+"""Affine leaves: cells whose symbol is that of the largest of a few affine rows, in integers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.errors import PolicyFormatError
+
+LARGEST_SUM = 2**30 - 1
+"""Most that a row may come to anywhere on the lattice; differences of rows fit 32 bits."""
+LARGEST_SLOPE = 2**15 - 1
+ROW_ARRAYS = {
+    "row_starts": np.int32,
+    "row_symbols": np.int32,
+    "row_constants": np.int32,
+    "row_slopes": np.int16,
+}
+"""The tables as files and kernels call them."""
+
+
+@dataclass(frozen=True, eq=False)
+class AffineLeaves:
+    """Tables of rows, one after the other; a leaf's rows ascend by symbol.
+
+    At lattice steps ``z`` a leaf has the symbol of the row with the largest ``constant +
+    slopes @ z``, of equals that of the lowest symbol.
+
+    Parameters
+    ----------
+    first : int
+        Leaf number of the first affine leaf, ``N + 1``: lower ones are symbols and the default.
+    starts : (A + 1,) int32
+        Rows of leaf ``first + a`` are ``starts[a] .. starts[a + 1] - 1``, at least two.
+    symbols : (R,) int32
+        Symbols of the rows, and N for the default.
+    constants : (R,) int32
+        Values at the lattice's lower corner.
+    slopes : (R, n) int16
+        Change per lattice step. ``|constant| + |slopes| @ counts`` is at most `LARGEST_SUM`.
+    """
+
+    first: int
+    starts: np.ndarray
+    symbols: np.ndarray
+    constants: np.ndarray
+    slopes: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("starts", "symbols", "constants", "slopes"):
+            frozen = getattr(self, name).view()
+            frozen.flags.writeable = False
+            object.__setattr__(self, name, frozen)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the tables by the names of `ROW_ARRAYS`."""
+        return {name: getattr(self, name.removeprefix("row_")) for name in ROW_ARRAYS}
+
+    @staticmethod
+    def of_arrays(first: int, arrays: dict[str, np.ndarray]) -> AffineLeaves:
+        """Return the leaves with such tables."""
+        return AffineLeaves(first, *(arrays[name] for name in ROW_ARRAYS))
+
+    def __len__(self) -> int:
+        return max(0, len(self.starts) - 1)
+
+    @staticmethod
+    def of(
+        first: int, rows: np.ndarray, symbols: np.ndarray, constants: np.ndarray, slopes: np.ndarray
+    ) -> AffineLeaves:
+        """Return the leaves with so many `rows` (A,) each."""
+        starts = np.concatenate([[0], np.cumsum(rows)]).astype(np.int32)
+        return AffineLeaves(first, starts, symbols, constants, slopes)
+
+    def labels(self, leaves: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return the symbols (B,) int32 of affine leaf numbers (B,) at lattice steps (B, n)."""
+        places = np.asarray(leaves) - self.first
+        start, rows = self.starts[places], np.diff(self.starts)[places]
+        labels = self.symbols[start]
+        best = self._values(start, steps)
+        for k in range(1, int(rows.max(initial=0))):
+            here = np.flatnonzero(rows > k)
+            row = start[here] + k
+            values = self._values(row, steps[here])
+            better = values > best[here]
+            labels[here[better]], best[here[better]] = self.symbols[row[better]], values[better]
+        return labels
+
+    def _values(self, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        values = self.constants[rows].astype(np.int64)
+        for i in range(steps.shape[1]):
+            values += self.slopes[rows, i] * steps[:, i].astype(np.int64, copy=False)
+        return values
+
+    def masks(self) -> np.ndarray:
+        """Return the sets of symbols (A,) uint64 that the leaves' rows have, as bit masks."""
+        bits = np.uint64(1) << self.symbols.astype(np.uint64)
+        return np.bitwise_or.reduceat(bits, self.starts[:-1]) if len(self) else bits
+
+    def check(self, counts: tuple[int, ...], label_count: int) -> None:
+        """Raise `PolicyFormatError` unless the tables fit each other and a lattice.
+
+        Parameters
+        ----------
+        counts : n ints
+            Lattice steps along each axis.
+        label_count : int
+            Symbols must be below it.
+        """
+        rows, starts = len(self.symbols), self.starts.astype(np.int64)
+        if self.first != label_count:
+            raise PolicyFormatError(f"affine leaves must begin with {label_count}")
+        if len(starts) < 2 or starts[0] or starts[-1] != rows or (np.diff(starts) < 2).any():
+            raise PolicyFormatError("the rows of affine leaves are not two or more for each")
+        if len(self.constants) != rows or self.slopes.shape != (rows, len(counts)):
+            raise PolicyFormatError("the tables of affine leaves differ in length")
+        if (self.symbols < 0).any() or (self.symbols >= label_count).any():
+            raise PolicyFormatError("a row of an affine leaf has an unknown symbol")
+        inside = np.ones(rows, dtype=bool)
+        inside[starts[:-1]] = False
+        if (np.diff(self.symbols)[inside[1:]] <= 0).any():
+            raise PolicyFormatError("the rows of an affine leaf do not ascend by symbol")
+        sums = np.abs(self.slopes.astype(np.float64)) @ np.array(counts, dtype=np.float64)
+        sums += np.abs(self.constants.astype(np.float64))
+        if (sums > LARGEST_SUM).any():
+            raise PolicyFormatError("a row of an affine leaf has sums beyond 31 bits")

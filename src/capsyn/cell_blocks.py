@@ -1,0 +1,111 @@
+"""Blocks of sibling cells and the keys of their test points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.cell_points import CellPoints
+from capsyn.lattice_points import LatticePoints
+
+FINE = 8
+"""Lattice units along the edge of a finest cell: of vertices, centres and edge midpoints, and of
+points a quarter of the way from these to the centre."""
+ROLES = ("vertices", "centers", "others", "quarter")
+"""What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
+
+
+def grid_places(split: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Return the integer positions (children, n) of the cells of a block in C order."""
+    shape = tuple(int(k) for k in split)
+    return np.stack(np.unravel_index(np.arange(math.prod(shape)), shape), axis=1)
+
+
+@dataclass(frozen=True)
+class CellBlocks:
+    """Test points of blocks of children.
+
+    Parameters
+    ----------
+    points : LatticePoints
+        Where test points get their keys.
+    test_points : CellPoints
+        Which points of a cell are tested.
+    n : int
+        Number of axes.
+    seed : int
+        Seed of random test points.
+    """
+
+    points: LatticePoints
+    test_points: CellPoints
+    n: int
+    seed: int
+
+    def keys(
+        self, parents: np.ndarray, split: np.ndarray, size: np.ndarray, stream: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the keys of the test points of blocks.
+
+        Parameters
+        ----------
+        parents : (M, n)
+            Lower corners of the blocks [lattice units].
+        split, size : (n,)
+            Children along each axis, and their edge lengths [lattice units].
+        stream : int
+            Number of the stream of random test points.
+
+        Returns
+        -------
+        keys : (U, M)
+            Keys of the U different points of a block of children.
+        table : (children, P)
+            The rows of `keys` that are the test points of each child.
+        roles : (U,)
+            Indices into `ROLES`.
+        """
+        grid, offsets = grid_places(split), self.test_points.offsets(self.n)
+        local = 2 * grid[:, None, :] + offsets[None, :, :]
+        extents = tuple(2 * split + 1)
+        numbers = np.ravel_multi_index(tuple(np.moveaxis(local, -1, 0)), extents)
+        distinct, table = np.unique(numbers, return_inverse=True)
+        table = table.reshape(numbers.shape)
+        halves = np.stack(np.unravel_index(distinct, extents), axis=1)
+        odd = (halves % 2).sum(axis=1)
+        roles = np.where(odd == 0, 0, np.where(odd == self.n, 1, 2))
+        keys = self.points.encode(halves * (size // 2), parents)
+        count = self.test_points.random
+        if count:
+            rng = np.random.default_rng([self.seed, stream])
+            shape = (len(parents), len(grid), count, self.n)
+            inner = grid[:, None, :] * size + rng.integers(1, size, size=shape)
+            inner = np.moveaxis(inner, 0, 2).reshape(-1, len(parents), self.n)
+            strides = self.points.encode(inner.reshape(-1, self.n), np.zeros((1, self.n), int))
+            corners = self.points.encode(np.zeros((1, self.n), int), parents)
+            keys = np.vstack([keys, strides.reshape(-1, len(parents)) + corners])
+            rows = len(distinct) + np.arange(len(grid) * count).reshape(len(grid), count)
+            table = np.hstack([table, rows])
+            roles = np.append(roles, np.full(len(grid) * count, 2))
+        return keys, table, roles
+
+    def quarter_keys(
+        self, corners: np.ndarray, size: np.ndarray, offsets: np.ndarray
+    ) -> np.ndarray:
+        """Return the keys (K,) of fixed points moved a quarter of the way to the cell's centre.
+
+        Parameters
+        ----------
+        corners : (K, n)
+            Lower corners of the cells [lattice units].
+        size : (n,)
+            Their edge lengths [lattice units].
+        offsets : (K, n)
+            The points, in halves of the cell.
+        """
+        # offset / 2 + (1 / 2 - offset / 2) / 4 = (3 offset + 1) / 8 of the cell, offset in halves
+        places = corners + (3 * offsets + 1) * (size // FINE)
+        return self.points.encode(np.zeros((1, self.n), dtype=np.int64), places)[0]

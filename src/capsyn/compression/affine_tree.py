@@ -1,0 +1,146 @@
+"""Cells with affine leaves as a decision tree: comparisons of rows are oblique splits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from capsyn.affine_leaves import AffineLeaves
+from capsyn.cells import CellTree
+from capsyn.errors import ProblemError
+from capsyn.split_tree import LEAF, SplitTree
+
+MAX_NODES = 20_000_000
+"""Most nodes of a tree."""
+
+
+def affine_tree(cells: CellTree) -> SplitTree:
+    """Return the decision tree of cells with affine leaves, equal to them at every lattice step.
+
+    Blocks of children are halved along one axis after the other, and equal leaves merged. In an
+    affine leaf the largest row so far meets the next: the next one, of a higher symbol, wins
+    where the difference of the two, a plane with whole coefficients, is at least 1. Comparisons
+    that are decided throughout the cell are left out.
+
+    Raises
+    ------
+    ProblemError
+        The tree would have more than `MAX_NODES` nodes.
+    """
+    assert cells.affine is not None
+    nodes = _Nodes(cells.n)
+    found = np.empty(len(cells.entries), dtype=np.int64)  # the node of each cell
+    for level, places, lower in reversed(list(cells.levels())):
+        entries, size = cells.entries[places], cells.sizes(level)
+        leaf = -1 - entries.astype(np.int64)
+        constant = (entries < 0) & (leaf < cells.affine.first)
+        found[places[constant]] = leaf[constant] - cells.affine.first  # labels are below 0
+        for k in np.flatnonzero(leaf >= cells.affine.first):
+            found[places[k]] = nodes.of_rows(cells.affine, int(leaf[k]), lower[k], size)
+        small = cells.sizes(min(level + 1, cells.max_level))
+        for k in np.flatnonzero(entries >= 0):
+            children = found[entries[k] : entries[k] + np.prod(cells.refinement)]
+            found[places[k]] = nodes.of_grid(children.reshape(cells.refinement), lower[k], small)
+    roots = found[: np.prod(cells.partitions)].reshape(cells.partitions)
+    top = nodes.of_grid(roots, np.zeros(cells.n, dtype=np.int64), cells.sizes(0))
+    return nodes.tree(top, cells.counts, cells.affine.first)
+
+
+@dataclass
+class _Nodes:
+    """Inner nodes in the order of their making: children first.
+
+    A node number below 0 is a label, less the number of labels. ``split`` is an axis, or LEAF where
+    the node has a plane.
+    """
+
+    n: int
+    split: list[int] = field(default_factory=list)
+    threshold: list[int] = field(default_factory=list)
+    children: list[tuple[int, int]] = field(default_factory=list)
+    planes: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def join(self, split: int, threshold: int, first: int, second: int) -> int:
+        """Return a node with two children, or the label that they share."""
+        if first == second and first < 0:
+            return first
+        if len(self.split) > MAX_NODES // 2:
+            raise ProblemError(
+                f"the tree of this policy with affine leaves has more than {MAX_NODES:,} nodes"
+            )
+        self.split.append(split)
+        self.threshold.append(threshold)
+        self.children.append((first, second))
+        return len(self.split) - 1
+
+    def of_grid(self, grid: np.ndarray, lower: np.ndarray, size: np.ndarray) -> int:
+        """Return the node of a box whose equal parts are a grid of nodes."""
+        axis = int(np.argmax(grid.shape))
+        count = grid.shape[axis]
+        if count == 1:
+            return int(grid.ravel()[0])
+        half = count // 2
+        middle = int(lower[axis] + half * size[axis])
+        above = lower.copy()
+        above[axis] = middle
+        parts = np.split(grid, [half], axis=axis)
+        first, second = self.of_grid(parts[0], lower, size), self.of_grid(parts[1], above, size)
+        return self.join(axis, middle, first, second)
+
+    def of_rows(self, leaves: AffineLeaves, leaf: int, lower: np.ndarray, size: np.ndarray) -> int:
+        """Return the node of an affine leaf in a box."""
+        place = leaf - leaves.first
+        rows = slice(leaves.starts[place], leaves.starts[place + 1])
+        symbols = leaves.symbols[rows].tolist()
+        slopes, constants = leaves.slopes[rows].astype(np.int64), leaves.constants[rows].tolist()
+        planes = slopes[None, :, :] - slopes[:, None, :]  # of the pair: second less first
+        corner = planes @ lower
+        low = (corner + np.minimum(planes, 0) @ (size - 1)).tolist()
+        high = (corner + np.maximum(planes, 0) @ (size - 1)).tolist()
+
+        def meet(best: int, other: int) -> int:
+            """Return the node where the rows from `other` on are yet to be met."""
+            while other < len(symbols):
+                threshold = constants[best] - constants[other] + 1
+                if low[best][other] >= threshold:
+                    best = other
+                elif high[best][other] >= threshold:
+                    first, second = meet(best, other + 1), meet(other, other + 1)
+                    node = self.join(LEAF, threshold, first, second)
+                    if node >= 0:
+                        self.planes[node] = planes[best, other]
+                    return node
+                other += 1
+            return symbols[best] - leaves.first
+
+        return meet(0, 1)
+
+    def tree(self, top: int, counts: tuple[int, ...], labels: int) -> SplitTree:
+        """Return the nodes below one as a tree, depth first."""
+        split: list[int] = []
+        threshold: list[int] = []
+        second: list[int] = []
+        planes: list[np.ndarray] = []
+        stack = [(top, -1)]
+        while stack:
+            node, parent = stack.pop()
+            here = len(split)
+            if parent >= 0:
+                second[parent] = here
+            second.append(here)
+            if node < 0:
+                split.append(LEAF)
+                threshold.append(node + labels)
+                continue
+            axis = self.split[node]
+            if axis == LEAF:
+                axis = self.n + len(planes)
+                planes.append(self.planes[node])
+            split.append(axis)
+            threshold.append(self.threshold[node])
+            first, other = self.children[node]
+            stack += [(other, here), (first, -1)]
+        rows = np.array([split, threshold, second], dtype=np.int32)
+        table = np.array(planes, dtype=np.int32).reshape(-1, self.n)
+        return SplitTree(counts, rows[0].copy(), rows[1].copy(), rows[2].copy(), table)

@@ -1,0 +1,174 @@
+"""Cells with affine leaves in the order of their making, and the tree that they become."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from capsyn.affine_fit import Fits
+from capsyn.affine_leaves import AffineLeaves
+from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
+from capsyn.errors import ProblemError
+from capsyn.masks import several
+
+LATTICE, FEW, MANY = 2**14, 2**12, 2**18
+"""Steps along an axis that the lattice of rows has at most, unless the cells need more, or another
+axis has few: then many."""
+LEAST_STEPS = 8
+"""Least steps along the edge of a finest cell."""
+
+
+def lattice_level(partitions: tuple[int, ...], refinement: tuple[int, ...], max_level: int) -> int:
+    """Return the level whose cells are the lattice steps of rows.
+
+    Raises
+    ------
+    ProblemError
+        There would be 2^31 steps or more along an axis.
+    """
+    level = max_level
+    while min(refinement) ** (level - max_level) < LEAST_STEPS:
+        level += 1
+    if max(lattice_counts(partitions, refinement, level)) > MAX_COUNT:
+        raise ProblemError(f"`max_level` {max_level} is too high for affine leaves")
+    while True:
+        least = min(lattice_counts(partitions, refinement, level))
+        if max(lattice_counts(partitions, refinement, level + 1)) > (
+            MANY if least < FEW else LATTICE
+        ):
+            return level
+        level += 1
+
+
+@dataclass(eq=False)
+class GrowingCells:
+    """Cells in the order of their making, those of a block together.
+
+    Parameters
+    ----------
+    corner : (K, n)
+        Lower corners [lattice units of the test points].
+    level, child : (K,)
+        Levels, and the first child or -1.
+    label : (K,)
+        Symbols, or -1 where rows decide.
+    accepted : (K,) bool
+        Whether no test point disagrees with the leaf.
+    error : (K,)
+        Estimated share of the cell where its symbol is wrong.
+    seen : (K,) uint64
+        Where test points disagree with the leaf, the set of their labels and the leaf's, else 0.
+    row, rows : (K,)
+        First row in `Rows`, and how many.
+    """
+
+    corner: np.ndarray
+    level: np.ndarray
+    child: np.ndarray
+    label: np.ndarray
+    accepted: np.ndarray
+    error: np.ndarray
+    seen: np.ndarray
+    row: np.ndarray
+    rows: np.ndarray
+
+    @staticmethod
+    def uniform(corner: np.ndarray, level: int, label: np.ndarray) -> GrowingCells:
+        """Return cells of a level whose test points agree on labels (K,)."""
+        count = len(corner)
+        levels = np.full(count, level, dtype=np.int8)
+        none, seen = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.uint64)
+        good, error = np.ones(count, dtype=bool), np.zeros(count)
+        return GrowingCells(
+            corner, levels, none - 1, label, good, error, seen, none.copy(), none.copy()
+        )
+
+    @staticmethod
+    def joined(parts: list[GrowingCells]) -> GrowingCells:
+        """Return all cells of the parts, one after the other."""
+        names = [f.name for f in fields(GrowingCells)]
+        return GrowingCells(*(np.concatenate([getattr(p, k) for p in parts]) for k in names))
+
+    def fit(
+        self, cells: np.ndarray, fits: Fits, masks: np.ndarray, first_row: int, most_error: float
+    ) -> Rows:
+        """Give some cells (M,) their rows; `masks` (P, M) are those of their test points.
+
+        Returns the rows; `first_row` have been made before.
+        """
+        one = fits.used.sum(axis=1) == 1
+        self.label[cells] = np.where(one, fits.used.argmax(axis=1), -1)
+        self.accepted[cells] = (fits.wrong == 0) & (fits.error <= most_error)
+        self.error[cells] = fits.error
+        single = np.where(several(masks), masks.dtype.type(0), masks)
+        bits = np.uint64(1) << np.arange(fits.used.shape[1], dtype=np.uint64)
+        own = np.bitwise_or.reduce(np.where(fits.used, bits, np.uint64(0)), axis=1)
+        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64) | own
+        self.seen[cells] = np.where(fits.wrong == 0, np.uint64(0), seen)
+        kept = fits.used & ~one[:, None]
+        self.rows[cells] = kept.sum(axis=1)
+        self.row[cells] = first_row + np.cumsum(self.rows[cells]) - self.rows[cells]
+        cell, symbol = np.nonzero(kept)
+        return Rows(
+            symbol.astype(np.int32),
+            fits.constants[cell, symbol].astype(np.int32),
+            fits.slopes[cell, symbol].astype(np.int16),
+        )
+
+    def by_level(self, roots: int, children: int) -> Iterator[np.ndarray]:
+        """Yield the cells (M,) of each level in the order of a `CellTree`."""
+        here = np.arange(roots)
+        while here.size:
+            yield here
+            starts = self.child[here[self.child[here] >= 0]]
+            here = (starts[:, None] + np.arange(children)).ravel()
+
+    def tree(
+        self,
+        partitions: tuple[int, ...],
+        refinement: tuple[int, ...],
+        level: int,
+        first: int,
+        rows: list[Rows],
+    ) -> CellTree:
+        """Return the cells as a tree on the lattice of a level.
+
+        Affine leaves have numbers from `first` on.
+        """
+        roots, children = math.prod(partitions), math.prod(refinement)
+        order = np.concatenate(list(self.by_level(roots, children)))
+        split = self.child[order] >= 0
+        entries = -1 - self.label[order].astype(np.int64)
+        entries[split] = roots + children * np.arange(np.count_nonzero(split))
+        affine = np.flatnonzero(~split & (self.label[order] < 0))
+        entries[affine] = -1 - (first + np.arange(len(affine)))
+        mixed = np.flatnonzero(~split & (self.seen[order] != 0))
+        return CellTree(
+            partitions,
+            refinement,
+            level,
+            entries.astype(np.int32),
+            mixed.astype(np.int32),
+            self.seen[order[mixed]],
+            self._affine(order[affine], first, rows) if affine.size else None,
+        )
+
+    def _affine(self, cells: np.ndarray, first: int, rows: list[Rows]) -> AffineLeaves:
+        """Return the affine leaves of cells (A,)."""
+        count, row = self.rows[cells], self.row[cells]
+        ends = np.cumsum(count)
+        picked = np.repeat(row - ends + count, count) + np.arange(ends[-1])
+        symbols, constants, slopes = (np.concatenate(table)[picked] for table in zip(*rows))
+        return AffineLeaves.of(first, count, symbols, constants, slopes)
+
+
+class Rows(NamedTuple):
+    """Rows as `AffineLeaves` has them: symbols (R,), constants (R,) and slopes (R, n)."""
+
+    symbols: np.ndarray
+    constants: np.ndarray
+    slopes: np.ndarray

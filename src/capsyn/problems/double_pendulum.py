@@ -1,0 +1,84 @@
+"""A double pendulum, driven at the shoulder (a pendubot) by three torques; four states."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+
+from capsyn.alphabet import Alphabet
+from capsyn.domain import Box
+from capsyn.problem import Problem
+from capsyn.settings import SsacSettings
+
+GRAVITY = 9.81  # m/s^2
+MASS = 1.0  # kg, a point at the end of each link
+LENGTH = 1.0  # m, of each link
+TORQUE = 5.0  # N m, at the shoulder
+TOLERANCE = 0.05  # of the energy between hanging and standing
+
+
+def dynamics(x: Any, u: Any) -> list[Any]:
+    """Return the rates of (shoulder, elbow, their rates); angles from upright, elbow relative."""
+    unit = MASS * LENGTH**2
+    c, s = ca.cos(x[1]), ca.sin(x[1])
+    m11, m12, m22 = unit * (3 + 2 * c), unit * (1 + c), unit
+    fall = MASS * GRAVITY * LENGTH
+    outer = fall * ca.sin(x[0] + x[1])
+    first = unit * s * (2 * x[2] * x[3] + x[3] ** 2) + 2 * fall * ca.sin(x[0]) + outer + u[0]
+    second = outer - unit * s * x[2] ** 2
+    determinant = m11 * m22 - m12**2
+    return [
+        x[2],
+        x[3],
+        (m22 * first - m12 * second) / determinant,
+        (m11 * second - m12 * first) / determinant,
+    ]
+
+
+def energy(x: Any) -> Any:
+    """Return the energy [J], 0 standing at rest and -58.86 hanging."""
+    unit, c = MASS * LENGTH**2, ca.cos(x[1])
+    kinetic = (0.5 * (3 + 2 * c) * x[2] ** 2 + (1 + c) * x[2] * x[3] + 0.5 * x[3] ** 2) * unit
+    height = 2 * (ca.cos(x[0]) - 1) + ca.cos(x[0] + x[1]) - 1
+    return kinetic + MASS * GRAVITY * LENGTH * height
+
+
+def has_upright_energy(x: Any) -> Any:
+    """Return whether the energy is within 5 % of that of standing, relative to hanging."""
+    return ca.fabs(energy(x)) <= TOLERANCE * 6 * MASS * GRAVITY * LENGTH
+
+
+def double_pendulum() -> Problem:
+    """Return the problem of pumping a double pendulum up to the energy of standing.
+
+    It does not stand up: no torque at the shoulder is asked to balance anything. Without a torque
+    the energy E is conserved, so that ``dJ_dlam_i = E omega_1 u_i``: the torque is against
+    ``E omega_1``, and off where that is within 2.5 J rad/s, between curved surfaces on which the
+    energy, all four states together, decides. With constant leaves 9.7 million solves agree with
+    sSAC on 97.4 % of the volume, with affine ones 100,000 on 98.5 %. With 300,000 of these 479 of
+    500 random starts come within 5 % of the energy in 20 s at 500 Hz; where the links swing faster
+    than the domain knows, the nearest cell decides.
+    """
+    return Problem(
+        name="double-pendulum",
+        dynamics=dynamics,
+        domain=Box(
+            [0.0, 0.0, -6.0, -9.0],
+            [2 * math.pi, 2 * math.pi, 6.0, 9.0],
+            names=["shoulder", "elbow", "shoulder_rate", "elbow_rate"],
+            units=["rad", "rad", "rad/s", "rad/s"],
+            periodic=[True, True, False, False],
+        ),
+        alphabet=Alphabet([-TORQUE, 0.0, TORQUE], inputs=["torque"], units=["N m"]),
+        default=0.0,
+        horizon=0.5,
+        terminal_cost=lambda x: 0.5 * energy(x) ** 2,
+        target=has_upright_energy,
+        outside="nearest",
+        settings=SsacSettings(rule="steepest", control_weight=0.5, steps=48),
+        partitions=4,
+        max_level=2,
+        description="energy of a double pendulum by three torques at the shoulder",
+    )
