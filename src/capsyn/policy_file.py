@@ -26,8 +26,8 @@ from capsyn.targets import Target
 from capsyn.validation import describe, whole_numbers
 
 FORMAT = "capsyn-policy"
-VERSION = 2
-"""Newest version; decision trees have it, cells are written as version 1."""
+VERSION = 3
+"""Newest version; cells are written as version 1, decision trees as 2, either with gaps as 3."""
 CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
 TREE_ARRAYS = {"split": np.int32, "threshold": np.int32, "second": np.int32, "planes": np.int32}
 KEYS = set(
@@ -65,7 +65,7 @@ def save(policy: Policy, path: str | os.PathLike[str]) -> None:
     content, arrays = _content(policy), _arrays(policy)
     document = {
         "format": FORMAT,
-        "version": VERSION if isinstance(policy, DecisionTree) else 1,
+        "version": VERSION if policy.gaps else 2 if isinstance(policy, DecisionTree) else 1,
         "policy": content,
         "sha256": _digest(content, arrays),
     }
@@ -107,6 +107,8 @@ def _content(policy: Policy) -> dict[str, Any]:
             "refinement": list(cells.refinement),
             "max_level": cells.max_level,
         }
+    if policy.gaps:
+        structure["gaps"] = True
     return structure | {
         "name": policy.name,
         "domain": policy.domain.to_json(),
@@ -197,8 +199,9 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
     if document["sha256"] != _digest(content, arrays):
         raise PolicyFormatError("its content does not match its checksum")
-    if document["version"] < (2 if is_tree else 1) or set(content) != (
-        TREE_KEYS if is_tree else CELL_KEYS
+    gaps, known = "gaps" in content, TREE_KEYS if is_tree else CELL_KEYS
+    if document["version"] < (VERSION if gaps else 2 if is_tree else 1) or (
+        set(content) - {"gaps"} != known or content.get("gaps", True) is not True
     ):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
@@ -214,6 +217,7 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
         "model": model,
         "statistics": _statistics(content["statistics"]),
         "evidence": _evidence(document),
+        "gaps": gaps,
     }
     if is_tree:
         counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)

@@ -249,6 +249,9 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
         lines.append(
             "Status: OUTSIDE of the domain, or NOT_FINITE, or OK. Symbols outside are those above."
         )
+        if plan.policy.gaps:
+            told = f"Symbol {plan.gap} of steps: no symbol, the state is OUTSIDE."
+            lines.append(told if self.arithmetic == "lattice" else "Gaps are OUTSIDE, too.")
         if self.prefix != self.wanted:
             lines.append(f"Name '{self.wanted}' became {self.prefix}.")
         lines.append(
@@ -323,6 +326,10 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
             known = f"*status != {upper}_NOT_FINITE"
         else:
             known = f"*status == {upper}_OK"
+        gap = ""
+        if plan.policy.gaps:
+            gap = f"        if (symbol == {plan.gap}) {{\n            symbol = {plan.safe};\n"
+            gap += f"            *status = {upper}_OUTSIDE;\n        }}\n"
         return f"""
 int16_t {p}_decide(const {self.real} x[{plan.n}], {p}_status *status)
 {{
@@ -331,7 +338,7 @@ int16_t {p}_decide(const {self.real} x[{plan.n}], {p}_status *status)
     *status = {p}_quantise(x, places);
     if ({known}) {{
         symbol = {p}_symbol(places);
-    }}
+{gap}    }}
     return symbol;
 }}
 """

@@ -50,6 +50,7 @@ export function decide(state) {
     }
     i = value >= THRESHOLD[i] ? SECOND[i] : i + 1;
   }
+  if (THRESHOLD[i] === GAP) return [SAFE, OUTSIDE];
   return [THRESHOLD[i], inside ? OK : OUTSIDE];
 }
 
@@ -122,6 +123,7 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
         ("DEFAULT", plan.labels - 1, "The symbol of the default control."),
         ("SAFE", plan.safe, "The symbol of states that have no other."),
         ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
+        ("GAP", plan.gap, "The label of steps that are outside; -1: none."),
         ("MIN_DWELL", plan.dwell, "Least time between switches [s]."),
         ("OK", 0, "Statuses."),
         ("OUTSIDE", 1, ""),

@@ -58,6 +58,8 @@ def decide(state):
         else:
             value = sum(a * b for a, b in zip(PLANES[SPLIT[i] - len(z)], z))
         i = SECOND[i] if value >= THRESHOLD[i] else i + 1
+    if THRESHOLD[i] == GAP:
+        return SAFE, OUTSIDE
     return THRESHOLD[i], OK if inside else OUTSIDE
 
 
@@ -135,6 +137,7 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Files:
         f"DEFAULT = {plan.labels - 1}  # the symbol of the default control",
         f"SAFE = {plan.safe}  # the symbol of states that have no other",
         f"NEAREST = {plan.nearest}  # whether a state outside has the symbol of the nearest step",
+        f"GAP = {plan.gap}  # the label of steps that are outside; -1: none",
         f"MIN_DWELL = {plan.dwell!r}  # least time between switches [s]",
         "OK, OUTSIDE, NOT_FINITE = 0, 1, 2  # statuses",
     ]

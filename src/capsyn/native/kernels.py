@@ -173,6 +173,7 @@ class LoopArguments(ctypes.Structure):
             for name in "substeps dwell last outside_error outside_symbol stop symbols".split()
         ),
         ("controls", ctypes.c_void_p),
+        ("gap", ctypes.c_int64),
         ("cells", TreeArguments),
     ]
 
@@ -337,3 +338,63 @@ class ActionKernel:
         if self.function(len(states), *pointers):
             raise MemoryError(f"no memory for {options.steps} integration steps")
         return actions
+
+
+class PredictionArguments(ctypes.Structure):
+    """The ``prediction`` of finite_control_set.c."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in "controls efforts dt steps".split()]
+
+
+@dataclass(frozen=True)
+class FiniteControlSetKernel:
+    """Costs of the best sequences of symbols by their first, compiled. Safe to call from threads."""
+
+    function: Any
+    symbols: int
+
+    @staticmethod
+    def build(
+        step: Program, terminal_cost: Program, symbols: int, depth: int
+    ) -> FiniteControlSetKernel:
+        """Return the kernel of two programs of a model; `KernelBuildError` if it fails.
+
+        ``terminal_cost`` has one output, the cost.
+        """
+        sizes = dict(step.inputs)
+        source = "\n".join(
+            [
+                declarations([step, terminal_cost], "double", LANES),
+                f"#define STATES {sizes['x']}\n#define INPUTS {sizes['u']}",
+                f"#define SYMBOLS {symbols}\n#define DEPTH {depth}",
+                step.to_c("step", uniform=["u", "dt"]),
+                terminal_cost.to_c("terminal_cost"),
+                hand_written("finite_control_set.c"),
+            ]
+        )
+        function = load(source, ("-ffp-contract=off",)).capsyn_finite_control_set
+        function.restype = None
+        p = ctypes.c_void_p
+        function.argtypes = [ctypes.c_int64, p, p, p]
+        return FiniteControlSetKernel(function, symbols)
+
+    def __call__(
+        self,
+        states: np.ndarray,
+        controls: np.ndarray,
+        efforts: np.ndarray,
+        dt: np.ndarray,
+        steps: np.ndarray,
+    ) -> np.ndarray:
+        """Return costs (B, N) of states (B, n); controls (N, m), efforts (N,), dt, steps (D,)."""
+        states = np.ascontiguousarray(states, dtype=np.float64)
+        costs = np.empty((len(states), self.symbols))
+        arrays = [
+            np.ascontiguousarray(controls, dtype=np.float64),
+            np.ascontiguousarray(efforts, dtype=np.float64),
+            np.ascontiguousarray(dt, dtype=np.float64),
+            np.ascontiguousarray(steps, dtype=np.int64),
+        ]
+        plan = PredictionArguments(*(array.ctypes.data for array in arrays))
+        self.function(len(states), _pointer(states), ctypes.addressof(plan), _pointer(costs))
+        return costs
