@@ -46,6 +46,7 @@ STATISTICS: dict[str, tuple[type, ...]] = {
     "not_finite_example": (list, type(None)),
     "stopped_by_max_solves": (bool,),
     "sample": (dict,),
+    "table": (dict,),
 }
 """What statistics hold, if they hold it; there may be more."""
 EVIDENCE = {
@@ -57,6 +58,7 @@ EVIDENCE = {
 ROLES = ("vertices", "centers", "others", "quarter")
 """What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
+TABLE = ("points", "outside", "several")
 SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
 
 
@@ -252,6 +254,9 @@ def _statistics(data: Any) -> dict[str, Any]:
     numbers = all(
         isinstance(v, (int, float)) or (v is None and k in RATIOS) for k, v in sample.items()
     )
+    table = data.get("table", {})
+    if table and not (set(table) == set(TABLE) and all(type(v) is int for v in table.values())):
+        raise PolicyFormatError("its statistic 'table' is of another kind")
     if sample and (not set(sample) >= set(SAMPLE) or not numbers):
         raise PolicyFormatError("its statistic 'sample' is of another kind")
     return data

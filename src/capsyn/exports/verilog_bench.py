@@ -51,7 +51,8 @@ def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str]]:
     """Return a test bench, its vectors in hexadecimal numbers, and what to tell of these.
 
     A line holds, from the highest bits on, the inputs in order, whether the state is outside (for
-    fixed-point ports or a policy with gaps), and the symbol. States that are not finite are left out.
+    fixed-point ports or a policy with gaps), and the symbol. States that are not finite are left
+    out.
     """
     plan, ports = module.plan, module.ports
     used = (golden.statuses != NOT_FINITE) & np.isfinite(golden.readings).all(axis=1)

@@ -348,7 +348,7 @@ class PredictionArguments(ctypes.Structure):
 
 @dataclass(frozen=True)
 class FiniteControlSetKernel:
-    """Costs of the best sequences of symbols by their first, compiled. Safe to call from threads."""
+    """Least costs of sequences by their first symbol, compiled. Safe to call from threads."""
 
     function: Any
     symbols: int

@@ -111,9 +111,7 @@ class _Lines:
         return _Grid(first, step, tuple(int(k) for k in counts))
 
 
-def read_scots(
-    path: str | os.PathLike[str], alphabet: Alphabet | None = None, names: object = None
-) -> Table:
+def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -> Table:
     """Return the table of a static controller of SCOTS.
 
     Parameters
@@ -123,8 +121,6 @@ def read_scots(
     alphabet : Alphabet, optional
         Control vectors in place of the grid's, in the order of the symbols. Default: the points of
         the input grid, all of them, or those in use where there are more than 63.
-    names : n strings, optional
-        Names of the states.
 
     Raises
     ------
@@ -161,7 +157,7 @@ def read_scots(
     bit = np.uint64(1) << np.searchsorted(kept, column).astype(np.uint64)
     np.bitwise_or.at(masks, row, bit)
     grid = masks.reshape(states.counts, order="F")
-    return Table(states.first, states.step, np.ascontiguousarray(grid), alphabet, names)
+    return Table(states.first, states.step, np.ascontiguousarray(grid), alphabet)
 
 
 def _pairs(
@@ -231,4 +227,3 @@ def _numbers(body: np.ndarray, starts: np.ndarray, stops: np.ndarray) -> np.ndar
         within = at < stops
         values[within] = values[within] * 10 + (body[at[within]] - 48)
     return values
-

@@ -78,6 +78,7 @@ class Table:
             )
         for key, value in {"first": first, "step": step, "masks": masks}.items():
             object.__setattr__(self, key, value)
+        self.box()
 
     @staticmethod
     def of(
@@ -124,6 +125,15 @@ class Table:
         """Points along each axis."""
         return self.masks.shape
 
+    def box(self) -> Box:
+        """Return the box of states whose cells have the grid's points as centres."""
+        return self._box(self.counts)
+
+    def _box(self, counts: Sequence[int]) -> Box:
+        lower = self.first - self.step / 2
+        upper = lower + self.step * np.array(counts)
+        return Box(lower, upper, names=self.names, units=self.units, periodic=self.periodic)
+
     @property
     def symbols(self) -> np.ndarray:
         """The lowest symbol allowed at each point (k1, .., kn); -1 where there is none."""
@@ -162,25 +172,21 @@ class Table:
 
         Notes
         -----
-        Equal points are merged into larger cells, blocks of ``2 ** n`` wherever there are gaps,
-        between which the grid may be padded with more of them; the domain grows by as much. A grid
-        without gaps, or with rule ``"nearest"``, or a periodic axis, is not padded: it is refined
-        by factors of its own counts. Of all levels that which takes the fewest cells is chosen.
+        Equal points are merged into larger cells. An axis of a table with gaps is refined by two,
+        padded with gaps at its upper end where its count asks for that; the domain grows by as
+        much. A periodic axis, any of a table without gaps, and any under rule ``"nearest"`` are
+        not padded, but refined by factors of their own counts. Of all numbers of levels that which
+        takes the fewest cells is chosen.
         """
         outside = check_outside(outside, self.alphabet)
         gap = np.uint64(1 << len(self.alphabet))
         masks = np.where(self.masks == 0, gap, self.masks)
         gaps = bool((self.masks == 0).any())
-        lower = self.first - self.step / 2
-        upper = lower + self.step * np.array(self.counts)
-        box = Box(lower, upper, names=self.names, units=self.units, periodic=self.periodic)
-        padded = [gaps and outside != "nearest" and not p for p in box.periodic]
+        padded = [gaps and outside != "nearest" and not p for p in self.box().periodic]
         layouts = list(_layouts(self.counts, padded))
         partitions, refinement, level = min(layouts, key=lambda x: _entry_count(masks, gap, *x))
         masks = _padded(masks, gap, partitions, refinement, level)
-        domain = Box(
-            lower, lower + self.step * np.array(masks.shape), box.names, box.units, box.periodic
-        )
+        domain = self._box(masks.shape)
         domain.check_resolution(masks.shape)
         return Policy(
             name=name,
