@@ -35,6 +35,7 @@ ORDER = [
     "native.source",
     "native.kernels",
     "policy",
+    "native.single",
     "verification",
     "verification.statistics",
     "decision_tree",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.native.single import single_lookup
 from capsyn.plant import choose_substeps, plant_of
 from capsyn.policy import Policy
 from capsyn.validation import describe, finite_number, whole_number
@@ -42,8 +43,10 @@ def policy_system(
     if not isinstance(policy, Policy):
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
 
+    look_up = single_lookup(policy)
+
     def output(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
-        return policy.control(np.asarray(u, dtype=float))
+        return policy.controls[look_up(u)]
 
     return control.NonlinearIOSystem(
         None,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.native.single import single_lookup
 from capsyn.plant import choose_substeps, plant_of
 from capsyn.policy import Policy
 from capsyn.problem import Problem
@@ -133,6 +134,8 @@ def player(
             name = policy.symbol_name(k if k < count else -1)
             raise ProblemError(f"the action {action} of symbol '{name}' is not in {space}")
 
+    look_up = single_lookup(policy)
+
     def act(observed: Any) -> Any:
         if observation is None:
             state = np.asarray(observed, dtype=float).reshape(-1)
@@ -140,7 +143,7 @@ def player(
             state = np.asarray(observation(observed), dtype=float)
             if state.shape != (n,):
                 raise ProblemError(f"`observation` must return ({n},) numbers; got {state.shape}")
-        symbol = int(policy(state))
+        symbol = look_up(state)
         if symbol < 0 and len(table) == count:
             raise ProblemError(
                 "`actions` must have an entry for the default control, which the policy gives at "
