@@ -16,7 +16,10 @@ problem = capsyn.Problem(
     name="pendulum-v1",
     dynamics=lambda x, u: [x[1], 15 * ca.sin(x[0]) + 3 * u[0]],  # g = 10, l = m = 1
     domain=capsyn.Box(
-        [-np.pi, -8], [np.pi, 8], names=["angle", "rate"], units=["rad", "rad/s"],
+        [-np.pi, -8],
+        [np.pi, 8],
+        names=["angle", "rate"],
+        units=["rad", "rad/s"],
         periodic=[True, False],
     ),  # fmt: skip
     alphabet=capsyn.Alphabet([-2, 0, 2], inputs=["torque"], units=["N m"]),
@@ -30,6 +33,7 @@ problem = capsyn.Problem(
 
 
 def state(observation):
+    """Return the state of what the environment shows: cosine, sine, rate."""
     return [np.arctan2(observation[1], observation[0]), observation[2]]
 
 

@@ -13,6 +13,7 @@ ENGINE, GRAVITY, FLAG = 0.001, 0.0025, 0.5
 
 
 def energy(x):
+    """Return the car's energy per mass."""
     return 0.5 * x[1] ** 2 + GRAVITY / 3 * ca.sin(3 * x[0])
 
 

@@ -20,9 +20,9 @@ from capsyn.alphabet import Alphabet
 from capsyn.errors import ProblemError
 from capsyn.sources.table import Table, check_points
 from capsyn.sources.text import fail, read_bytes
-from capsyn.validation import describe, one_of
+from capsyn.validation import one_line, one_of
 
-OFF_GRID = 0.01
+OFF_GRID = 0.1
 """Distance from the grid, in steps, from which on a state is not on it."""
 
 
@@ -210,7 +210,9 @@ def read_npz(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -> 
     except ProblemError:
         raise
     except (zipfile.BadZipFile, ValueError, OSError, EOFError, MemoryError) as error:
-        raise ProblemError(f"'{path}' is no NumPy archive of arrays: {describe(error)}") from None
+        raise ProblemError(
+            f"'{path}' is no NumPy archive of arrays: {one_line(str(error))}"
+        ) from None
     chosen = alphabet if alphabet is not None else Alphabet(arrays["alphabet"])
     return Table.of(arrays["first"], arrays["step"], arrays["symbols"], chosen)
 

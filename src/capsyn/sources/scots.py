@@ -55,7 +55,7 @@ class _Lines:
         end = self.text.find(b"\n", self.place)
         end = len(self.text) if end < 0 else end
         line = self.text[self.place : end].decode("ascii", "replace").strip()
-        self.place = end + 1
+        self.place = min(end + 1, len(self.text))
         return line
 
     def expect(self, *wanted: str) -> str:
