@@ -18,6 +18,7 @@ from capsyn.exports.c import files
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
 from capsyn.sources.table import Table
+from capsyn.transcription import transcribe
 from capsyn.verification.agreement import agreement
 from exported import RUNNERS, assert_equal
 from tables import assert_same, random_table
@@ -124,6 +125,8 @@ def test_closed_loops_end_in_a_gap_or_take_the_safe_symbol(outside):
     for name in ("symbols", "ended", "last", "outside"):
         assert np.array_equal(getattr(runs[0], name), getattr(runs[1], name)), name
     np.testing.assert_allclose(runs[0].states, runs[1].states, rtol=1e-9, atol=1e-9)
+    with pytest.raises(ProblemError, match="`policy` must have no gaps; 'table' has some"):
+        capsyn.lyapunov(dataclasses.replace(policy, model=transcribe(problem)), lambda x: x[0])
     run = runs[0]
     if outside == 1:
         assert set(run.ended) == {"time"} and run.outside.sum() > 0

@@ -316,7 +316,7 @@ def _lookup_kernel(n: int, backend: str, count: int) -> LookupKernel | None:
     except KernelBuildError as error:
         if backend == "c":
             raise
-        warnings.warn(f"looking up with NumPy: {error}", CapsynWarning, stacklevel=3)
+        warnings.warn(f"looking up with NumPy: {error}", CapsynWarning, stacklevel=4)
         return None
 
 

@@ -372,7 +372,7 @@ class FiniteControlSetKernel:
                 hand_written("finite_control_set.c"),
             ]
         )
-        function = load(source, ("-ffp-contract=off",)).capsyn_finite_control_set
+        function = load(source, ("-ffp-contract=fast",)).capsyn_finite_control_set
         function.restype = None
         p = ctypes.c_void_p
         function.argtypes = [ctypes.c_int64, p, p, p]
