@@ -81,7 +81,7 @@ def test_missing_points_are_named_or_outside(file):
         ("x,symbol\n0,1\n0,1\n", "must have two values of 'x' at least; got one"),
         ('x,symbol\n0,"1\n', "line 2: unexpected end of data"),
         (b"\xff\xfe\x00", "is no CSV file: it is not text in UTF-8"),
-        ("x,y,symbol\n" + "".join(f"{k},{k},1\n" for k in range(9000)), "at most 33,554,432"),
+        ("x,y,symbol\n" + "".join(f"{k},{k},1\n" for k in range(9000)), "at most 16,777,216"),
         ("x,x,symbol\n0,0,1\n0,1,1\n1,0,1\n1,1,1\n", "`names` must be non-empty and distinct"),
     ],
 )  # fmt: skip

@@ -150,8 +150,8 @@ def test_grids_that_make_no_sense_are_refused(file):
         ("-0.3", "9.5", "lower left point that is not above"),
         ("0.25", "0.26", "corners that are whole steps apart"),
         ("0.25", "-0.25", "distances above 0"),
-        ("0.25", "1e-300", "corners that are whole|at most 33,554,432 points"),
-        ("0.25", "0.00000001", "at most 33,554,432 points"),
+        ("0.25", "1e-300", "corners that are whole|at most 16,777,216 points"),
+        ("0.25", "0.00000001", "at most 16,777,216 points"),
     ):
         with pytest.raises(ProblemError, match=words):
             read_scots(file(text.replace(old, new, 1)))

@@ -293,5 +293,5 @@ def test_bad_symbols_are_refused(symbols, words):
 
 def test_too_many_points_are_refused():
     masks = np.broadcast_to(np.ones(1, np.uint64), (1 << 13, 1 << 13))
-    with pytest.raises(ProblemError, match="at most 33,554,432 points; got 8,192 x 8,192"):
+    with pytest.raises(ProblemError, match="at most 16,777,216 points; got 8,192 x 8,192"):
         Table([0, 0], [1, 1], masks, Alphabet([0]))

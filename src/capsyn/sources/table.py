@@ -17,7 +17,7 @@ from capsyn.masks import preferred, several
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.validation import describe, finite_array
 
-MOST_POINTS = 1 << 25
+MOST_POINTS = 1 << 24
 """Most points of a grid."""
 
 
@@ -231,7 +231,7 @@ def _layouts(counts: tuple[int, ...], padded: Sequence[bool]) -> Iterator[Layout
             refinement.append(r)
         else:
             sizes = [q * r**level for q, r in zip(partitions, refinement)]
-            if math.prod(sizes) <= 4 * math.prod(counts) and max(sizes) <= MAX_COUNT:
+            if math.prod(sizes) <= 2 * math.prod(counts) and max(sizes) <= MAX_COUNT:
                 yield tuple(partitions), tuple(refinement), level
 
 
