@@ -205,13 +205,14 @@ def test_structured_text_tells_gaps():
 @pytest.mark.parametrize("pipeline", [False, True])
 @pytest.mark.parametrize("dwell", [0.0, 0.01])
 def test_verilog_tells_gaps(inputs, pipeline, dwell, tmp_path):
-    from capsyn.exports import verilog
-    from test_export_verilog import simulate
+    from test_export_verilog import check
 
-    plan = Plan.of(random_table((13, 9), seed=2).policy(min_dwell=dwell), safe=1)
-    made = verilog.files(plan, golden_vectors(plan), inputs=inputs, pipeline=pipeline)
-    assert b"output wire outside" in next(iter(made.values()))
-    simulate(tmp_path, made)
+    for outside in ("error", "nearest"):
+        plan = Plan.of(
+            random_table((13, 9), seed=2).policy(min_dwell=dwell, outside=outside), safe=1
+        )
+        text = check(tmp_path, plan, inputs=inputs, pipeline=pipeline)
+        assert "output wire outside" in text
 
 
 def test_fmus_tell_gaps(tmp_path):

@@ -145,7 +145,6 @@ def _grid(
         k = np.concatenate([[0], np.cumsum(np.rint(np.diff(values) / usual))])
         step[axis] = np.median((values - values[0])[k > 0] / k[k > 0])
         first[axis] = np.median(values - step[axis] * k)
-        k -= k[0]
         off = np.abs(values - first[axis] - step[axis] * k) > OFF_GRID * step[axis]
         rows = np.flatnonzero(off[back.reshape(-1)])
         if len(rows):
