@@ -34,6 +34,7 @@ ORDER = [
     "native.build",
     "native.source",
     "native.kernels",
+    "native.finite_control_set",
     "policy",
     "native.single",
     "verification",

@@ -161,7 +161,7 @@ def finite_control_set(
     plan = (values, efforts, np.full(depth, period / steps), held * steps)
     solver: Solver | None = None
     if backend != "numpy":
-        from capsyn.native.kernels import FiniteControlSetKernel
+        from capsyn.native.finite_control_set import FiniteControlSetKernel
 
         try:
             kernel = FiniteControlSetKernel.build(model.step, end, count, depth)
