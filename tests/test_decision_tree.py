@@ -593,7 +593,7 @@ def test_save_and_load_is_equality(name, tmp_path):
     loaded.save(tmp_path / "again.cap")
     assert (tmp_path / "again.cap").read_bytes() == (tmp_path / "p.cap").read_bytes()
     assert content_hash(loaded) == content_hash(tree) == read(tmp_path / "p.cap")[0]["sha256"]
-    assert read(tmp_path / "p.cap")[0]["version"] == VERSION == 2
+    assert read(tmp_path / "p.cap")[0]["version"] == 2
     states = tree.domain.sample(200)
     assert np.array_equal(loaded(states), tree(states))
 
@@ -681,8 +681,9 @@ TAMPERED = {
     ),
     # keys and versions
     "version 1": (set_version(1), "keys are not those of this format version"),
-    "version 3": (set_version(3), "upgrade"),
+    "version 4": (set_version(VERSION + 1), "upgrade"),
     "one key more": (lambda d, a: d["policy"].update(extra=1), "keys are not those"),
+    "gaps too early": (lambda d, a: d["policy"].update(gaps=True), "keys are not those"),
     "keys of cells": (lambda d, a: d["policy"].update(partitions=[3, 2]), "keys are not those"),
     "no counts": (delete("counts"), "keys are not those"),
     "no guarantee": (delete("guarantee"), "keys are not those"),

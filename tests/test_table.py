@@ -22,6 +22,7 @@ from capsyn.transcription import transcribe
 from capsyn.verification.agreement import agreement
 from exported import RUNNERS, assert_equal
 from tables import assert_same, random_table
+from test_policy_file import refuse, rewrite
 
 COUNTS = [(7,), (37, 23), (16, 8), (11, 6, 5), (5, 4, 3, 3)]
 
@@ -100,6 +101,23 @@ def test_gaps_survive_the_file_and_older_readers_refuse_it(tmp_path, as_tree, mo
     monkeypatch.setattr("capsyn.policy_file.VERSION", 2)
     with pytest.raises(PolicyFormatError, match="has format version 3"):
         Policy.load(tmp_path / "t.cap")
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda d, a: d["policy"].update(gaps=False), "keys are not those of this format version"),
+        (lambda d, a: d["policy"].update(gaps=1), "keys are not those of this format version"),
+        (lambda d, a: d.update(version=2), "keys are not those of this format version"),
+        (lambda d, a: d["policy"]["statistics"].update(table=[1]), "statistic 'table'"),
+        (lambda d, a: d["policy"]["statistics"].update(table={"points": 1}), "statistic 'table'"),
+        (lambda d, a: d["policy"]["statistics"]["table"].update(points="9"), "statistic 'table'"),
+    ],
+)
+def test_tampered_gaps_are_refused(change, words, tmp_path):
+    random_table((9, 8)).policy().save(tmp_path / "t.cap")
+    rewrite(tmp_path / "t.cap", change)
+    refuse(tmp_path / "t.cap", words)
 
 
 def test_gaps_are_true_or_false():
