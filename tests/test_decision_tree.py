@@ -683,6 +683,7 @@ TAMPERED = {
     "version 1": (set_version(1), "keys are not those of this format version"),
     "newer version": (set_version(VERSION + 1), "upgrade"),
     "one key more": (lambda d, a: d["policy"].update(extra=1), "keys are not those"),
+    "gaps too early": (lambda d, a: d["policy"].update(gaps=True), "keys are not those"),
     "keys of cells": (lambda d, a: d["policy"].update(partitions=[3, 2]), "keys are not those"),
     "no counts": (delete("counts"), "keys are not those"),
     "no guarantee": (delete("guarantee"), "keys are not those"),

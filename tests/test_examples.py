@@ -8,6 +8,8 @@ import pytest
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 PROMISES = {
     "boat": ["after 40 s"],
+    "gymnasium_pendulum": ["8303 solves", "policy: mean return -2"],
+    "mountain_car": ["cells: 100 of 100 reach the flag", "tree: 100 of 100 reach the flag"],
     "evidence": ["100.0% of the trials", "online sSAC around the policy: there after 10.05 s"],
     "pendulum": ["4314 solves, 1710 cells", "99.5"],
     "small": ["exact: 471 nodes", "linear: ", "coast -> ahead"],

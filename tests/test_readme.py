@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 import capsyn
 
 ROOT = Path(__file__).parents[1]
@@ -42,3 +44,14 @@ def test_the_code_of_the_guide_to_evidence_runs(tmp_path, monkeypatch):
         exec(compile(code, "evidence.md", "exec"), names)
     assert len(blocks) == 3 and (tmp_path / "run.csv").exists()
     assert names["result"].success_rate == 1.0 and names["action"].decrease > 0
+
+
+def test_the_code_of_the_guide_to_sources_runs(capsys):
+    pytest.importorskip("gymnasium")
+    pytest.importorskip("control")
+    text = (ROOT / "docs" / "sources.md").read_text()
+    names = {}
+    for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec(compile(code, "sources.md", "exec"), names)
+    assert "0 False" in capsys.readouterr().out
+    assert names["run"].outputs.shape == (2, 101) and len(names["found"].returns) == 5

@@ -12,6 +12,7 @@ from capsyn.cli_compression import automaton, compress
 from capsyn.cli_evidence import reproduce, simulate, verify
 from capsyn.cli_explore import explore
 from capsyn.cli_export import export
+from capsyn.cli_import import import_table
 from capsyn.cli_options import (
     Backend,
     File,
@@ -281,6 +282,7 @@ def plot(
     typer.echo(f"wrote {output}")
 
 
+app.command("import")(import_table)
 app.command()(compress)
 app.command()(automaton)
 app.command()(export)

@@ -261,7 +261,8 @@ def print_report(data: dict[str, Any]) -> None:
         value = ", ".join(f"{v:g}" for v in symbol["value"])
         line("symbol", f"{symbol['name']} ({value}): {symbol['volume_share']:.2%} of the volume")
     value = ", ".join(f"{v:g}" for v in data["default"]["value"])
-    line("default", f"({value}): {data['default']['volume_share']:.2%} of the volume")
+    kind = ", in gaps, which are outside" if data["gaps"] else ""
+    line("default", f"({value}): {data['default']['volume_share']:.2%} of the volume{kind}")
     if "cells" in data:
         grid = " x ".join(str(state["partitions"]) for state in data["states"])
         mixed = (
@@ -281,6 +282,13 @@ def print_report(data: dict[str, Any]) -> None:
         line("proof", f"holds for {data['proof']['policy']}")
     if data.get("complexity"):
         _print_complexity(data["complexity"], "cells" in data)
+    if "table" in statistics:
+        counts = {name: f"{count:,}" for name, count in statistics["table"].items()}
+        line(
+            "from",
+            f"a table of {counts['points']} points, {counts['outside']} without a symbol and "
+            f"{counts['several']} with several",
+        )
     if "solves" in statistics:
         named = {
             "vertices": "vertices",

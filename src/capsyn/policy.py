@@ -72,6 +72,9 @@ class Policy:
     evidence : dict
         What `capsyn.verification` found, by kind, as plain data, and under ``"sha256"`` the content
         that it is about; see `with_evidence`.
+    gaps : bool
+        Whether cells of the default control are gaps: states there are outside, although in the
+        domain, and have no symbol of a nearest cell either.
     """
 
     name: str
@@ -88,6 +91,7 @@ class Policy:
     statistics: dict[str, Any] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
     evidence: dict[str, Any] = field(default_factory=dict)
+    gaps: bool = False
 
     _structure: ClassVar[type] = CellTree
 
@@ -101,6 +105,8 @@ class Policy:
         keep("outside", check_outside(self.outside, self.alphabet))
         keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
         check_target(self.target, self.domain)
+        if not isinstance(self.gaps, bool):
+            raise ProblemError(f"`gaps` must be True or False; got {describe(self.gaps)}")
         if self.horizon is not None:
             keep("horizon", finite_number("horizon", self.horizon, above=0.0))
         if self.settings is not None:
@@ -130,8 +136,8 @@ class Policy:
         Raises
         ------
         OutsideDomainError
-            A state outside the domain under rule ``"error"``, or one that is not finite under
-            ``"error"`` or ``"nearest"``.
+            A state outside the domain under rule ``"error"``, or one in a gap, or one that is not
+            finite, under ``"error"`` or ``"nearest"``.
         """
         states = numbers("states", states)
         n = self.domain.n
@@ -139,11 +145,7 @@ class Policy:
             raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")
         rule = check_outside(self.outside if outside is None else outside, self.alphabet)
         flat = states.reshape(-1, n)
-        kernel = _lookup_kernel(n, backend, len(flat))
-        if kernel is None:
-            labels = self._labels(flat, rule == "nearest")
-        else:
-            labels = kernel(flat, self.domain, self.cells, rule == "nearest")
+        labels = self.leaves(flat, rule == "nearest", backend)
         lost = labels < 0
         if lost.any():
             if isinstance(rule, str):
@@ -153,8 +155,32 @@ class Policy:
         labels[labels == len(self.alphabet)] = -1
         return labels.reshape(states.shape[:-1])[()]
 
+    def leaves(self, states: np.ndarray, nearest: bool, backend: str = "auto") -> np.ndarray:
+        """Return leaf numbers (B,) of states (B, n): symbols, N for the default, negative for none.
+
+        With `nearest` a finite state outside the domain has that of the nearest cell.
+        """
+        kernel = _lookup_kernel(self.domain.n, backend, len(states))
+        if kernel is None:
+            labels = self._labels(states, nearest)
+        else:
+            labels = kernel(states, self.domain, self.cells, nearest)
+        if self.gaps:
+            labels[labels == len(self.alphabet)] = -2
+        return labels
+
+    def covers(self, states: Any) -> Any:
+        """Return whether states (..., n) are in the domain and in no gap, booleans (...)."""
+        states = numbers("states", states)
+        if states.ndim == 0 or states.shape[-1] != self.domain.n:
+            raise ProblemError(
+                f"`states` must have shape (..., {self.domain.n}); got {states.shape}"
+            )
+        flat = states.reshape(-1, self.domain.n)
+        return (self.leaves(flat, False) >= 0).reshape(states.shape[:-1])[()]
+
     def _labels(self, states: np.ndarray, nearest: bool) -> np.ndarray:
-        """Return leaf numbers of states (B, n), negative for states that have none."""
+        """Return leaf numbers of states (B, n), negative for states outside or not finite."""
         finite = np.isfinite(states).all(axis=1)
         found = finite if nearest else self.domain.contains(states)
         labels = np.full(len(states), -2, dtype=np.int32)
@@ -167,6 +193,11 @@ class Policy:
         which = f"state {index}" if index is not None else "the state"
         if not np.isfinite(state).all():
             raise OutsideDomainError(f"{which} must be finite; got {text}")
+        if self.domain.contains(state[None])[0]:
+            raise OutsideDomainError(
+                f"{which} must be where the policy has a symbol; {text} is in a gap "
+                "(a safe symbol would answer)"
+            )
         bounds = " x ".join(
             f"[{low:g}, {high:g}]" for low, high in zip(self.domain.lower, self.domain.upper)
         )
@@ -312,7 +343,7 @@ def _lookup_kernel(n: int, backend: str, count: int) -> LookupKernel | None:
     except KernelBuildError as error:
         if backend == "c":
             raise
-        warnings.warn(f"looking up with NumPy: {error}", CapsynWarning, stacklevel=3)
+        warnings.warn(f"looking up with NumPy: {error}", CapsynWarning, stacklevel=4)
         return None
 
 

@@ -27,8 +27,8 @@ from capsyn.targets import Target
 from capsyn.validation import describe, whole_numbers
 
 FORMAT = "capsyn-policy"
-VERSION = 3
-"""Newest version. Cells are written as version 1, decision trees as 2, affine leaves as 3."""
+VERSION = 4
+"""Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4."""
 CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
 AFFINE_ARRAYS = CELL_ARRAYS | ROW_ARRAYS
 TREE_ARRAYS = {"split": np.int32, "threshold": np.int32, "second": np.int32, "planes": np.int32}
@@ -48,6 +48,7 @@ STATISTICS: dict[str, tuple[type, ...]] = {
     "not_finite_example": (list, type(None)),
     "stopped_by_max_solves": (bool,),
     "sample": (dict,),
+    "table": (dict,),
 }
 """What statistics hold, if they hold it; there may be more."""
 EVIDENCE = {
@@ -57,6 +58,7 @@ EVIDENCE = {
 }
 """Kinds of evidence, and the counts and shares that each has at least."""
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
+TABLE = ("points", "outside", "several")
 SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
 
 
@@ -65,7 +67,7 @@ def save(policy: Policy, path: str | os.PathLike[str]) -> None:
     content, arrays = content_of(policy), arrays_of(policy)
     document = {
         "format": FORMAT,
-        "version": _least_version(arrays),
+        "version": _least_version(arrays, policy.gaps),
         "policy": content,
         "sha256": _digest(content, arrays),
     }
@@ -108,6 +110,8 @@ def content_of(policy: Policy) -> dict[str, Any]:
             "refinement": list(cells.refinement),
             "max_level": cells.max_level,
         }
+    if policy.gaps:
+        structure["gaps"] = True
     return structure | {
         "name": policy.name,
         "domain": policy.domain.to_json(),
@@ -137,9 +141,9 @@ def arrays_of(policy: Policy) -> dict[str, np.ndarray]:
     return {name: getattr(cells, name) for name in CELL_ARRAYS} | rows
 
 
-def _least_version(arrays: dict[str, np.ndarray]) -> int:
-    """Return the first version that has files with such arrays."""
-    return 2 if "split" in arrays else 3 if "row_starts" in arrays else 1
+def _least_version(arrays: dict[str, np.ndarray], gaps: bool) -> int:
+    """Return the first version that has files with such arrays, and with gaps."""
+    return 4 if gaps else 2 if "split" in arrays else 3 if "row_starts" in arrays else 1
 
 
 def load(path: str | os.PathLike[str]) -> Policy:
@@ -208,8 +212,9 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
     if document["sha256"] != _digest(content, arrays):
         raise PolicyFormatError("its content does not match its checksum")
-    if document["version"] < _least_version(arrays) or set(content) != (
-        TREE_KEYS if is_tree else CELL_KEYS
+    gaps, known = "gaps" in content, TREE_KEYS if is_tree else CELL_KEYS
+    if document["version"] < _least_version(arrays, gaps) or (
+        set(content) - {"gaps"} != known or content.get("gaps", True) is not True
     ):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
@@ -225,6 +230,7 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
         "model": model,
         "statistics": _statistics(content["statistics"]),
         "evidence": _evidence(document),
+        "gaps": gaps,
     }
     if is_tree:
         counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)
@@ -263,6 +269,9 @@ def _statistics(data: Any) -> dict[str, Any]:
     numbers = all(
         isinstance(v, (int, float)) or (v is None and k in RATIOS) for k, v in sample.items()
     )
+    table = data.get("table", {})
+    if table and not (set(table) == set(TABLE) and all(type(v) is int for v in table.values())):
+        raise PolicyFormatError("its statistic 'table' is of another kind")
     if sample and (not set(sample) >= set(SAMPLE) or not numbers):
         raise PolicyFormatError("its statistic 'sample' is of another kind")
     return data

@@ -65,13 +65,14 @@ def policy_decide(policy: Policy, outside: Outside) -> Decide:
 
     def decide(time: float, measured: np.ndarray) -> Command:
         finite = np.isfinite(measured).all(axis=1)
-        out = ~policy.domain.contains(measured)
-        symbols = np.full(len(measured), outside if isinstance(outside, int) else -1)
-        known = finite if outside == "nearest" else ~out
-        symbols[known] = policy(measured[known], "nearest", backend="numpy")
+        leaves = policy.leaves(measured, outside == "nearest", "numpy")
+        lost = leaves < 0
+        out = lost | ~policy.domain.contains(measured)
+        symbols = np.where(lost, outside if isinstance(outside, int) else -1, leaves)
+        symbols[symbols == len(policy.alphabet)] = -1
         ended = np.full(len(measured), TIME)
         if isinstance(outside, str):
-            ended[out & (outside == "error")] = LEFT_DOMAIN
+            ended[lost] = LEFT_DOMAIN
             ended[~finite] = NOT_FINITE
         return dataclasses.replace(hold(table[symbols], symbols), ended=ended, outside=out)
 
@@ -95,7 +96,7 @@ def _run_compiled(
     error = outside == "error"
     arguments = LoopArguments(
         loop.period, loop.substeps, loop.dwell, loop.samples, error, rule, loop.stop_at_target,
-        symbols, table.ctypes.data, tree,
+        symbols, table.ctypes.data, symbols if policy.gaps else -1, tree,
     )  # fmt: skip
 
     def part(bounds: tuple[int, int]) -> None:

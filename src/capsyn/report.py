@@ -38,6 +38,7 @@ def report(policy: Policy) -> dict[str, Any]:
         "inputs": list(alphabet.inputs),
         "target": None if policy.target is None else describe_target(policy.target, domain),
         "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
+        "gaps": policy.gaps,
         "unused_symbols": [names[k] for k in range(len(alphabet)) if not shares[k]],
         **(_cells(policy, cells) if isinstance(cells, CellTree) else {}),
         **(_tree(policy) if isinstance(policy, DecisionTree) else {}),
@@ -96,11 +97,12 @@ def hints(policy: Policy) -> list[str]:
     found = []
     shares = policy.volume_shares
     unused = [name for name, share in zip(policy.alphabet.names, shares) if not share]
-    if unused:
+    table = "table" in policy.statistics
+    if unused and not table:
         steepest = policy.settings is not None and policy.settings.rule == "steepest"
         weights = "control_weight" if steepest else "gamma and control_weight"
         found.append(f"never used: {', '.join(unused)}; drop them, or look at {weights}")
-    if policy.mixed_share > 0.1 and not policy.has_planes:
+    if policy.mixed_share > 0.1 and not policy.has_planes and not table:
         found.append(
             f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "
             "the boundaries are coarse; raise max_level"

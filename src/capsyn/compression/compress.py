@@ -90,6 +90,11 @@ def compress(
     """
     cells = cell_tree(policy)
     one_of("mode", mode, list(MODES))
+    if policy.gaps and (mode == "linear" or level is not None):
+        raise ProblemError(
+            "`mode` must be exact or freedom, without `level`, for a policy with gaps: other trees "
+            "would give symbols there"
+        )
     for name, value, modes in (
         ("agreement", agreement, ("freedom", "linear")),
         ("level", level, ("exact", "freedom")),

@@ -15,6 +15,7 @@ from capsyn.compression.coarsening import cut_off
 from capsyn.compression.compress import MAX_STATES, compress, exact_tree, free_trees
 from capsyn.compression.judge import Judge
 from capsyn.decision_tree import DecisionTree
+from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
 from capsyn.packing import packed_bytes
 from capsyn.policy import Policy, cell_tree
@@ -87,6 +88,8 @@ def size_curve(
         Is told in words what is done next.
     """
     cell_tree(policy)
+    if policy.gaps:
+        raise ProblemError("`policy` must have no gaps: modes exact and freedom keep those")
     states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, ["auto", "c", "numpy"])

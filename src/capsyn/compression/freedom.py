@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from capsyn.compression.induction import Prices
+from capsyn.compression.induction import Prices, allowed
 from capsyn.masks import Label
 from capsyn.policy import Policy, cell_tree
 from capsyn.random_streams import stream
@@ -46,13 +46,17 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     ----------
     controller : function, optional
         States (B, n) to masks (B,) of the symbols that could be best. It is asked at random states
-        of the cells. Without it the policy's own label has all votes.
+        of the cells. Without it the policy's own label has all votes; of a table, each label that
+        it allows.
     seed : int
         Seed of the states.
     """
     cells, labels = cell_tree(policy), len(policy.alphabet) + 1
     mixed = cells.mixed_cells
     votes = np.zeros((len(mixed), labels), dtype=np.int64)
+    if controller is None and "table" in policy.statistics:
+        votes[allowed(cells.mixed_labels, labels)] = VOTES
+        return votes
     if controller is None:
         votes[np.arange(len(mixed)), -1 - cells.entries[mixed]] = VOTES
         return votes

@@ -338,6 +338,10 @@ int16_t {p}_step({p}_state *state, const {self.reading} x[{n}], uint32_t now,
             known = f"*status != {upper}_NOT_FINITE"
         else:
             known = f"*status == {upper}_OK"
+        gap = ""
+        if plan.policy.gaps:
+            gap = f"        if (symbol == {plan.gap}) {{\n            symbol = {plan.safe};\n"
+            gap += f"            *status = {upper}_OUTSIDE;\n        }}\n"
         return f"""
 int16_t {p}_decide(const {self.reading} x[{plan.n}], {p}_status *status)
 {{
@@ -346,7 +350,7 @@ int16_t {p}_decide(const {self.reading} x[{plan.n}], {p}_status *status)
     *status = {p}_quantise(x, places);
     if ({known}) {{
         symbol = {p}_symbol(places);
-    }}
+{gap}    }}
     return symbol;
 }}
 """

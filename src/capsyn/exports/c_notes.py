@@ -89,6 +89,9 @@ def notes(
     lines.append(
         "Status: OUTSIDE of the domain, or NOT_FINITE, or OK. Symbols outside are those above."
     )
+    if plan.policy.gaps:
+        told = f"Symbol {plan.gap} of steps: no symbol, the state is OUTSIDE."
+        lines.append(told if arithmetic == "lattice" else "Gaps are OUTSIDE, too.")
     lines.append(
         "MISRA C:2012: deviations, of the category advisory only: 2.4 (symbols are for "
         "callers), 8.7 (callers may call every function of this file)."

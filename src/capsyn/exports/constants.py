@@ -27,6 +27,7 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
         ("DEFAULT", plan.labels - 1, "The symbol of the default control."),
         ("SAFE", plan.safe, "The symbol of states that have no other."),
         ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
+        ("GAP", plan.gap, "The label of steps that are outside; -1: none."),
         ("MIN_DWELL", plan.dwell, "Least time between switches [s]."),
         ("OK", OK, "Statuses of a state: in the domain, outside, or not finite."),
         ("OUTSIDE", OUTSIDE, ""),

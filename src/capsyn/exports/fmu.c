@@ -84,6 +84,10 @@ static int decide(const Real *inputs, int *status) {
         else for (i = 0; i < STATES; ++i) value += PLANES[SPLIT[node] - STATES][i] * z[i];
         node = value >= THRESHOLD[node] ? SECOND[node] : node + 1;
     }
+    if (THRESHOLD[node] == GAP) {
+        *status = OUTSIDE;
+        return SAFE;
+    }
     return THRESHOLD[node];
 }
 

@@ -228,6 +228,7 @@ def _source(plan: Plan, guid: str) -> bytes:
         f'#define GUID "{guid}"',
         f"#define SAFE {plan.safe}",
         f"#define NEAREST {int(plan.nearest)}",
+        f"#define GAP {plan.gap}",
         f"#define DWELL {plan.dwell!r}",
         "",
         _table("double", "LOWER[STATES]", domain.lower.tolist()),

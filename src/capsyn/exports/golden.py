@@ -124,5 +124,7 @@ def decide(plan: Plan, readings: np.ndarray) -> Golden:
     inside = domain.contains(states)
     known = finite if plan.nearest else inside
     labels = np.where(known, tree.labels(steps), plan.safe)
+    inside &= labels != plan.gap
+    labels = np.where(labels == plan.gap, plan.safe, labels)
     statuses = np.where(finite, np.where(inside, OK, OUTSIDE), NOT_FINITE)
     return Golden(states, steps, labels, statuses, readings)

@@ -41,6 +41,7 @@ export function decide(state) {
     }
     i = value >= THRESHOLD[i] ? SECOND[i] : i + 1;
   }
+  if (THRESHOLD[i] === GAP) return [SAFE, OUTSIDE];
   return [THRESHOLD[i], inside ? OK : OUTSIDE];
 }
 

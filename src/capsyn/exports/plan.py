@@ -29,7 +29,7 @@ class Plan:
 
     A decision gives a symbol and a status. In the domain it is the policy's symbol. Outside, it is
     the policy's symbol of the nearest cell where the policy's rule is ``nearest``, else the safe
-    symbol; of a state that is not finite always the safe symbol.
+    symbol; of a state that is not finite, or in a gap of the policy, always the safe symbol.
 
     Parameters
     ----------
@@ -110,6 +110,11 @@ class Plan:
         return len(self.policy.alphabet) + 1
 
     @property
+    def gap(self) -> int:
+        """Label of cells whose states are outside and get the safe symbol; -1 for none."""
+        return self.labels - 1 if self.policy.gaps else -1
+
+    @property
     def symbol_names(self) -> tuple[str, ...]:
         """Names of the labels, "default" last."""
         return (*self.policy.alphabet.names, "default")
@@ -151,6 +156,8 @@ class Plan:
         lost = f"symbol {self.safe} ({self.symbol_names[self.safe]})"
         nearest = f"Outside: the symbol of the nearest cell; not finite: {lost}"
         lines.append(nearest if self.nearest else f"Outside and not finite: {lost}")
+        if self.policy.gaps:
+            lines.append(f"In the domain, cells without a symbol are outside: {lost}")
         lines.append(f"Least time between switches: {self.dwell!r} s")
         if policy.settings is not None and policy.horizon is not None:
             settings = policy.settings

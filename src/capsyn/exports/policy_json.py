@@ -34,6 +34,8 @@ WALK = (
     "Else the node compares v = z[split[i]] where split[i] is below the number n of states, and "
     "v = sum of planes[split[i] - n][j] * z[j] over the states j otherwise.",
     "Go on with node second[i] if v >= threshold[i], else with node i + 1.",
+    "If the symbol is outside.gap, where there is one, the symbol is outside.safe and the status "
+    "1.",
 )
 
 
@@ -89,7 +91,8 @@ def document(plan: Plan) -> dict[str, Any]:
             for name, control in zip(plan.symbol_names, policy.controls.tolist())
         ],
         "default": plan.labels - 1,
-        "outside": {"rule": "nearest" if plan.nearest else "safe", "safe": plan.safe},
+        "outside": {"rule": "nearest" if plan.nearest else "safe", "safe": plan.safe}
+        | ({"gap": plan.gap} if plan.policy.gaps else {}),
         "min_dwell": plan.dwell,
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),

@@ -60,6 +60,8 @@ def decide(state):
         else:
             value = sum(a * b for a, b in zip(PLANES[SPLIT[i] - len(z)], z))
         i = SECOND[i] if value >= THRESHOLD[i] else i + 1
+    if THRESHOLD[i] == GAP:
+        return SAFE, OUTSIDE
     return THRESHOLD[i], OK if inside else OUTSIDE
 
 

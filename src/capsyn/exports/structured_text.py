@@ -329,7 +329,7 @@ END_FUNCTION""".splitlines()
         lines = [part for line in lines for part in broken(line, WIDTH - 8)]
         if not self.table:
             call = f"wanted := {self.calls['tree']}({', '.join(self.steps)});"
-            return [*lines, *broken(call, WIDTH - 8)]
+            return [*lines, *broken(call, WIDTH - 8), *self._gap()]
         lines += ["node := 0;", "axis := splits[0];", "WHILE axis >= 0 DO"]
         if len(tree.planes):
             lines += [f"    IF axis < {tree.n} THEN", "        value := z[axis];", "    ELSE"]
@@ -342,7 +342,16 @@ END_FUNCTION""".splitlines()
             lines.append("    value := z[axis];")
         lines += ["    IF value >= thresholds[node] THEN", "        node := seconds[node];"]
         lines += ["    ELSE", "        node := node + 1;", "    END_IF;"]
-        return [*lines, "    axis := splits[node];", "END_WHILE;", f"wanted := {self._label};"]
+        lines += ["    axis := splits[node];", "END_WHILE;", f"wanted := {self._label};"]
+        return lines + self._gap()
+
+    def _gap(self) -> list[str]:
+        """Return what makes the label of gaps the safe symbol, and the state outside."""
+        if not self.plan.policy.gaps:
+            return []
+        test = f"IF wanted = {self.plan.gap} THEN"
+        found = [f"    wanted := {self.plan.safe};", f"    status := {OUTSIDE};"]
+        return [test, *found, "END_IF;"]
 
     def _dwelling(self) -> list[str]:
         """Return the rule of the closed loop for the minimum dwell time."""

@@ -125,6 +125,7 @@ class _Module:
         self.levels = math.ceil(depth / self.stages) if self.stages else depth
         self.stages = math.ceil(depth / self.levels) if self.stages else 0
         self.dwell = plan.dwell > 0
+        self.tells = ports is not None or plan.policy.gaps  # whether a state is outside
         self.clocked = self.stages > 0 or self.dwell
         self.latency = (self.stages + 1 if self.stages else 0) + self.dwell
 
@@ -238,7 +239,7 @@ class _Module:
             ports.append(f"    input wire{sign} [{width - 1}:0] {text}")
         ports += ["    output wire valid_out"] * self.clocked
         ports.append(f"    output wire [{self.symbol_bits - 1}:0] symbol")
-        ports += ["    output wire outside"] * bool(self.ports)
+        ports += ["    output wire outside"] * self.tells
         return [*found, *(p + "," for p in ports[:-1]), ports[-1], ");"]
 
     def _front(self, i: int) -> list[str]:
@@ -305,12 +306,16 @@ class _Module:
     def _end(self) -> list[str]:
         plan, top = self.plan, self.symbol_bits - 1
         safe = f"{self.symbol_bits}'d{plan.safe}"
-        wanted = "decided"
+        wanted, outside, found = "decided", "outside_end", []
         if self.ports and not plan.nearest and not all(plan.policy.domain.periodic):
             wanted = f"outside_end ? {safe} : decided"
+        if plan.policy.gaps:
+            found = [f"    wire gap = decided == {self.symbol_bits}'d{plan.gap};"]
+            wanted, outside = f"gap ? {safe} : {wanted}", "outside_end || gap"
+            outside = outside if self.ports else "gap"
         if not self.dwell:
-            found = [f"    assign symbol = {wanted};"]
-            found += ["    assign outside = outside_end;"] * bool(self.ports)
+            found += [f"    assign symbol = {wanted};"]
+            found += [f"    assign outside = {outside};"] * self.tells
             return found + ["    assign valid_out = valid_end;"] * self.clocked
         controls, default = plan.policy.controls, plan.labels - 1
         same = [k for k in range(default) if (controls[k] == controls[-1]).all()]
@@ -319,11 +324,11 @@ class _Module:
             one, other = f"{self.symbol_bits}'d{k}", f"{self.symbol_bits}'d{default}"
             tests.append(f"!(wanted == {one} && symbol_held == {other})")
             tests.append(f"!(wanted == {other} && symbol_held == {one})")
-        outside = ["            outside_held <= outside_end;"] * bool(self.ports)
         return [
+            *found,
             f"    wire [{top}:0] wanted = {wanted};",
             f"    reg [{top}:0] symbol_held;",
-            *["    reg outside_held;"] * bool(self.ports),
+            *["    reg outside_held;"] * self.tells,
             "    reg valid_held;",
             "    reg started;",
             "    reg [63:0] held; // clocks since the last switch",
@@ -332,11 +337,11 @@ class _Module:
             "        valid_held <= valid_end && !rst;",
             "        if (rst) begin",
             f"            symbol_held <= {safe};",
-            *["            outside_held <= 1'b0;"] * bool(self.ports),
+            *["            outside_held <= 1'b0;"] * self.tells,
             "            started <= 1'b0;",
             "            held <= 64'd0;",
             "        end else begin",
-            *outside,
+            *[f"            outside_held <= {outside};"] * self.tells,
             "            if (held < DWELL_CYCLES) held <= held + 64'd1;",
             "            if (valid_end) begin",
             "                started <= 1'b1;",
@@ -347,7 +352,7 @@ class _Module:
             "        end",
             "    end",
             "    assign symbol = symbol_held;",
-            *["    assign outside = outside_held;"] * bool(self.ports),
+            *["    assign outside = outside_held;"] * self.tells,
             "    assign valid_out = valid_held;",
         ]
 

@@ -41,6 +41,11 @@ class Interface:
     clocked: bool
     dwell: bool
 
+    @property
+    def tells(self) -> bool:
+        """Whether it tells that a state is outside."""
+        return self.ports is not None or self.plan.policy.gaps
+
 
 def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str], Golden | None]:
     """Return a test bench, its vectors in hexadecimal numbers, what to tell of these, and them.
@@ -48,7 +53,8 @@ def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str], G
     The last are the golden vectors at the readings of fixed-point ports; None for lattice steps.
 
     A line holds, from the highest bits on, the inputs in order, whether the state is outside (for
-    fixed-point ports), and the symbol. States that are not finite are left out.
+    fixed-point ports or a policy with gaps), and the symbol. States that are not finite are left
+    out.
     """
     plan, ports = module.plan, module.ports
     used = (golden.statuses != NOT_FINITE) & np.isfinite(golden.readings).all(axis=1)
@@ -58,7 +64,8 @@ def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str], G
         labels = plan.tree.cells.labels(columns)
         beyond = int((golden.statuses[used] != OK).sum())
         about[0] += f" Of {beyond} outside the domain, the nearest steps were taken."
-        outside = at_ports = None
+        outside, at_ports = labels == plan.gap, None
+        labels = np.where(outside, plan.safe, labels)
     else:
         readings = golden.readings[used]
         columns = port_numbers(ports, readings)
@@ -72,10 +79,10 @@ def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str], G
     words = np.zeros(len(columns), dtype=object)
     for i, width in enumerate(module.widths):
         words = (words << width) + (columns[:, i].astype(object) & (2**width - 1))
-    if outside is not None:
+    if module.tells:
         words = (words << 1) + outside.astype(int).astype(object)
     words = (words << module.symbol_bits) + labels.astype(object)
-    bits = sum(module.widths) + bool(ports) + module.symbol_bits
+    bits = sum(module.widths) + module.tells + module.symbol_bits
     digits = (bits + 3) // 4
     head = comment([*plan.header, *about])
     vectors = "\n".join([*head, *(f"{word:0{digits}x}" for word in words.tolist())]) + "\n"
@@ -84,16 +91,16 @@ def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str], G
 
 
 def _text(module: Interface, count: int, bits: int) -> list[str]:
-    fixed, top = bool(module.ports), module.symbol_bits - 1
+    tells, top = module.tells, module.symbol_bits - 1
     names = [f"in_{i}" for i in range(module.plan.n)]
     connected = [f".{port}({name})" for port, name in zip(module.inputs, names)]
-    connected += [".symbol(symbol)"] + [".outside(outside)"] * fixed
+    connected += [".symbol(symbol)"] + [".outside(outside)"] * tells
     if module.clocked:
         clocks = ("clk", "rst", "valid_in", "valid_out")
         connected = [*(f".{name}({name})" for name in clocks), *connected]
     no_dwell = " #(.DWELL_CYCLES(64'd0))" if module.dwell else ""
-    both = "{outside, symbol}" if fixed else "symbol"
-    out = module.symbol_bits + fixed
+    both = "{outside, symbol}" if tells else "symbol"
+    out = module.symbol_bits + tells
     return [
         f"module {module.name}_tb;",
         f'    parameter VECTORS = "{module.name}.mem";',
@@ -102,7 +109,7 @@ def _text(module: Interface, count: int, bits: int) -> list[str]:
         f"    reg [{bits - 1}:0] vector;",
         *(f"    reg [{width - 1}:0] {name};" for name, width in zip(names, module.widths)),
         f"    wire [{top}:0] symbol;",
-        *["    wire outside;"] * fixed,
+        *["    wire outside;"] * tells,
         f"    reg [{out - 1}:0] expected;",
         *["    reg clk, rst, valid_in;", "    wire valid_out;"] * module.clocked,
         "    integer sent, seen, wrong;",

@@ -183,6 +183,7 @@ class LoopArguments(ctypes.Structure):
             for name in "substeps dwell last outside_error outside_symbol stop symbols".split()
         ),
         ("controls", ctypes.c_void_p),
+        ("gap", ctypes.c_int64),
         ("cells", TreeArguments),
     ]
 

@@ -20,6 +20,7 @@ typedef struct {
     double period;
     int64_t substeps, dwell, last, outside_error, outside_symbol, stop, symbols;
     const double *controls; /* (symbols + 1, INPUTS), the default last */
+    int64_t gap;            /* the label of cells that are outside, or -1 */
     tree cells;
 } loop;
 
@@ -109,9 +110,10 @@ static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
         for (int i = 0; i < STATES; ++i)
             measured[i] = t->state[i] + (noise ? noise[i] : 0.0);
         int64_t symbol = nearest_label(&l->cells, m, measured, &outside);
-        outside |= symbol == NOT_FINITE;
+        const int lost = symbol == l->gap; /* in a gap; there is no nearest symbol */
+        outside |= symbol == NOT_FINITE || lost;
         t->outside += outside;
-        if (outside && l->outside_error)
+        if (outside && (l->outside_error || (lost && l->outside_symbol < 0)))
             t->ended = symbol == NOT_FINITE ? NOT_A_STATE : LEFT_DOMAIN;
         else if (symbol == NOT_FINITE && l->outside_symbol < 0)
             t->ended = NOT_A_STATE;

@@ -6,6 +6,7 @@ cells along a switching surface follow it, and the islands that all test points 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -230,6 +231,8 @@ def _label(
         return ssac.masks, ssac.preference
     if not callable(controller):
         raise ProblemError(f"`controller` must be a function; got {describe(controller)}")
+    if isinstance(controller, Policy) and controller.gaps:
+        controller = dataclasses.replace(controller, gaps=False)  # a gap is a label like others
     masks = masks_of_symbols(controller, n_symbols, "controller")
     return masks, tuple(range(n_symbols + 1))
 

@@ -40,7 +40,7 @@ class LoopDerivative:
     Raises
     ------
     ProblemError
-        A policy without a model, or a V that has no derivative along its dynamics.
+        A policy without a model or with gaps, or a V that has no derivative along its dynamics.
     """
 
     def __init__(self, policy: Policy, V: Callable[[Any], Any]) -> None:
@@ -51,6 +51,8 @@ class LoopDerivative:
             raise ProblemError(
                 f"`policy` must have a model to follow; '{policy.name}' was made without one"
             )
+        if policy.gaps:
+            raise ProblemError(f"`policy` must have no gaps; '{policy.name}' has some")
         if not callable(V):
             raise ProblemError(f"`V` must be a function; got {describe(V)}")
         program = user_program("V", V, (("x", n),), (("value", 1), ("gradient", n)))

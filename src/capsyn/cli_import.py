@@ -1,0 +1,87 @@
+"""The command that makes a policy of a tabulated controller."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from capsyn.cli_options import Json, number_list
+from capsyn.console import print_report, show, working
+from capsyn.errors import ProblemError
+
+
+def import_table(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A table: .scs of SCOTS, .csv or .npz.")
+    ],
+    output: Annotated[
+        str | None, typer.Option("--output", "-o", metavar="POLICY", help="Default: FILE.cap")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Of the policy [default: the file's].")] = None,
+    states: Annotated[
+        str | None, typer.Option(metavar="NAME[,NAME..]", help="Names of the states.")
+    ] = None,
+    periodic: Annotated[
+        str | None,
+        typer.Option(metavar="NAME[,NAME..]", help="States whose grid is a whole turn."),
+    ] = None,
+    alphabet: Annotated[
+        str | None,
+        typer.Option(
+            metavar="U[,U..][;U..]",
+            help="Control vectors of the symbols in place of those of the table.",
+        ),
+    ] = None,
+    default: Annotated[
+        str | None,
+        typer.Option(metavar="U[,U..]", help="Default control, that of no symbol [0]."),
+    ] = None,
+    outside: Annotated[
+        str, typer.Option(help="error, nearest, or a symbol's name or index.")
+    ] = "error",
+    missing: Annotated[
+        str, typer.Option(help="Points without a row in a .csv: error or outside.")
+    ] = "error",
+    as_json: Json = False,
+) -> None:
+    """Make a policy of a tabulated controller, equal to it at every point of its grid."""
+    from capsyn.alphabet import Alphabet
+    from capsyn.files import check_writable
+    from capsyn.report import report
+    from capsyn.sources.grid_files import read_table
+
+    path = f"{Path(file).stem}.cap" if output is None else output
+    if Path(path).resolve() == Path(file).resolve():
+        raise ProblemError(f"the output must be another file than the table; got '{path}'")
+    check_writable(path)
+    symbols = None
+    if alphabet is not None:
+        symbols = Alphabet([number_list("alphabet", row) for row in alphabet.split(";")])
+    with working("reading the table"):
+        table = read_table(file, symbols, missing)
+        if states is not None:
+            table = dataclasses.replace(table, names=states.split(","))
+        if periodic is not None:
+            known = table.box().names
+            turns = periodic.split(",")
+            for unknown in set(turns) - set(known):
+                raise ProblemError(
+                    f"--periodic must name states among {', '.join(known)}; got '{unknown}'"
+                )
+            table = dataclasses.replace(table, periodic=[axis in turns for axis in known])
+        policy = table.policy(
+            Path(file).stem if name is None else name,
+            default=None if default is None else number_list("default", default),
+            outside=outside,
+        )
+    policy.save(path)
+    data = report(policy) | {"file": path}
+
+    def told() -> None:
+        print_report(data)
+        typer.echo(f"wrote {path}")
+
+    show(as_json, data, told)

@@ -1,0 +1,109 @@
+"""python-control: policies and plants as its input/output systems."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.native.single import single_lookup
+from capsyn.plant import choose_substeps, plant_of
+from capsyn.policy import Policy
+from capsyn.validation import describe, finite_number, whole_number
+
+try:
+    import control
+except ImportError:
+    raise ProblemError(
+        "`capsyn.integrations.control` needs python-control: pip install 'capsyn[control]'"
+    ) from None
+
+
+def policy_system(
+    policy: Policy, dt: float = 0.0, name: str = "policy"
+) -> control.NonlinearIOSystem:
+    """Return a policy as a static system: states in, controls out.
+
+    Parameters
+    ----------
+    policy : Policy
+        The policy; its out-of-domain rule holds, its minimum dwell time does not.
+    dt : float
+        Sample time [s]; 0 for a system in continuous time. A loop that chatters needs samples: the
+        steps of a solver in continuous time shrink without end at a switching surface.
+    name : str
+        Name of the system.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
+    """
+    if not isinstance(policy, Policy):
+        raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
+
+    look_up = single_lookup(policy)
+
+    def output(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
+        return policy.controls[look_up(u)]
+
+    return control.NonlinearIOSystem(
+        None,
+        output,
+        inputs=list(policy.domain.names),
+        outputs=list(policy.alphabet.inputs),
+        dt=finite_number("dt", dt, least=0.0),
+        name=name,
+    )
+
+
+def plant_system(
+    model: Any, dt: float = 0.0, substeps: int | None = None, name: str = "plant"
+) -> control.NonlinearIOSystem:
+    """Return the system of a problem, or of a policy with a model: controls in, states out.
+
+    Parameters
+    ----------
+    model : Problem or Policy
+        What has the dynamics.
+    dt : float
+        Sample time [s] over which the control is held and the state integrated, as
+        `capsyn.simulate` does; 0 for a system in continuous time.
+    substeps : int, optional
+        Runge-Kutta steps per sample. Default: as many as step doubling asks for.
+    name : str
+        Name of the system.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
+    """
+    dt = finite_number("dt", dt, least=0.0)
+    plant = plant_of(lambda time, states: states, model)
+    if substeps is not None:
+        substeps = whole_number("substeps", substeps, least=1)
+        if not dt:
+            raise ProblemError("`substeps` must be given with a sample time `dt` only")
+    elif dt:
+        controls = np.vstack([plant.alphabet.values, plant.default])
+        substeps = choose_substeps(plant, controls, np.zeros((0, 1)), dt)
+    none = np.zeros((0, 1))
+
+    def update(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
+        state, held = (np.asarray(v, dtype=float)[:, None] for v in (x, np.atleast_1d(u)))
+        if substeps is None:
+            return plant.rates(state, held, none)[:, 0]
+        still, whole = np.zeros_like(state), np.full(1, dt)
+        return plant.advance(state, np.zeros(1), held, none, still, whole, substeps)[0][:, 0]
+
+    return control.NonlinearIOSystem(
+        update,
+        None,
+        inputs=list(plant.alphabet.inputs),
+        outputs=list(plant.domain.names),
+        states=list(plant.domain.names),
+        dt=dt,
+        name=name,
+    )

@@ -1,0 +1,372 @@
+"""Gymnasium: policies play its environments, and problems become environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.native.single import single_lookup
+from capsyn.plant import choose_substeps, plant_of
+from capsyn.policy import Policy
+from capsyn.problem import Problem
+from capsyn.random_streams import derived_seed
+from capsyn.targets import target_program
+from capsyn.validation import describe, finite_array, finite_number, whole_number
+
+try:
+    import gymnasium
+except ImportError:
+    raise ProblemError(
+        "`capsyn.integrations.gymnasium` needs Gymnasium: pip install 'capsyn[gymnasium]'"
+    ) from None
+
+CONFIDENCE = 0.95
+"""Of the interval of the mean return."""
+PLAYING = 8
+"""Purpose of the seeds of episodes."""
+HORIZONS = 10
+"""Length of an episode of a problem, in prediction horizons."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Episodes that a policy has played.
+
+    Parameters
+    ----------
+    returns : (E,)
+        Sum of the rewards of each episode.
+    lengths : (E,)
+        Steps of each episode.
+    terminated : (E,) booleans
+        Whether an episode ended by itself, not by a limit of its length.
+    """
+
+    returns: np.ndarray
+    lengths: np.ndarray
+    terminated: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        """Mean return."""
+        return float(self.returns.mean())
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Student's interval of the mean return, of `CONFIDENCE`; infinite for one episode."""
+        from scipy.stats import t
+
+        count = len(self.returns)
+        if count < 2:
+            return -np.inf, np.inf
+        reach = t.ppf((1 + CONFIDENCE) / 2, count - 1) * self.returns.std(ddof=1) / np.sqrt(count)
+        return self.mean - float(reach), self.mean + float(reach)
+
+    def __repr__(self) -> str:
+        low, high = self.interval
+        return (
+            f"Evaluation({len(self.returns)} episodes, mean return {self.mean:.6g}, {low:.6g} to "
+            f"{high:.6g} with {CONFIDENCE:.0%} confidence, {int(self.terminated.sum())} terminated)"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the evaluation as plain data."""
+        low, high = (v if np.isfinite(v) else None for v in self.interval)
+        figures = {"mean": self.mean, "low": low, "high": high, "confidence": CONFIDENCE}
+        return figures | {name: values.tolist() for name, values in vars(self).items()}
+
+
+Act = Callable[[Any], Any]
+"""Observation to action."""
+
+
+def player(
+    policy: Policy,
+    env: gymnasium.Env,
+    *,
+    observation: Callable[[Any], Any] | None = None,
+    actions: Sequence[Any] | None = None,
+) -> Act:
+    """Return the function from an environment's observations to its actions by a policy.
+
+    Parameters
+    ----------
+    policy : Policy
+        The policy; its out-of-domain rule holds.
+    env : gymnasium.Env
+        Its actions are ``Discrete`` or ``Box``.
+    observation : callable, optional
+        Observation to state (n,). Default: the observation, flat, is the state.
+    actions : N or N + 1 actions, optional
+        The action of each symbol, and of the default control. Default: for ``Discrete`` the
+        symbol's index from the first action on, and none for the default control; for ``Box`` the
+        control vector.
+
+    Raises
+    ------
+    ProblemError
+        Spaces that do not fit the policy, or actions outside the environment's; when called, a
+        default control that has no action.
+    """
+    if not isinstance(policy, Policy):
+        raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
+    n, count, space = policy.domain.n, len(policy.alphabet), env.action_space
+    if observation is None:
+        seen = env.observation_space
+        if not isinstance(seen, gymnasium.spaces.Box) or np.prod(seen.shape, dtype=int) != n:
+            raise ProblemError(
+                f"`observation` must be given where observations are not {n} numbers; got {seen}"
+            )
+    elif not callable(observation):
+        raise ProblemError(f"`observation` must be a function; got {describe(observation)}")
+    table = _actions(policy, space) if actions is None else list(actions)
+    if len(table) not in (count, count + 1):
+        raise ProblemError(
+            f"`actions` must have {count} entries, or {count + 1} with that of the default "
+            f"control; got {len(table)}"
+        )
+    for k, action in enumerate(table):
+        if not space.contains(action):
+            name = policy.symbol_name(k if k < count else -1)
+            raise ProblemError(f"the action {action} of symbol '{name}' is not in {space}")
+
+    look_up = single_lookup(policy)
+
+    def act(observed: Any) -> Any:
+        if observation is None:
+            state = np.asarray(observed, dtype=float).reshape(-1)
+        else:
+            state = np.asarray(observation(observed), dtype=float)
+            if state.shape != (n,):
+                raise ProblemError(f"`observation` must return ({n},) numbers; got {state.shape}")
+        symbol = look_up(state)
+        if symbol < 0 and len(table) == count:
+            raise ProblemError(
+                "`actions` must have an entry for the default control, which the policy gives at "
+                f"state {state.tolist()}"
+            )
+        return table[symbol]
+
+    return act
+
+
+def _actions(policy: Policy, space: Any) -> list[Any]:
+    """Return the actions that symbols have unless told."""
+    count = len(policy.alphabet)
+    if isinstance(space, gymnasium.spaces.Discrete):
+        if count > space.n:
+            raise ProblemError(
+                f"`actions` must be given: the policy has {count} symbols, the environment "
+                f"{space.n} actions"
+            )
+        return [space.dtype.type(space.start + k) for k in range(count)]
+    if isinstance(space, gymnasium.spaces.Box):
+        if np.prod(space.shape, dtype=int) != policy.alphabet.m:
+            raise ProblemError(
+                f"`actions` must be given: controls have {policy.alphabet.m} components, actions "
+                f"the shape {space.shape}"
+            )
+        made = [row.reshape(space.shape).astype(space.dtype) for row in policy.controls]
+        return made if space.contains(made[-1]) else made[:-1]
+    raise ProblemError(f"`env` must have Discrete or Box actions; got {space}")
+
+
+def evaluate(
+    policy: Policy,
+    env: Any,
+    episodes: int = 100,
+    seed: int = 0,
+    *,
+    observation: Callable[[Any], Any] | None = None,
+    actions: Sequence[Any] | None = None,
+) -> Evaluation:
+    """Return how a policy does in episodes of an environment.
+
+    Parameters
+    ----------
+    policy : Policy
+        The policy.
+    env : gymnasium.Env or str
+        An environment whose episodes end, or the name of a registered one.
+    episodes : int
+        How many; each has a seed of its own, so that the first ones do not depend on it.
+    seed : int
+        Seed.
+    observation, actions
+        See `player`.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used; see `player`.
+    """
+    episodes = whole_number("episodes", episodes, least=1, most=10_000_000)
+    seed = whole_number("seed", seed, least=0)
+    made = None
+    if isinstance(env, str):
+        try:
+            env = made = gymnasium.make(env)
+        except gymnasium.error.Error as error:
+            raise ProblemError(f"`env` must be a registered environment: {error}") from None
+    if not isinstance(env, gymnasium.Env):
+        raise ProblemError(f"`env` must be a gymnasium.Env or its name; got {describe(env)}")
+    try:
+        act = player(policy, env, observation=observation, actions=actions)
+        played = [
+            _episode(act, env, derived_seed(seed, PLAYING, k) % 2**31) for k in range(episodes)
+        ]
+    finally:
+        if made is not None:
+            made.close()
+    returns, lengths, terminated = zip(*played)
+    return Evaluation(np.array(returns), np.array(lengths), np.array(terminated))
+
+
+def _episode(act: Act, env: gymnasium.Env, seed: int) -> tuple[float, int, bool]:
+    observed, _ = env.reset(seed=seed)
+    total, length = 0.0, 0
+    while True:
+        observed, reward, terminated, truncated, _ = env.step(act(observed))
+        total, length = total + float(reward), length + 1
+        if terminated or truncated:
+            return total, length, bool(terminated)
+
+
+class Environment(gymnasium.Env):
+    """A problem as an environment; see `environment`."""
+
+    metadata = {"render_modes": []}
+
+    def __init__(
+        self, problem: Problem, rate: float, duration: float, substeps: int | None, stop: bool
+    ) -> None:
+        self.problem, self._stop = problem, stop
+        self._plant = plant_of(lambda time, states: states, problem)
+        self._inside = target_program(self._plant.target, problem.domain)
+        self._period, self._samples = 1 / rate, max(1, round(duration * rate))
+        controls = np.vstack([problem.alphabet.values, problem.default])
+        self._substeps = (
+            choose_substeps(self._plant, controls, np.zeros((0, 1)), self._period)
+            if substeps is None
+            else substeps
+        )
+        domain = problem.domain
+        self.observation_space = gymnasium.spaces.Box(domain.lower, domain.upper, dtype=np.float64)
+        self.action_space = gymnasium.spaces.Discrete(len(problem.alphabet))
+        self._state, self._left = domain.lower.copy(), 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Return the observation of a new initial state, uniform in the domain.
+
+        ``options={"state": x0}`` gives another.
+        """
+        super().reset(seed=seed)
+        domain = self.problem.domain
+        given = (options or {}).get("state")
+        if given is None:
+            self._state = domain.lower + self.np_random.random(domain.n) * domain.widths
+        else:
+            state = finite_array("state", given, 1)
+            if state.shape != (domain.n,):
+                raise ProblemError(f"`state` must have shape ({domain.n},); got {state.shape}")
+            self._state = np.array(state)
+        self._left = self._samples
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Hold the symbol `action` over a sample.
+
+        Returns
+        -------
+        observation : (n,)
+            The state; see `environment`.
+        reward : float
+            Minus the cost of the sample, and where the episode ends the terminal cost.
+        terminated, truncated : bool
+            Whether the episode ended by itself, or its time is over.
+        info : dict
+            The ``state`` itself.
+        """
+        if not self.action_space.contains(action):
+            raise ProblemError(f"`action` must be in {self.action_space}; got {describe(action)}")
+        domain, u = self.problem.domain, self.problem.alphabet.values[int(action)]
+        x, cost = self._plant.advance(
+            self._state[:, None], np.zeros(1), u[:, None], np.zeros((0, 1)),
+            np.zeros((domain.n, 1)), np.full(1, self._period), self._substeps,
+        )  # fmt: skip
+        self._state = x[:, 0]
+        self._left -= 1
+        finite = bool(np.isfinite(self._state).all())
+        left = self.problem.outside == "error" and not domain.contains(self._state[None])[0]
+        arrived = self._stop and bool(self._inside.evaluate(self._state)[0][0] == 1)
+        terminated, truncated = not finite or bool(left) or arrived, self._left <= 0
+        reward = -float(cost[0])
+        if (terminated or truncated) and finite:
+            reward -= float(self._plant.terminal_cost.evaluate(self._state)[0][0])
+        return self._observation(), reward, terminated, truncated, self._info()
+
+    def _observation(self) -> np.ndarray:
+        domain = self.problem.domain
+        state = np.nan_to_num(self._state, posinf=np.inf, neginf=-np.inf)
+        finite = np.isfinite(state)
+        state = np.where(finite, state, np.where(state > 0, domain.upper, domain.lower))
+        return np.clip(domain.wrap(state[None])[0], domain.lower, domain.upper)
+
+    def _info(self) -> dict[str, Any]:
+        return {"state": self._state.copy()}
+
+
+def environment(
+    problem: Problem,
+    *,
+    rate: float | None = None,
+    duration: float | None = None,
+    substeps: int | None = None,
+    stop_at_target: bool = False,
+) -> Environment:
+    """Return a problem as an environment of Gymnasium.
+
+    An action is a symbol, held over a sample; an episode begins anywhere in the domain. The
+    observation is the state, on periodic axes within a period, and beyond the domain its nearest
+    state; the state itself is in ``info``. An episode ends when the state is not finite, or leaves
+    the domain of a problem whose `outside` is ``"error"``.
+
+    Parameters
+    ----------
+    problem : Problem
+        The problem.
+    rate : float, optional
+        Samples per second [1 / s]. Default: 1 over the ``sample_time`` of the problem's settings.
+    duration : float, optional
+        Time of an episode [s]. Default: `HORIZONS` prediction horizons.
+    substeps : int, optional
+        Runge-Kutta steps per sample. Default: as many as step doubling asks for.
+    stop_at_target : bool
+        Whether an episode ends in the problem's target.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
+    """
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
+    rate = 1 / problem.settings.sample_time if rate is None else rate
+    duration = HORIZONS * problem.horizon if duration is None else duration
+    if substeps is not None:
+        substeps = whole_number("substeps", substeps, least=1)
+    if stop_at_target and problem.target is None:
+        raise ProblemError("`stop_at_target` must be False for a problem without a target")
+    return Environment(
+        problem,
+        finite_number("rate", rate, above=0.0),
+        finite_number("duration", duration, above=0.0),
+        substeps,
+        stop_at_target,
+    )

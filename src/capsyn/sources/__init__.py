@@ -1,0 +1,1 @@
+"""Controllers beside sSAC that become policies: callables, predictive control, tables."""

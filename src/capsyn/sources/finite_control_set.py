@@ -1,0 +1,216 @@
+"""Finite-control-set model predictive control: the best of all short sequences of symbols [1]_.
+
+References
+----------
+.. [1] S. Kouro, P. Cortes, R. Vargas, U. Ammann and J. Rodriguez, Model predictive control - a
+   simple and powerful method to control power converters, IEEE Transactions on Industrial
+   Electronics 56(6), 2009.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
+from capsyn.masks import preferred
+from capsyn.problem import Problem
+from capsyn.processors import processors
+from capsyn.program import Program
+from capsyn.transcription import transcribe
+from capsyn.validation import describe, finite_number, one_of, whole_number, whole_numbers
+
+TIE = 1e-9
+"""Share of the least cost by which another symbol's may be larger and still tie with it."""
+MOST_SEQUENCES = 1_000_000
+"""Most sequences of symbols that are tried at a state."""
+BLOCK = 4096
+"""States that NumPy handles at once, and least that a thread gets."""
+
+Solver = Callable[[np.ndarray], np.ndarray]
+"""``states (B, n) -> costs (B, N)``, safe to call from threads."""
+
+
+@dataclass(frozen=True, eq=False)
+class FiniteControlSet:
+    """Finite-control-set predictive control for batches of states.
+
+    Calling it with states (B, n) gives symbols (B,), as `capsyn.subdivide` and others take it.
+    Build it with `finite_control_set`.
+
+    Parameters
+    ----------
+    solver : callable
+        What gives the costs.
+    backend : "c" or "numpy"
+        What the solver is.
+    symbols : int
+        Number of symbols N.
+    threads : int
+        Threads that solve; the result does not depend on it.
+    """
+
+    solver: Solver
+    backend: str
+    symbols: int
+    threads: int
+
+    def costs(self, states: np.ndarray) -> np.ndarray:
+        """Return the least costs (B, N) of the sequences that begin with each symbol.
+
+        They are infinite where no sequence has a finite cost.
+        """
+        states = np.ascontiguousarray(states, dtype=float)
+        size = max(BLOCK, -(-len(states) // self.threads))
+        parts = [states[k : k + size] for k in range(0, len(states), size)]
+        if len(parts) < 2:
+            return self.solver(states)
+        with ThreadPoolExecutor(self.threads) as pool:
+            return np.concatenate(list(pool.map(self.solver, parts)))
+
+    def masks(self, states: np.ndarray) -> np.ndarray:
+        """Return the symbols whose cost ties with the least, as bit masks (B,); 0 without any.
+
+        Costs within `TIE` of the least, relative to its size, tie.
+        """
+        costs = self.costs(states)
+        least = costs.min(axis=1, keepdims=True)
+        with np.errstate(invalid="ignore"):
+            good = (costs <= least + TIE * np.abs(least)) & np.isfinite(costs)
+        return (good.astype(np.uint64) << np.arange(self.symbols, dtype=np.uint64)).sum(
+            axis=1, dtype=np.uint64
+        )
+
+    def __call__(self, states: np.ndarray) -> np.ndarray:
+        """Return the first symbol (B,) of the best sequence, of ties the lowest; -1 without any."""
+        masks = self.masks(states)
+        return np.where(masks == 0, -1, preferred(masks, range(self.symbols)))
+
+
+def finite_control_set(
+    problem: Problem,
+    depth: int,
+    *,
+    sample_time: float,
+    blocks: Any = 1,
+    steps: int = 1,
+    control_weight: Any = None,
+    backend: str = "auto",
+    threads: int | None = None,
+) -> FiniteControlSet:
+    """Return finite-control-set predictive control of a problem.
+
+    At a state, all sequences of `depth` symbols are tried; each symbol is held for its block of
+    samples. What a sequence costs is the problem's running cost along it, the effort ``u^T R u``
+    times the time that each symbol is held, and the problem's terminal cost where it ends. The
+    problem's own horizon is not used.
+
+    Parameters
+    ----------
+    problem : Problem
+        System, costs and alphabet.
+    depth : int
+        Moves of a sequence, 1 or more.
+    sample_time : float
+        Time of a sample [s].
+    blocks : int or (depth,) ints
+        Samples that each move is held (move blocking).
+    steps : int
+        Runge-Kutta steps per sample.
+    control_weight : float or (m, m), optional
+        R [cost / (input unit^2 s)]. Default: that of the problem's settings.
+    backend : "auto", "c" or "numpy"
+        Compiled where there is a compiler, or as told.
+    threads : int, optional
+        Default: one per processor.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used, or more than `MOST_SEQUENCES` sequences.
+    KernelBuildError
+        ``backend="c"`` without a working compiler.
+    """
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
+    values = problem.alphabet.values
+    count = len(values)
+    depth = whole_number("depth", depth, least=1, most=1000)
+    if count**depth > MOST_SEQUENCES:
+        raise ProblemError(
+            f"`depth` must give at most {MOST_SEQUENCES:,} sequences; got {depth}, {count}^{depth} "
+            "of them: hold moves longer with `blocks`"
+        )
+    period = finite_number("sample_time", sample_time, above=0.0)
+    held = np.array(whole_numbers("blocks", blocks, depth, least=1, most=1_000_000))
+    steps = whole_number("steps", steps, least=1, most=1_000_000)
+    settings = problem.settings
+    if control_weight is not None:
+        settings = dataclasses.replace(settings, control_weight=control_weight)
+    efforts = settings.efforts(values)
+    one_of("backend", backend, ["auto", "c", "numpy"])
+    model = transcribe(problem)
+    end = model.terminal_cost
+    end = Program(end.name, end.inputs, end.outputs[:1], end.instructions, end.results[:1])
+    plan = (values, efforts, np.full(depth, period / steps), held * steps)
+    solver: Solver | None = None
+    if backend != "numpy":
+        from capsyn.native.finite_control_set import FiniteControlSetKernel
+
+        try:
+            kernel = FiniteControlSetKernel.build(model.step, end, count, depth)
+
+            def solver(states: np.ndarray) -> np.ndarray:
+                return kernel(states, *plan)
+
+        except KernelBuildError as error:
+            if backend == "c":
+                raise
+            warnings.warn(f"predicting with NumPy: {error}", CapsynWarning, stacklevel=2)
+    used = "numpy" if solver is None else "c"
+    if solver is None:
+        solver = _NumpySolver(model.step, end, *plan)
+    return FiniteControlSet(solver, used, count, processors(threads))
+
+
+@dataclass(frozen=True, eq=False)
+class _NumpySolver:
+    """The same computation as the compiled kernel, by NumPy on blocks of states."""
+
+    step: Program
+    end: Program
+    controls: np.ndarray
+    efforts: np.ndarray
+    dt: np.ndarray
+    steps: np.ndarray
+
+    def __call__(self, states: np.ndarray) -> np.ndarray:
+        costs = np.empty((len(states), len(self.controls)))
+        with np.errstate(all="ignore"):
+            for k in range(0, len(states), BLOCK):
+                x = np.ascontiguousarray(states[k : k + BLOCK].T)
+                for symbol in range(len(self.controls)):
+                    costs[k : k + BLOCK, symbol] = self._least(x, np.zeros(x.shape[1]), 0, [symbol])
+        return costs
+
+    def _least(self, x: np.ndarray, total: np.ndarray, depth: int, symbols: Any) -> np.ndarray:
+        """Return the least cost (B,) of going on from states (n, B) with one of some symbols."""
+        if depth == len(self.dt):
+            cost = total + self.end.evaluate(x)[0][0]
+            return np.where(np.isnan(cost), np.inf, cost)
+        dt, steps = self.dt[depth], int(self.steps[depth])
+        best = np.full(x.shape[1], np.inf)
+        for symbol in symbols:
+            effort, y, cost = self.efforts[symbol] * (dt * steps), x, total
+            for k in range(steps):
+                y, part = self.step.evaluate(y, self.controls[symbol], [dt])
+                cost = cost + effort + part[0] if k == 0 else cost + part[0]
+            least = self._least(y, cost, depth + 1, range(len(self.controls)))
+            best = np.minimum(best, least)
+        return best

@@ -1,0 +1,320 @@
+"""Tabulated controllers: symbols at the points of a uniform grid, as policies that equal them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.alphabet import Alphabet
+from capsyn.cells import MAX_COUNT, CellTree
+from capsyn.domain import Box
+from capsyn.errors import ProblemError
+from capsyn.masks import preferred, several
+from capsyn.policy import Outside, Policy, check_outside
+from capsyn.validation import describe, finite_array
+
+MOST_POINTS = 1 << 24
+"""Most points of a grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A controller that is given at the points of a uniform grid.
+
+    Parameters
+    ----------
+    first, step : (n,)
+        The grid's first point, and its distances along each axis [state units].
+    masks : (k1, .., kn) uint64
+        The symbols that are allowed at each point, as bit masks; 0 where there is none.
+    alphabet : Alphabet
+        The symbols.
+    names, units : n strings, optional
+        Of the states.
+    periodic : n booleans, optional
+        Axes whose last point is one step before the first, a turn later.
+
+    Raises
+    ------
+    ProblemError
+        Wrong shapes, steps that are not above 0, or unknown symbols.
+    """
+
+    first: Any
+    step: Any
+    masks: np.ndarray
+    alphabet: Alphabet
+    names: Any = None
+    units: Any = None
+    periodic: Any = None
+
+    def __post_init__(self) -> None:
+        first, step = finite_array("first", self.first, 1), finite_array("step", self.step, 1)
+        masks = np.asarray(self.masks)
+        if masks.dtype != np.uint64 or masks.ndim == 0 or not masks.size:
+            raise ProblemError(f"`masks` must be a grid of uint64; got {masks.dtype}{masks.shape}")
+        if not len(first) == len(step) == masks.ndim:
+            raise ProblemError(
+                f"`first` and `step` must have {masks.ndim} entries, one per axis; got "
+                f"{len(first)} and {len(step)}"
+            )
+        if (step <= 0).any():
+            raise ProblemError(f"`step` must be above 0; got {describe(self.step)}")
+        check_points(masks.shape)
+        if not isinstance(self.alphabet, Alphabet):
+            raise ProblemError(
+                f"`alphabet` must be a capsyn.Alphabet; got {describe(self.alphabet)}"
+            )
+        wrong = masks >> np.uint64(len(self.alphabet)) != 0
+        if wrong.any():
+            point = np.argwhere(wrong)[0]
+            raise ProblemError(
+                f"`masks` must hold symbols 0 to {len(self.alphabet) - 1}; got "
+                f"{int(masks[tuple(point)]):#b} at state {_text(first + step * point)}"
+            )
+        for key, value in {"first": first, "step": step, "masks": masks}.items():
+            object.__setattr__(self, key, value)
+        self.box()
+
+    @staticmethod
+    def of(
+        first: Any, step: Any, symbols: Any, alphabet: Alphabet | Sequence[Any], **names: Any
+    ) -> Table:
+        """Return the table of an array of symbols.
+
+        Parameters
+        ----------
+        symbols : (k1, .., kn) ints, or (k1, .., kn, N) booleans
+            The symbol of each point, -1 for none; or which symbols are allowed there.
+        alphabet : Alphabet, or (N, m) or (N,) numbers
+            The symbols.
+        names
+            ``names``, ``units`` and ``periodic`` of the states.
+        """
+        if not isinstance(alphabet, Alphabet):
+            alphabet = Alphabet(alphabet)
+        array, count = np.asarray(symbols), len(alphabet)
+        bits = np.uint64(1) << np.arange(count, dtype=np.uint64)
+        if array.dtype == bool:
+            if array.ndim < 2 or array.shape[-1] != count:
+                raise ProblemError(
+                    f"`symbols` must be booleans of shape (k1, .., kn, {count}); got {array.shape}"
+                )
+            masks = (array * bits).sum(axis=-1, dtype=np.uint64)
+        elif np.issubdtype(array.dtype, np.integer):
+            wrong = (array < -1) | (array >= count)
+            if wrong.any():
+                point = np.argwhere(wrong)[0]
+                raise ProblemError(
+                    f"`symbols` must be -1 to {count - 1}; got {array[tuple(point)]} at grid point "
+                    f"{tuple(point.tolist())}"
+                )
+            masks = np.where(array < 0, np.uint64(0), bits[array])
+        else:
+            raise ProblemError(
+                f"`symbols` must be whole numbers or booleans; got {describe(symbols)}"
+            )
+        return Table(first, step, masks, alphabet, **names)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Points along each axis."""
+        return self.masks.shape
+
+    def box(self) -> Box:
+        """Return the box of states whose cells have the grid's points as centres."""
+        return self._box(self.counts)
+
+    def _box(self, counts: Sequence[int]) -> Box:
+        lower = self.first - self.step / 2
+        upper = lower + self.step * np.array(counts)
+        return Box(lower, upper, names=self.names, units=self.units, periodic=self.periodic)
+
+    @property
+    def symbols(self) -> np.ndarray:
+        """The lowest symbol allowed at each point (k1, .., kn); -1 where there is none."""
+        lowest = preferred(self.masks, range(len(self.alphabet)))
+        return np.where(self.masks == 0, -1, lowest)
+
+    def points(self) -> np.ndarray:
+        """Return the states (P, n) of the grid in C order."""
+        axes = [low + h * np.arange(k) for low, h, k in zip(self.first, self.step, self.counts)]
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+    def policy(
+        self,
+        name: str = "table",
+        *,
+        default: Any = None,
+        outside: Outside = "error",
+        min_dwell: float = 0.0,
+    ) -> Policy:
+        """Return the policy whose cells have the grid's points as centres, and equal the table.
+
+        Where a point has several symbols, the policy takes the lowest, and compression in mode
+        freedom any of them. Where it has none, there is a gap: the state is outside.
+
+        Parameters
+        ----------
+        name : str
+            Name of the policy.
+        default : (m,), optional
+            Default control [input units], which exports apply where there is no symbol unless told
+            otherwise. Default: 0.
+        outside : "error", "nearest" or symbol
+            What a state outside gets; in a gap, ``"nearest"`` is an error.
+        min_dwell : float
+            Least time between switches [s].
+
+        Notes
+        -----
+        Equal points are merged into larger cells. An axis of a table with gaps is refined by two,
+        padded with gaps at its upper end where its count asks for that; the domain grows by as
+        much. A periodic axis, any of a table without gaps, and any under rule ``"nearest"`` are
+        not padded, but refined by factors of their own counts. Of all numbers of levels that which
+        takes the fewest cells is chosen.
+        """
+        outside = check_outside(outside, self.alphabet)
+        gap = np.uint64(1 << len(self.alphabet))
+        masks = np.where(self.masks == 0, gap, self.masks)
+        gaps = bool((self.masks == 0).any())
+        padded = [gaps and outside != "nearest" and not p for p in self.box().periodic]
+        layouts = list(_layouts(self.counts, padded))
+        partitions, refinement, level = min(layouts, key=lambda x: _entry_count(masks, gap, *x))
+        masks = _padded(masks, gap, partitions, refinement, level)
+        domain = self._box(masks.shape)
+        domain.check_resolution(masks.shape)
+        return Policy(
+            name=name,
+            domain=domain,
+            alphabet=self.alphabet,
+            default=np.zeros(self.alphabet.m) if default is None else default,
+            cells=_merged(masks, partitions, refinement, level, len(self.alphabet)),
+            outside=outside,
+            min_dwell=min_dwell,
+            statistics={
+                "table": {
+                    "points": int(self.masks.size),
+                    "outside": int(np.count_nonzero(self.masks == 0)),
+                    "several": int(np.count_nonzero(several(self.masks))),
+                }
+            },
+            gaps=gaps,
+        )
+
+
+def check_points(counts: Sequence[int]) -> None:
+    """Raise `ProblemError` for a grid of too many points."""
+    if math.prod(counts) > MOST_POINTS:
+        shape = " x ".join(f"{k:,}" for k in counts)
+        raise ProblemError(f"a table must have at most {MOST_POINTS:,} points; got {shape}")
+
+
+Layout = tuple[tuple[int, ...], tuple[int, ...], int]
+"""Partitions, refinement and levels of cells."""
+
+
+def _layouts(counts: tuple[int, ...], padded: Sequence[bool]) -> Iterator[Layout]:
+    """Yield what cells may be like: no levels, or some with blocks that fit or are padded."""
+    yield counts, (2,) * len(counts), 0
+    for level in range(1, max(counts).bit_length()):
+        partitions, refinement = [], []
+        for count, free in zip(counts, padded):
+            r = 2 if free else _root(count, level)
+            if r is None:
+                break
+            partitions.append(-(-count // r**level))
+            refinement.append(r)
+        else:
+            sizes = [q * r**level for q, r in zip(partitions, refinement)]
+            if math.prod(sizes) <= 2 * math.prod(counts) and max(sizes) <= MAX_COUNT:
+                yield tuple(partitions), tuple(refinement), level
+
+
+def _root(count: int, level: int) -> int | None:
+    """Return the least factor >= 2 whose power divides a count, if there is one."""
+    return next(
+        (r for r in range(2, int(count ** (1 / level) + 1.5)) if count % r**level == 0), None
+    )
+
+
+def _padded(
+    masks: np.ndarray,
+    gap: np.uint64,
+    partitions: tuple[int, ...],
+    refinement: tuple[int, ...],
+    level: int,
+) -> np.ndarray:
+    sizes = [q * r**level for q, r in zip(partitions, refinement)]
+    more = [(0, size - k) for size, k in zip(sizes, masks.shape)]
+    return np.pad(masks, more, constant_values=gap)
+
+
+def _pyramid(masks: np.ndarray, refinement: tuple[int, ...], level: int) -> list[np.ndarray]:
+    """Return the mask of every cell, coarsest level first; 0 where those below it differ."""
+    levels = [masks]
+    for _ in range(level):
+        below = levels[-1]
+        shape = [part for k, r in zip(below.shape, refinement) for part in (k // r, r)]
+        inner = tuple(range(1, 2 * below.ndim, 2))
+        blocks = below.reshape(shape)
+        first = blocks[(slice(None), 0) * below.ndim]
+        same = (blocks == np.expand_dims(first, inner)).all(axis=inner)
+        levels.append(np.where(same, first, np.uint64(0)))
+    return levels[::-1]
+
+
+def _entry_count(
+    masks: np.ndarray,
+    gap: np.uint64,
+    partitions: tuple[int, ...],
+    refinement: tuple[int, ...],
+    level: int,
+) -> int:
+    """Return how many entries the cells of a layout have."""
+    levels = _pyramid(_padded(masks, gap, partitions, refinement, level), refinement, level)
+    blocks = sum(int(np.count_nonzero(cells == 0)) for cells in levels)
+    return math.prod(partitions) + blocks * math.prod(refinement)
+
+
+def _merged(
+    masks: np.ndarray,
+    partitions: tuple[int, ...],
+    refinement: tuple[int, ...],
+    level: int,
+    gap: int,
+) -> CellTree:
+    """Return the cells of a grid of masks; label `gap` where its bit is set."""
+    n = masks.ndim
+    children = np.stack(np.unravel_index(np.arange(math.prod(refinement)), refinement), axis=1)
+    cells = np.stack(np.unravel_index(np.arange(math.prod(partitions)), partitions), axis=1)
+    entries, mixed, sets = [], [], []
+    start = 0
+    for grid in _pyramid(masks, refinement, level):
+        own = grid[tuple(cells.T)]
+        split = own == 0
+        end = start + len(own)
+        labels = preferred(own, range(gap + 1)).astype(np.int64)
+        blocks = end + len(children) * (np.cumsum(split) - 1)
+        entries.append(np.where(split, blocks, -1 - labels).astype(np.int32))
+        free = np.flatnonzero(several(own))
+        mixed.append((start + free).astype(np.int32))
+        sets.append(own[free])
+        start = end
+        cells = (cells[split][:, None, :] * refinement + children).reshape(-1, n)
+    return CellTree(
+        partitions,
+        refinement,
+        level,
+        np.concatenate(entries),
+        np.concatenate(mixed),
+        np.concatenate(sets),
+    )
+
+
+def _text(state: np.ndarray) -> str:
+    return "(" + ", ".join(f"{v:.6g}" for v in state) + ")"

@@ -1,0 +1,100 @@
+"""Callables and trained agents as labelling functions."""
+
+import numpy as np
+import pytest
+
+from capsyn import Alphabet, Box, compress, subdivide
+from capsyn.errors import ProblemError
+from capsyn.sources.callables import labels_of, problem_policy
+
+BOX = Box([-1, -1], [1, 1])
+ALPHABET = Alphabet([[-1, 0], [0, 0], [1, 0.1]])
+
+
+def law(x):
+    return (x[..., 0] > 0.3).astype(int) + (x[..., 1] > 0)
+
+
+class Agent:
+    """What trained agents look like: `predict` of one or many observations gives a pair."""
+
+    def predict(self, observation, state=None, deterministic=False):
+        assert deterministic
+        return law(np.asarray(observation)), state
+
+
+class Plain:
+    def predict(self, observation):
+        return law(np.asarray(observation))[..., None]
+
+
+@pytest.mark.parametrize(
+    "controller, options",
+    [
+        (law, {}),
+        (lambda x: law(x).astype(float), {}),
+        (Agent(), {}),
+        (Plain(), {}),
+        (Agent(), {"batched": False}),
+        (lambda x: int(law(x)), {"batched": False}),
+        (lambda x: ALPHABET.values[law(x)], {"actions": "controls"}),
+        (lambda x: ALPHABET.values[law(x)].astype(np.float32), {"actions": "controls"}),
+        (lambda x: ALPHABET.values[law(x)], {"actions": "controls", "batched": False}),
+        (lambda o: law(o[..., ::-1] / 2), {"observation": lambda x: 2 * x[:, ::-1]}),
+    ],
+)
+def test_every_kind_gives_the_law(controller, options):
+    label, states = labels_of(controller, ALPHABET, **options), BOX.sample(300, 1)
+    np.testing.assert_array_equal(label(states), law(states))
+
+
+def test_policies_and_trees_come_from_them():
+    label = labels_of(Agent(), ALPHABET)
+    policy = subdivide(label, BOX, ALPHABET, max_level=3)
+    states = BOX.sample(5000, 2)
+    assert (policy(states) == law(states)).mean() > 0.97
+    tree = compress(policy, "linear", controller=label, agreement=0.97, states=5000)
+    assert tree.guarantee.controller == "function" and tree.guarantee.reached
+
+
+@pytest.mark.parametrize(
+    "controller, options, words",
+    [
+        (lambda x: np.full(len(x), 3), {},
+         r"`controller` must return symbols from -1 to 2; got 3 at state \[0.5, -0.5\]"),
+        (lambda x: np.array([0, 5]), {}, r"got 5 at state \[0.25, 0.75\]"),
+        (lambda x: np.array([0, 0.5]), {}, r"got 0.5 at state \[0.25, 0.75\]"),
+        (lambda x: np.array([0, np.nan]), {}, r"got nan at state \[0.25, 0.75\]"),
+        (lambda x: ALPHABET.values[[0, 1]] + 0.01, {"actions": "controls"},
+         r"controls of the alphabet \(\(-1, 0\), .*\); got \[-0.99, 0.01\] at state \[0.5, -0.5\]"),
+        (lambda x: np.zeros(3, int), {}, r"actions of shape \(2,\); got int64 of shape \(3,\)"),
+        (lambda x: ["a", "b"], {}, "actions of shape"),
+        (lambda x: [[1, 2], [3]], {}, "actions of shape"),
+        (lambda x: None, {"batched": False}, "from 2 calls"),
+        (lambda x: np.zeros(2), {"actions": "controls"}, r"actions of shape \(2, 2\)"),
+        (lambda x: 1 / 0, {}, "`controller` failed: ZeroDivisionError: division by zero"),
+        (law, {"observation": lambda x: x[:1]}, "`observation` must return 2 observations; got 1"),
+    ],
+)  # fmt: skip
+def test_wrong_actions_are_named_with_their_state(controller, options, words):
+    with pytest.raises(ProblemError, match=words):
+        labels_of(controller, ALPHABET, **options)(np.array([[0.5, -0.5], [0.25, 0.75]]))
+
+
+@pytest.mark.parametrize(
+    "arguments, options, words",
+    [
+        ((3, ALPHABET), {}, "`controller` must be a function of states or have a method predict"),
+        ((law, [0, 1]), {}, "`alphabet` must be a capsyn.Alphabet"),
+        ((law, ALPHABET), {"actions": "angles"}, "`actions` must be one of"),
+        ((law, ALPHABET), {"observation": 3}, "`observation` must be a function"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, options, words):
+    with pytest.raises(ProblemError, match=words):
+        labels_of(*arguments, **options)
+
+
+def test_problem_policy_wants_a_problem():
+    with pytest.raises(ProblemError, match="`problem` must be a capsyn.Problem"):
+        problem_policy(law, BOX)

@@ -1,0 +1,166 @@
+"""Finite-control-set predictive control: equal to brute force, compiled or not, in any order."""
+
+import functools
+import itertools
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from capsyn import Alphabet, Box, Problem, SsacSettings, problems, simulate
+from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
+from capsyn.sources.callables import problem_policy
+from capsyn.sources.finite_control_set import TIE, finite_control_set
+
+BACKENDS = ("c", "numpy")
+
+
+def pendulum(symbols=(-5.0, 0.0, 5.0), **changes):
+    return problems.get("cart-pendulum").replace(
+        alphabet=Alphabet(list(symbols)),
+        running_cost=lambda x: 1 - ca.cos(x[0]) + 0.1 * x[1] ** 2,
+        terminal_cost=lambda x: 2 * ca.sin(x[0]) ** 2 + x[1] ** 2,
+        **changes,
+    )
+
+
+def slopes(x, u):
+    """Return rates and cost of the same, written anew."""
+    rates = np.stack([x[1], (9.81 * np.sin(x[0]) + u * np.cos(x[0])) / 2.0])
+    return rates, 1 - np.cos(x[0]) + 0.1 * x[1] ** 2
+
+
+@functools.cache
+def brute_force(depth, period, blocks, steps, weight):
+    """Return the least costs (B, N) by first symbol: every sequence from its beginning, alone."""
+    values, states, h = (-5.0, 0.0, 5.0), pendulum().domain.sample(1000, 3), period / steps
+    best = np.full((len(states), len(values)), np.inf)
+    for sequence in itertools.product(range(len(values)), repeat=depth):
+        x, total = states.T, np.zeros(len(states))
+        for symbol, held in zip(sequence, blocks):
+            u = values[symbol]
+            total = total + weight * u**2 * held * period
+            for _ in range(held * steps):
+                k1, c1 = slopes(x, u)
+                k2, c2 = slopes(x + h / 2 * k1, u)
+                k3, c3 = slopes(x + h / 2 * k2, u)
+                k4, c4 = slopes(x + h * k3, u)
+                x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+                total = total + h / 6 * (c1 + 2 * c2 + 2 * c3 + c4)
+        total = total + 2 * np.sin(x[0]) ** 2 + x[1] ** 2
+        best[:, sequence[0]] = np.fmin(best[:, sequence[0]], total)
+    return best
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    "depth, blocks, steps, weight",
+    [(5, 1, 1, 0.0), (3, [1, 2, 3], 2, 0.01), (1, 4, 1, 0.0)],
+)
+def test_equal_to_brute_force(backend, depth, blocks, steps, weight):
+    problem = pendulum()
+    states = problem.domain.sample(1000, 3)
+    held = (blocks,) * depth if isinstance(blocks, int) else tuple(blocks)
+    wanted = brute_force(depth, 0.05, held, steps, weight)
+    control = finite_control_set(
+        problem, depth, sample_time=0.05, blocks=blocks, steps=steps, control_weight=weight,
+        backend=backend,
+    )  # fmt: skip
+    assert control.backend == backend
+    np.testing.assert_allclose(control.costs(states), wanted, rtol=1e-11)
+    least = wanted.min(axis=1, keepdims=True)
+    tied = wanted <= least * (1 + TIE)
+    np.testing.assert_array_equal(control(states), tied.argmax(axis=1))  # the lowest of ties
+    masks = (tied << np.arange(3)).sum(axis=1).astype(np.uint64)
+    np.testing.assert_array_equal(control.masks(states), masks)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_ties_go_to_the_lowest_symbol(backend):
+    problem = Problem(
+        name="integrator", dynamics=lambda x, u: [u[0]], domain=Box([-1], [1]),
+        alphabet=Alphabet([-1, 0, 1]), default=0.0, horizon=1.0, terminal_cost=lambda x: x[0] ** 2,
+    )  # fmt: skip
+    control = finite_control_set(problem, 2, sample_time=0.25, backend=backend)
+    # at 0 the ends are reached by (-, +), (0, 0), (+, -): all tie; at 0.5 only (-, -)
+    assert control.masks(np.array([[0.0], [0.5], [0.25], [-0.5]])).tolist() == [7, 1, 3, 4]
+    assert control(np.array([[0.0], [0.5], [0.25], [-0.5]])).tolist() == [0, 0, 0, 2]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_states_without_a_finite_cost_have_no_symbol(backend):
+    problem = Problem(
+        name="blow-up", dynamics=lambda x, u: [u[0] + 0 * x[0]], domain=Box([-1], [2]),
+        alphabet=Alphabet([-1, 1]), default=0.0, horizon=1.0,
+        running_cost=lambda x: ca.sqrt(x[0]),
+    )  # fmt: skip
+    control = finite_control_set(problem, 1, sample_time=0.5, backend=backend)
+    states = np.array([[-0.9], [0.2], [1.5], [np.nan]])
+    assert control(states).tolist() == [-1, 1, 0, -1]
+    assert control.masks(states).tolist() == [0, 2, 1, 0]
+    costs = control.costs(states)
+    assert np.isinf(costs[[0, 3]]).all() and np.isinf(costs[1, 0])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_results_do_not_depend_on_order_or_threads(backend):
+    problem = pendulum()
+    one = finite_control_set(problem, 3, sample_time=0.05, backend=backend, threads=1)
+    three = finite_control_set(problem, 3, sample_time=0.05, backend=backend, threads=3)
+    states = problem.domain.sample(10_001, 4)
+    order = np.random.default_rng(0).permutation(len(states))
+    costs = one.costs(states)
+    assert np.array_equal(three.costs(states[order]), costs[order])
+    assert np.array_equal(one.costs(states[77:78]), costs[77:78])
+    assert one(states[:0]).shape == (0,)
+
+
+def test_a_policy_of_it_carries_the_problem():
+    problem = pendulum(partitions=6, max_level=2, horizon=0.7, min_dwell=0.01)
+    control = finite_control_set(problem, 4, sample_time=0.1)
+    policy = problem_policy(control, problem)
+    states = problem.domain.sample(5000, 1)
+    assert (policy(states) == control(states)).mean() > 0.9
+    assert policy.model is not None and policy.settings is None and policy.min_dwell == 0.01
+    assert policy.domain == problem.domain and policy.name == "cart-pendulum"
+    assert simulate(policy, [0.2, 0.0], 1.0, 100.0).ended == "time"
+    coarse = problem_policy(control, problem, max_level=0, name="coarse")
+    assert coarse.cells.leaf_count == 36 and coarse.name == "coarse"
+
+
+def test_the_effort_is_that_of_the_settings_unless_told():
+    dear = pendulum(settings=SsacSettings(control_weight=1e3))
+    states = dear.domain.sample(50, 1)
+    assert (finite_control_set(dear, 2, sample_time=0.1)(states) == 1).all()
+    free = finite_control_set(dear, 2, sample_time=0.1, control_weight=0)(states)
+    assert set(free.tolist()) >= {0, 2}
+
+
+def test_without_a_compiler_numpy_does_it(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.warns(CapsynWarning, match="predicting with NumPy: no C compiler found"):
+        control = finite_control_set(pendulum(), 2, sample_time=0.05)
+    assert control.backend == "numpy"
+    with pytest.raises(KernelBuildError):
+        finite_control_set(pendulum(), 2, sample_time=0.05, backend="c")
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"problem": 3}, "`problem` must be a capsyn.Problem; got 3"),
+        ({"depth": 0}, "`depth` must be a whole number >= 1"),
+        ({"depth": 13}, r"`depth` must give at most 1,000,000 sequences; got 13, 3\^13 of them"),
+        ({"sample_time": 0}, "`sample_time` must be a finite number > 0"),
+        ({"blocks": [1, 2]}, "`blocks` must be a whole number or 3 of them"),
+        ({"blocks": 0}, "`blocks` must be a whole number >= 1"),
+        ({"steps": 1.5}, "`steps` must be a whole number"),
+        ({"control_weight": -1}, "`control_weight` must be"),
+        ({"backend": "gpu"}, "`backend` must be one of"),
+        ({"threads": 0}, "`threads` must be a whole number >= 1"),
+    ],
+)
+def test_bad_arguments_are_named(options, words):
+    given = {"problem": pendulum(), "depth": 3, "sample_time": 0.05} | options
+    with pytest.raises(ProblemError, match=words):
+        finite_control_set(given.pop("problem"), given.pop("depth"), **given)

@@ -1,0 +1,207 @@
+"""Policies in Gymnasium's environments, and problems as environments."""
+
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+from capsyn import Alphabet, Box, problems, simulate, subdivide, synthesize
+from capsyn.errors import OutsideDomainError, ProblemError
+
+gymnasium = pytest.importorskip("gymnasium")
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+from capsyn.integrations.gymnasium import (  # noqa: E402
+    Evaluation,
+    environment,
+    evaluate,
+    player,
+)
+
+
+class Counter(gymnasium.Env):
+    """Pays the action that it gets, in episodes of three steps."""
+
+    metadata = {"render_modes": []}
+
+    def __init__(self, actions, observations=None):
+        self.action_space = actions
+        self.observation_space = observations or gymnasium.spaces.Box(-1.0, 1.0, (2,))
+        self.seeds, self.seen = [], []
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.seeds.append(seed)
+        self.left = 3
+        return self.observation(), {}
+
+    def observation(self):
+        return self.np_random.uniform(-1, 1, 2).astype(np.float32)
+
+    def step(self, action):
+        assert self.action_space.contains(action)
+        self.seen.append(action)
+        self.left -= 1
+        return self.observation(), float(np.sum(action)), self.left == 0, False, {}
+
+
+def sign_policy(values=(0, 1), **options):
+    box = Box([-1, -1], [1, 1])
+    alphabet = Alphabet(list(values))
+    return subdivide(lambda x: (x[:, 0] > 0).astype(int), box, alphabet, partitions=8, **options)
+
+
+@pytest.mark.parametrize("name", problems.names())
+def test_every_problem_passes_the_checker(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(environment(problems.get(name)), skip_render_check=True)
+
+
+def test_an_environment_moves_as_a_simulation_does():
+    problem = problems.get("cart-pendulum")
+    env = environment(problem, rate=100.0, duration=0.5)
+    policy = synthesize(problem, max_level=2)
+    run = simulate(policy, [3.0, 0.2], 0.5, 100.0, substeps=env._substeps)
+    observed, info = env.reset(options={"state": [3.0, 0.2]})
+    total = 0.0
+    for k in range(50):
+        np.testing.assert_allclose(info["state"], run.states[k], rtol=1e-12)
+        observed, reward, terminated, truncated, info = env.step(int(policy(observed)))
+        total += reward
+        assert terminated is False and truncated is (k == 49)
+    np.testing.assert_allclose(total, -run.cost, rtol=1e-9)
+
+
+def test_observations_stay_in_the_space_and_leaving_may_end():
+    problem = problems.get("cart-pendulum")
+    env = environment(problem, rate=10.0)
+    for start in ([1.57, 5.0], [1.57, 7.0], [-9.0, -5.0]):
+        observed, info = env.reset(options={"state": start})
+        for _ in range(20):
+            assert env.observation_space.contains(observed)
+            observed, _, terminated, _, info = env.step(1)
+            assert not terminated  # the rule is nearest
+    strict = environment(problem.replace(outside="error"), rate=10.0)
+    strict.reset(options={"state": [3.5, 4.99]})
+    ended = [strict.step(0)[2] for _ in range(20)]
+    assert any(ended)
+
+
+def test_episodes_may_end_in_the_target():
+    problem = problems.get("double-tank-b")
+    assert problem.target is not None
+    env = environment(problem, rate=100.0, stop_at_target=True)
+    env.reset(options={"state": problem.target.center})
+    assert env.step(0)[2] is True
+
+
+def test_seeds_give_the_same_episodes():
+    env = environment(problems.get("double-tank-a"), rate=20.0, duration=0.5)
+    policy = synthesize(problems.get("double-tank-a"), max_level=1, outside="nearest")
+    one, two = evaluate(policy, env, 5, seed=3), evaluate(policy, env, 8, seed=3)
+    assert np.array_equal(one.returns, two.returns[:5])
+    assert len(set(two.returns)) == 8
+    assert not np.array_equal(one.returns, evaluate(policy, env, 5, seed=4).returns)
+    assert one.lengths.tolist() == [10] * 5 and not one.terminated.any()
+
+
+def test_symbols_become_discrete_actions():
+    env = Counter(gymnasium.spaces.Discrete(3, start=5))
+    found = evaluate(sign_policy(), env, 40, seed=1)
+    assert set(env.seen) == {5, 6} and len(env.seen) == 120 and found.terminated.all()
+    assert len(set(env.seeds)) == 40
+    env = Counter(gymnasium.spaces.Discrete(3))
+    evaluate(sign_policy(), env, 10, actions=[2, 0])
+    assert set(env.seen) == {0, 2}
+
+
+def test_controls_become_continuous_actions():
+    env = Counter(gymnasium.spaces.Box(-2.0, 2.0, (1,)))
+    found = evaluate(sign_policy([-2, 1.5]), env, 20)
+    assert {float(a[0]) for a in env.seen} == {-2.0, 1.5}
+    np.testing.assert_allclose(found.returns.sum(), np.sum(env.seen))
+
+
+def test_observations_may_be_mapped():
+    env = Counter(gymnasium.spaces.Discrete(2))
+    act = player(sign_policy(), env, observation=lambda o: [-o[0], o[1]])
+    assert act([0.5, 0]) == 0 and act([-0.5, 0]) == 1
+
+
+def test_the_rule_outside_holds():
+    env = Counter(gymnasium.spaces.Discrete(2))
+    with pytest.raises(OutsideDomainError):
+        player(sign_policy(), env)([3.0, 0.0])
+    assert player(sign_policy(outside="nearest"), env)([3.0, 0.0]) == 1
+    assert player(sign_policy(outside=0), env)([3.0, 0.0]) == 0
+    lost = player(sign_policy(outside=-1), env)
+    with pytest.raises(ProblemError, match=r"an entry for the default control.*\[3.0, 0.0\]"):
+        lost([3.0, 0.0])
+    assert player(sign_policy(outside=-1), env, actions=[1, 1, 0])([3.0, 0.0]) == 0
+
+
+def test_without_a_compiler_policies_play_the_same(monkeypatch):
+    env = Counter(gymnasium.spaces.Discrete(2))
+    one = evaluate(sign_policy(), env, 10).returns
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert np.array_equal(evaluate(sign_policy(), env, 10).returns, one)
+
+
+def test_the_interval_is_students():
+    found = Evaluation(np.array([1.0, 2.0, 4.0]), np.ones(3), np.ones(3, bool))
+    low, high = found.interval
+    np.testing.assert_allclose([low, high], 7 / 3 + np.array([-1, 1]) * 4.302653 * 0.8819171, 1e-5)
+    assert "mean return 2.33333, -1.46" in repr(found) and found.to_json()["low"] == low
+    one = Evaluation(np.ones(1), np.ones(1), np.ones(1, bool))
+    assert one.interval == (-np.inf, np.inf) and one.to_json()["low"] is None
+
+
+@pytest.mark.parametrize(
+    "actions, options, words",
+    [
+        (gymnasium.spaces.Discrete(1), {}, "the policy has 2 symbols, the environment 1 actions"),
+        (gymnasium.spaces.Discrete(3), {"actions": [0]}, "`actions` must have 2 entries, or 3"),
+        (gymnasium.spaces.Discrete(3), {"actions": [0, 3]}, "the action 3 of symbol '1' is not in"),
+        (gymnasium.spaces.Box(-1.0, 0.5, (1,)), {}, "of symbol '1' is not in Box"),
+        (gymnasium.spaces.Box(-1.0, 1.0, (2,)), {}, "`actions` must be given: controls have 1"),
+        (gymnasium.spaces.MultiBinary(2), {}, "must have Discrete or Box actions"),
+        (gymnasium.spaces.Discrete(2), {"observation": 3}, "`observation` must be a function"),
+        (gymnasium.spaces.Discrete(2), {"observation": lambda o: [1]},
+         r"must return \(2,\) numbers; got \(1,\)"),
+        (gymnasium.spaces.Discrete(2), {"episodes": 0}, "`episodes` must be a whole number >= 1"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_named(actions, options, words):
+    with pytest.raises(ProblemError, match=words):
+        evaluate(sign_policy(), Counter(actions), **{"episodes": 1, **options})
+
+
+def test_other_bad_arguments_are_named():
+    discrete = gymnasium.spaces.Discrete(2)
+    wide = Counter(discrete, gymnasium.spaces.Box(-1.0, 1.0, (3,)))
+    problem = problems.get("cart-pole")
+    for call, words in (
+        (lambda: evaluate(3, Counter(discrete)), "`policy` must be a capsyn.Policy"),
+        (lambda: evaluate(sign_policy(), 3), "`env` must be a gymnasium.Env or its name"),
+        (lambda: evaluate(sign_policy(), "No-v0"), "`env` must be a registered environment"),
+        (lambda: evaluate(sign_policy(), wide), "`observation` must be given where"),
+        (lambda: environment(3), "`problem` must be a capsyn.Problem"),
+        (lambda: environment(problem, rate=0), "`rate` must be a finite number > 0"),
+        (lambda: environment(problem, duration=-1), "`duration` must be a finite number > 0"),
+        (lambda: environment(problem, stop_at_target=True), "a problem without a target"),
+        (lambda: environment(problem).reset(options={"state": [1]}), r"must have shape \(4,\)"),
+        (lambda: environment(problem).step(2), r"`action` must be in Discrete\(2\); got 2"),
+    ):
+        with pytest.raises(ProblemError, match=words):
+            call()
+
+
+@pytest.mark.parametrize("name", ["gymnasium", "control"])
+def test_a_missing_extra_names_itself_in_one_line(name):
+    code = f"import sys; sys.modules[{name!r}] = None\nimport capsyn.integrations.{name}"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    last = run.stderr.strip().splitlines()[-1]
+    assert last.startswith("capsyn.errors.ProblemError") and f"pip install 'capsyn[{name}]'" in last
