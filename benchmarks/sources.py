@@ -70,7 +70,7 @@ def measure_table(path):
     row(f"{name}: scikit-learn CART, outside a class", cart, "nodes")
     plan = Plan.of(tree)
     golden = golden_vectors(plan)
-    made = files(plan, golden)
+    made = files(plan, golden).files
     flash = sizes(made, path.stem).get("host")
     if flash:
         share = 100 * (flash["decision"] + flash["quantiser"]) / size

@@ -201,7 +201,7 @@ def test_golden_vectors_tell_gaps(safe):
 def test_c_gives_the_status_in_gaps(style, arithmetic, tmp_path):
     plan = Plan.of(random_table((13, 9), seed=2).policy(outside=1))
     golden = golden_vectors(plan)
-    made = files(plan, golden, style=style, arithmetic=arithmetic)
+    made = files(plan, golden, style=style, arithmetic=arithmetic).files
     library = Library(made, tmp_path, plan.n)
     with np.errstate(over="ignore"):
         states = golden.states.astype(library.real).astype(float)
