@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.exports.c_language import Part, rows, z_type
+from capsyn.exports.c_language import Part, byte_rows, z_type
 from capsyn.split_tree import LEAF, SplitTree
 
 MOST_CELLS = 1 << 16
@@ -59,7 +59,7 @@ def grid(tree: SplitTree, prefix: str, opening: str) -> Part:
 {opening}
 {{
     static const uint8_t {prefix}_cells[{len(data)}] CAPSYN_ROM = {{
-{rows([f"0x{byte:02x}u" for byte in data])}
+{byte_rows(data)}
     }};
     uint32_t byte;
     uint16_t label;

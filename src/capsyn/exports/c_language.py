@@ -29,6 +29,8 @@ of their headers, and targets that CMake keeps for itself."""
 LONGEST_PREFIX = 18
 """Names that differ do so within 31 characters, as C99 and MISRA ask: a prefix gets this many."""
 WIDTH = 100
+BYTES_IN_LINE = 22
+"""Entries of a table of bytes in a line."""
 """Columns of a line."""
 ENTRIES = {
     "BYTE": "pgm_read_byte(place)",
@@ -105,6 +107,12 @@ def rows(entries: Sequence[str], indent: int = 8) -> str:
     return textwrap.fill(
         ", ".join(entries), WIDTH, initial_indent=pad, subsequent_indent=pad, break_on_hyphens=False
     )
+
+
+def byte_rows(data: bytes) -> str:
+    """Return bytes as entries of a table, close together: tables are most of a large source."""
+    lines = [data[k : k + BYTES_IN_LINE] for k in range(0, len(data), BYTES_IN_LINE)]
+    return ",\n".join(" " * 8 + ",".join(map(str, line)) for line in lines)
 
 
 def z_type(counts: Sequence[int]) -> str:

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.exports.c_language import Part, rows, z_type
+from capsyn.exports.c_language import Part, byte_rows, rows, z_type
 from capsyn.split_tree import LEAF, SplitTree
 
-MOST_READ = 64
-"""Nodes that a decision reads at most, if the tree's depth lets it."""
+MOST_READ, READS_PER_LEVEL = 64, 7
+"""Nodes that a decision reads at most, if the tree's depth lets it: so many, or per level."""
 WINDOW_BITS = {2: 9, 3: 17, 4: 25, 8: 57}
 """Bits that a window of some bytes holds from any bit on."""
 
@@ -79,12 +79,17 @@ def nodes_read(tree: SplitTree, skips: int) -> int:
 
 
 def best_skips(tree: SplitTree) -> int:
-    """Return the least depth of skips with at most `MOST_READ` nodes read, else the tree's own."""
+    """Return the least depth of skips with few enough nodes read, else the tree's own."""
     if len(tree.planes):
         return tree.depth
     # the more nodes carry skips, the fewer are read
-    depths = range(tree.depth)
-    return bisect.bisect_left(depths, True, key=lambda skips: nodes_read(tree, skips) <= MOST_READ)
+    depths, most = range(tree.depth), most_read(tree)
+    return bisect.bisect_left(depths, True, key=lambda skips: nodes_read(tree, skips) <= most)
+
+
+def most_read(tree: SplitTree) -> int:
+    """Return how many nodes a decision may read, which the skips see to."""
+    return max(MOST_READ, READS_PER_LEVEL * tree.depth)
 
 
 def layout(tree: SplitTree, skips: int, skip: int = 0) -> Layout:
@@ -200,7 +205,7 @@ def _window(data: bytes, size: int, word: str, place: str, prefix: str) -> str:
 static {word} {prefix}_window({place} at)
 {{
     static const uint8_t {prefix}_bits[{len(data)}] CAPSYN_ROM = {{
-{rows([f"0x{byte:02x}u" for byte in data])}
+{byte_rows(data)}
     }};
     const {place} byte = ({place})(at >> 3u);
     {word} window = CAPSYN_BYTE(&{prefix}_bits[byte]);
