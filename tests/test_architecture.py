@@ -127,6 +127,7 @@ ORDER = [
     "cli_evidence",
     "cli_compression",
     "cli_export",
+    "cli_doctor",
     "cli",
     "__main__",
 ]
@@ -145,6 +146,7 @@ IMPORT_BY_NAME = {
     "problems",  # the built-in problems
     "problem_finder",  # the user's own
     "exports.export",  # the targets
+    "cli_doctor",  # what capsyn needs
 }
 
 CASADI = {"problem", "transcription"}

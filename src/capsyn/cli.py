@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from capsyn.cli_compression import automaton, compress
+from capsyn.cli_doctor import doctor
 from capsyn.cli_evidence import reproduce, simulate, verify
 from capsyn.cli_export import export
 from capsyn.cli_options import (
@@ -292,6 +293,7 @@ def bench(
 
 
 app.command()(reproduce)
+app.command()(doctor)
 
 
 def main() -> None:
