@@ -250,6 +250,11 @@ def lyapunov_grid(
     return LyapunovGrid(axes, signs.reshape(shape), tolerance)
 
 
+def _total(shares: np.ndarray) -> float:
+    """Return a sum of shares of a whole, which rounding does not lift above it."""
+    return min(1.0, math.fsum(shares))
+
+
 class _Cells:
     """The leaf cells of a policy as arrays, and what is found in them."""
 
@@ -282,10 +287,10 @@ class _Cells:
             function=function,
             depth=depth,
             max_boxes=max_boxes,
-            proved=float(boxes.shares[boxes.proved].sum()),
-            negative=float(boxes.shares[boxes.negative].sum()),
-            violated=float(boxes.shares[boxes.violated].sum()),
-            undecided=float(boxes.shares[boxes.undecided].sum()),
+            proved=_total(boxes.shares[boxes.proved]),
+            negative=_total(boxes.shares[boxes.negative]),
+            violated=_total(boxes.shares[boxes.violated]),
+            undecided=_total(boxes.shares[boxes.undecided]),
             cells=count,
             proved_cells=count - len(np.unique(boxes.cells[~boxes.proved])),
             negative_cells=count - len(np.unique(boxes.cells[~boxes.negative])),
