@@ -245,7 +245,7 @@ def online_controller(
         Model, costs, alphabet, and what is not given below.
     method : "ssac" or "sac"
         Symbols of the alphabet, or continuous controls ``u* = (Lambda + R)^-1 (Lambda u_default +
-        h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h`` for ``f = g(x) + h(x) u`` [1]_,
+        h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h`` for ``f = g(x) + h(x) u``,
         saturated.
     default : (m,), callable ``time -> (m,)`` or Policy, optional
         Default control of the prediction, which also acts where nothing is better. Under a policy
@@ -266,8 +266,8 @@ def online_controller(
 
     References
     ----------
-    .. [1] A. R. Ansari and T. D. Murphey, "Sequential Action Control: Closed-Form Optimal Control
-       for Nonlinear and Nonsmooth Systems", IEEE Transactions on Robotics 32 (2016).
+    A. R. Ansari and T. D. Murphey, "Sequential Action Control: Closed-Form Optimal Control for
+    Nonlinear and Nonsmooth Systems", IEEE Transactions on Robotics 32 (2016).
     """
     one_of("method", method, ["ssac", "sac"])
     one_of("backend", backend, ["auto", "c", "numpy"])

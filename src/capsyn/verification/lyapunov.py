@@ -173,9 +173,10 @@ def lyapunov(
 ) -> LyapunovProof:
     """Return what interval arithmetic proves about dV/dt in continuous time, cell by cell.
 
-    In every cell, faces included, the control is that of its symbol. Where V has a kink, as |E|
-    at E = 0, the gradients on either side and all between them count. That V is positive, and that
-    it does not jump but where random pairs of states would show it, is up to whoever made it.
+    In every cell, faces included, the control is that of its symbol. Where V has a kink, as
+    ``abs(E)`` at ``E = 0``, the gradients on either side and all between them count. That V is
+    positive, and that it does not jump but where random pairs of states would show it, is up to
+    whoever made it.
 
     Parameters
     ----------
@@ -188,6 +189,11 @@ def lyapunov(
     max_boxes : int
         Most parts of cells that are made in one round of bisections; those that get no turn count
         as undecided.
+
+    Returns
+    -------
+    LyapunovProof
+        Shares of the volume, and the cells where V grows or that are undecided.
 
     Raises
     ------
