@@ -8,14 +8,15 @@ DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
   cppcheck gcc-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr binutils \
   iverilog verilator yosys graphviz nodejs
 
-.PHONY: help demo test check bench figures debian clean
+.PHONY: help demo test check bench docs figures debian clean
 
 help:
 	@echo "make demo     synthesise the paper's two-symbol pendulum policy and draw it"
 	@echo "make test     install what the tests need and run them all"
 	@echo "make check    formatting, lint, types"
 	@echo "make bench    measure, and write benchmarks/README.md and results.json"
-	@echo "make figures  draw the figures of the README again"
+	@echo "make docs     draw the figures and build the site in build/docs; a warning is an error"
+	@echo "make figures  draw the figures of README and guides again"
 	@echo "make clean    remove what the other targets made"
 
 $(VENV)/installed: pyproject.toml
@@ -47,6 +48,10 @@ check: $(VENV)/developed
 bench: $(VENV)/developed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python benchmarks/run.py
+
+docs: $(VENV)/developed figures
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(BIN)/sphinx-build -W --keep-going -q -E -b html docs build/docs
 
 figures: $(VENV)/installed
 	$(BIN)/python docs/figures/draw.py

@@ -10,6 +10,7 @@ The blocks of a page run in its order, in one folder of their own:
 - ``text`` and others are for the reader alone.
 """
 
+import importlib
 import os
 import re
 import shutil
@@ -126,3 +127,32 @@ def test_every_page_is_in_the_contents():
     contents = re.findall(r"^([\w-]+)$", (ROOT / "docs" / "index.md").read_text(), re.MULTILINE)
     pages = {page.stem for page in (ROOT / "docs").glob("*.md")} - {"index"}
     assert set(contents) == pages and len(contents) == len(pages)
+
+
+def resolve(name):
+    """Return what a name of the guides means: public, or inside a module of the package."""
+    parts = name.split("(")[0].split(".")
+    for cut in range(len(parts), -1, -1):
+        try:
+            value = importlib.import_module(".".join(["capsyn", *parts[:cut]]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[cut:]:
+            fields = getattr(value, "__dataclass_fields__", {})
+            value = fields[part] if part in fields else getattr(value, part)
+        return value
+    raise AssertionError(name)
+
+
+def test_the_functions_of_the_theory_exist():
+    rows = re.findall(r"^\|(.*)\|(.*)\|$", (ROOT / "docs" / "theory.md").read_text(), re.MULTILINE)
+    found = 0
+    for equation, functions in rows:
+        if equation.startswith(" policy | paper"):
+            break
+        last = ""
+        for name in re.findall(r"`([\w.]+)(?:\([^)]*\))?(?:\.\w+)?`", functions):
+            last = last.rpartition(".")[0] + name if name.startswith(".") else name
+            resolve(last)
+            found += 1
+    assert found >= 25
