@@ -21,9 +21,11 @@ def kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail where an export was not checked, if CAPSYN_ALL_TOOLS says that every tool is here."""
+    """Fail where an export or a page was not checked, if CAPSYN_ALL_TOOLS says that every tool is here."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
-    skipped = [r.nodeid for r in reporter.stats.get("skipped", []) if "test_export" in r.nodeid]
+    checked = ("test_export", "test_docs")
+    left_out = [r.nodeid for r in reporter.stats.get("skipped", [])]
+    skipped = [name for name in left_out if any(part in name for part in checked)]
     if skipped and os.environ.get("CAPSYN_ALL_TOOLS"):
         reporter.write_line(f"CAPSYN_ALL_TOOLS is set, but skipped: {', '.join(skipped)}", red=True)
         session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -42,7 +42,7 @@ def commands(text):
 
 def run(line, folder):
     """Run a line in a shell as a reader would, and return what it prints."""
-    for word in re.findall(r"(?:^|&& |\| )([\w-]+)", line):
+    for word in re.findall(r"(?:^|[(]|&& |\| )([\w-]+)", line):
         if word in OPTIONAL and not shutil.which(word):
             pytest.skip(f"{word} is not installed")
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
