@@ -21,7 +21,7 @@ def kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail where an export or a page was not checked, if CAPSYN_ALL_TOOLS says that every tool is here."""
+    """Fail where an export or a page was left out though CAPSYN_ALL_TOOLS is set."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     checked = ("test_export", "test_docs")
     left_out = [r.nodeid for r in reporter.stats.get("skipped", [])]
