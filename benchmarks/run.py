@@ -10,7 +10,7 @@ from capsyn import __version__
 from capsyn.native.build import find_compiler
 
 HERE = Path(__file__).parent
-QUESTIONS = "solve synthesis lookup compression closed_loop command counts".split()
+QUESTIONS = "solve synthesis lookup compression closed_loop command counts exports".split()
 
 INTRODUCTION = """# Benchmarks
 

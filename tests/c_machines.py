@@ -31,6 +31,11 @@ void look(long count, const {z} *z, int16_t *symbols)
 {{
     for (long i = 0; i < count; ++i) {{ symbols[i] = {p}_symbol(z + {n} * i); }}
 }}
+void quantise(long count, const {real} *x, {z} *z);
+void quantise(long count, const {real} *x, {z} *z)
+{{
+    for (long i = 0; i < count; ++i) {{ (void){p}_quantise(x + {n} * i, z + {n} * i); }}
+}}
 """
 STEPS = """
 void run(long count, const {real} *x, const uint32_t *now, int16_t *symbols);
@@ -144,9 +149,10 @@ class Library:
         need(compiler)
         self.prefix = p = prefix_of(files)
         header = files[f"{p}.h"].decode()
-        self.real = np.float32 if f"{p}_decide(const float" in header else np.float64
+        (real,) = re.findall(rf"{p}_decide\(const (\w+) ", header)
+        self.real = np.dtype(real.removesuffix("_t").replace("float", "float32")).type
         self.integer = np.int32 if "const int32_t z[" in header else np.int16
-        names = {"p": p, "n": n, "real": "float" if self.real is np.float32 else "double"}
+        names = {"p": p, "n": n, "real": real}
         names["z"] = self.integer.__name__ + "_t"
         text = ENTRY + LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
         write(files, directory, **{"entry.c": text.format(**names)})
@@ -168,6 +174,12 @@ class Library:
         symbols = np.empty(len(steps), np.int16)
         self._call("look", np.ascontiguousarray(steps, dtype=self.integer), symbols)
         return symbols
+
+    def steps(self, states):
+        x = np.ascontiguousarray(states, dtype=self.real)
+        steps = np.empty(x.shape, self.integer)
+        self._call("quantise", x, steps)
+        return steps
 
     def run(self, states, now):
         x, symbols = np.ascontiguousarray(states, dtype=self.real), np.empty(len(states), np.int16)

@@ -170,7 +170,7 @@ def test_batches_of_every_size(planes, count):
 @needs_compiler
 @pytest.mark.parametrize("planes", [0, 3])
 def test_large_batches_take_the_compiled_lookup(planes, monkeypatch):
-    tree = tree_of((300, 170, 9), planes, 1, seed=6, depth=10)
+    tree = tree_of((300, 170, 9), planes, 1, seed=7, depth=10)
     states = np.resize(hard_states(tree, 9000), (COMPILED_FROM + 137, 3))
     wanted = tree(states, "nearest", "numpy")
     assert len(set(wanted.tolist())) == 3

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import hashlib
 import json
 import math
 
@@ -11,7 +12,7 @@ import pytest
 from capsyn.errors import ProblemError
 from capsyn.exports import export as core
 from capsyn.exports import policy_json
-from capsyn.exports.export import TARGETS, export
+from capsyn.exports.export import TARGETS, all_targets, export
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.identifiers import file_name, identifiers, renamed
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
@@ -100,6 +101,7 @@ def test_safe_symbols_and_dwell_are_the_policys_unless_given():
     assert Plan.of(policy).safe == 1 and Plan.of(policy).dwell == 0.25
     plan = Plan.of(policy, safe="-1", dwell=0)  # the name of the first symbol
     assert plan.safe == 0 and plan.dwell == 0
+    assert Plan.of(policy, safe=2).safe == 2  # the default by its number in exports
     assert Plan.of(policy, safe=-1).safe == Plan.of(policy, safe="default").safe == 2
     assert Plan.of(small()).safe == 2 and not Plan.of(small()).nearest
 
@@ -113,6 +115,10 @@ def test_safe_symbols_and_dwell_are_the_policys_unless_given():
         ({"scale": 0}, "`scale` must not be 0"),
         ({"scale": [1, 2, 3]}, "`scale` must be one number or 2"),
         ({"scale": "1"}, "`scale` must be numbers"),
+        ({"offset": 1e30}, "must keep the 24 lattice steps of axis 'x1' apart .*; got 1 and 1e.30"),
+        ({"scale": 5e-324}, "must keep the"),
+        ({"scale": 1e308, "offset": 1e308}, "must keep the"),
+        ({"name": ""}, "`name` must be a printable text"),
         ({"offset": math.nan}, "`offset` must be finite"),
         ({"style": "x"}, "`style` is no option of target python, which has name"),
         ({"name": "a\nb"}, "`name` must be a printable text"),
@@ -137,6 +143,12 @@ def test_identifiers():
     found = identifiers(names, {"if"})
     assert found[:5] == ("minus_5", "n5", "minus_5_0_2", "valve_open", "valve_open_2")
     assert found[5:] == ("groe", "n", "n_2", "if_2", "IF")
+    assert identifiers(["jet+", "jet-", "a - b", "+5"]) == (
+        "jet_plus",
+        "jet_minus",
+        "a_b",
+        "plus_5",
+    )
     assert identifiers(["a", "A", "a"], fold=True) == ("a", "A_2", "a_3")
     assert all(name.isidentifier() and name.isascii() for name in found)
     assert len(set(found)) == len(found) and found == identifiers(names, {"if"})
@@ -169,8 +181,12 @@ def test_certificates_are_exact(policy, tmp_path):
     assert data["nodes"] == tree.node_count and data["planes"] == len(tree.cells.planes)
     assert data["comparisons"]["most"] == tree.depth and data["lattice"] == list(tree.cells.counts)
     assert (data["comparisons"]["mean"] is None) == bool(data["planes"])
-    sizes = {p.name: p.stat().st_size for p in files if p.name != "certificate.json"}
-    assert data["file_bytes"] == sizes
+    found = {p.name: p.read_bytes() for p in files if p.name != "certificate.json"}
+    assert set(found) == set(data["files"])
+    for name, content in found.items():
+        digest = hashlib.sha256(content).hexdigest()
+        assert data["files"][name] == {"bytes": len(content), "sha256": digest}
+    assert data["options"] == {"name": None} and data["changed_by_rounding"] is None
     assert data["target"] == "python" and data["guarantee"] == tree.guarantee.text
 
 
@@ -192,7 +208,7 @@ def test_failures_leave_what_was_there(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(core.os, "replace", failing)
-        with pytest.raises(OSError, match="disk full"):
+        with pytest.raises(ProblemError, match="cannot write to .*: disk full"):
             export(small(), "python", tmp_path, safe=1)
     assert len(calls) > 4 and unchanged()
     with monkeypatch.context() as patch:
@@ -209,6 +225,33 @@ def test_failures_leave_what_was_there(tmp_path, monkeypatch):
     with pytest.raises(ProblemError, match="it is a directory"):
         export(small(), "json", tmp_path)
     assert not (tmp_path / policy_json.SCHEMA).exists()
+    (tmp_path / "taken").write_text("mine")
+    with pytest.raises(ProblemError, match="cannot write to '.*taken/new'"):
+        export(small(), ["python", "json"], tmp_path / "taken" / "new")
+
+
+def test_folders_of_failed_exports_do_not_stay(tmp_path):
+    (tmp_path / "old" / "json" / "random.json").mkdir(parents=True)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(ProblemError, match="it is a directory"):
+        export(small(), ["python", "json"], tmp_path / "old")
+    assert sorted(tmp_path.rglob("*")) == before
+    export(small(), ["python", "json"], tmp_path / "new" / "deep")
+    assert {p.name for p in (tmp_path / "new" / "deep").iterdir()} == {"python", "json"}
+
+
+def test_files_of_every_export_keep_their_names(tmp_path):
+    for name in ("certificate", "measured"):
+        with pytest.raises(ProblemError, match=f"the export has a {name}.json of its own"):
+            export(small(), "json", tmp_path, name=name)
+    assert not list(tmp_path.iterdir())
+    (path, *_) = export(dataclasses.replace(small(), name="x" * 300), "python", tmp_path)
+    assert path.name == "x" * 64 + ".py"
+
+
+def test_all_targets_but_those_that_cannot_be(tmp_path):
+    assert all_targets(small()) == tuple(TARGETS)
+    assert set(TARGETS) - set(all_targets(oblique())) == {"dot"}
 
 
 # ---- command line ----

@@ -1,5 +1,6 @@
 import dataclasses
 import functools
+import re
 import subprocess
 
 import numpy as np
@@ -10,7 +11,7 @@ from c_machines import WARNINGS, Library, avr, call, cortex_m3, need, prefix_of,
 from capsyn import problems
 from capsyn.decision_tree import DecisionTree, Guarantee
 from capsyn.errors import ProblemError
-from capsyn.exports import c, c_table
+from capsyn.exports import c, c_counts, c_sizes, c_table
 from capsyn.exports.c_language import round_up
 from capsyn.exports.c_sizes import sizes
 from capsyn.exports.golden import decide, golden_vectors
@@ -24,6 +25,8 @@ POLICIES = {
     "double-tank-b": {},
     "cart-pole": {"max_level": 2},
 }
+NAMES = (*POLICIES, "lopsided")
+"""Policies, and a random tree: that of the pendulum is the same at theta and at -theta."""
 STYLES = ("table", "nested", "grid")
 COMPILERS = ("gcc", "clang")
 NESTED = ("linear", "nested")
@@ -41,6 +44,8 @@ def policy(name):
 
 @functools.cache
 def plan_of(name, mode="exact"):
+    if name == "lopsided":
+        return random_plan(144)
     return Plan.of(policy(name) if mode == "exact" else capsyn.compress(policy(name), mode=mode))
 
 
@@ -74,18 +79,27 @@ def random_plan(count, label_count=3, depth=10, seed=1):
     return Plan.of(DecisionTree.of(source, tree, Guarantee("exact", "0" * 64)))
 
 
+def test_the_lopsided_tree_is_not_symmetric():
+    for name, least in (("cart-pendulum", 0), ("lopsided", 5000)):
+        tree = plan_of(name).tree.cells
+        steps = np.stack(np.indices(tree.counts), axis=-1).reshape(-1, 2)
+        turned = np.array(tree.counts) - 1 - steps
+        assert np.count_nonzero(tree.labels(steps) != tree.labels(turned)) >= least
+
+
 def assert_golden(library, golden, lattice):
     symbols, statuses = library.decide(golden.states)
     assert np.array_equal(symbols, golden.labels)
     assert np.array_equal(statuses, golden.statuses)
     if lattice:
+        assert np.array_equal(library.steps(golden.states), golden.steps)
         found = golden.statuses == OK
         assert np.array_equal(library.look(golden.steps[found]), golden.labels[found])
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_golden_vectors(tmp_path, name, style, compiler):
     plan, golden = plan_of(name), golden_of(name)
     library = Library(files(plan, golden, style=style), tmp_path, plan.n, compiler)
@@ -119,7 +133,7 @@ def test_nothing_is_undefined(tmp_path, style):
 
 
 @pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("name", POLICIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_double_arithmetic(tmp_path, name, style):
     plan, golden = plan_of(name), golden_of(name)
     written = files(plan, golden, style=style, arithmetic="double")
@@ -141,7 +155,7 @@ def back_in_single_precision(domain, states):
 @pytest.mark.parametrize(
     ("name", "mode", "style"),
     [
-        *((name, "exact", style) for name in POLICIES for style in STYLES),
+        *((name, "exact", style) for name in NAMES for style in STYLES),
         ("cart-pendulum", *NESTED),
     ],
 )
@@ -203,6 +217,113 @@ def test_readings(tmp_path, style):
     assert "reading 0 * 0.0015339807878856412 + 0.1" in written["cart_pendulum.h"].decode()
 
 
+COUNTS = {
+    "encoder and converter": ([2 * np.pi / 4096, 10 / 4096], [0.0, -5.0]),
+    "falling": ([-2 * np.pi / 4096, -0.003], [0.1, 0.25]),
+    "full scale": ([2 * np.pi / 65536, 10 / 65536], [-0.5, 0.0]),
+    "no power of two": ([2 * np.pi / 1000, -10 / 999], [100.0, 0.0]),
+    "on faces": ([-2 * np.pi / 144, 1 / 3000], [0.0, 0.1]),
+    "coarse": ([2 * np.pi / 100, 0.5], [0.01, 0.0]),
+}
+"""Scales and offsets of counts, for the pendulum's angle and speed."""
+
+
+def in_turn(plan, counts):
+    """Return counts with those of the angle in the turn that begins at the lower bound."""
+    lower, upper = plan.policy.domain.lower[0], plan.policy.domain.upper[0]
+    turn = round((upper - lower) / abs(plan.scale[0]))
+    every = np.arange(-(1 << 18), 1 << 18, dtype=np.int64)
+    first = every[every * plan.scale[0] + plan.offset[0] >= lower]
+    first = first.min() if plan.scale[0] > 0 else first.max() - turn + 1
+    return np.column_stack([first + (counts[:, 0] - first) % turn, counts[:, 1]])
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_every_count(tmp_path, name):
+    tree = plan_of("lopsided").policy
+    plan = Plan.of(tree, scale=COUNTS[name][0], offset=COUNTS[name][1])
+    every = np.arange(-(1 << 15), 1 << 15)
+    counts = np.column_stack([every, np.random.default_rng(0).permutation(every)])
+    expected = decide(plan, in_turn(plan, counts).astype(float))
+    written = files(plan, None, readings="int16")
+    options = ["-O1", "-fsanitize=undefined", "-fno-sanitize-recover"]
+    library = Library(written, tmp_path, plan.n, "gcc", options)
+    assert np.array_equal(library.steps(counts), expected.steps)
+    symbols, statuses = library.decide(counts)
+    assert np.array_equal(symbols, expected.labels)
+    assert np.array_equal(statuses, expected.statuses)
+    axes = c_counts.count_axes(plan, "int16")
+    for axis, count, steps in zip(axes, plan.tree.cells.counts, expected.steps.T):
+        assert axis.missed == count - len(np.unique(steps))
+    told = b"steps never occur" in written["cart_pendulum.h"]
+    assert told == any(axis.missed for axis in axes)
+    assert "coarse" not in name or [axis.missed for axis in axes] == [44, 123]
+    code = written["cart_pendulum.c"].split(b"*/", 1)[1]
+    assert code.count(b"double") == 1  # the table of controls
+
+
+def test_counts_of_32_bits(tmp_path):
+    tree = plan_of("lopsided").policy
+    rng = np.random.default_rng(1)
+    for case, (scale, offset) in enumerate([(1e-6, 0.0), (-5e-9, 0.25), (1e-3 / 3, 0.0)]):
+        plan = Plan.of(tree, scale=[2 * np.pi / 2**17, scale], offset=[1.0, offset])
+        axes = c_counts.count_axes(plan, "int32")
+        changes = axes[1].first + np.array(axes[1].changes)
+        near = (changes[:, None] + np.arange(-2, 3)).ravel()
+        near = -1 - near if scale < 0 else near
+        limits = [-(1 << 31), (1 << 31) - 1, 0, *axes[1].inside]
+        speed = np.concatenate([near, limits, rng.integers(-(1 << 31), 1 << 31, 3000)])
+        angle = rng.integers(-(1 << 31), 1 << 31, len(speed))
+        counts = np.column_stack([angle, speed])
+        expected = decide(plan, in_turn(plan, counts).astype(float))
+        written = files(plan, None, readings="int32")
+        library = Library(written, tmp_path / str(case), plan.n)
+        assert np.array_equal(library.steps(counts), expected.steps)
+        assert np.array_equal(library.decide(counts)[0], expected.labels)
+        assert np.array_equal(library.decide(counts)[1], expected.statuses)
+
+
+def test_whole_numbers_or_a_table():
+    plan = plan_of("lopsided")
+    found = {}
+    for name, (scale, offset) in COUNTS.items():
+        axes = c_counts.count_axes(Plan.of(plan.policy, scale=scale, offset=offset), "int16")
+        found[name] = [axis.affine for axis in axes]
+    assert found["encoder and converter"] == [(9, 0, 8), (9, 252, 8)]
+    assert found["on faces"][1] is None  # rounding decides each tie in its own way
+    assert all(found["full scale"]) and found["no power of two"][0]
+
+
+def test_counts_need_no_floating_point():
+    need("arm-none-eabi-gcc")
+    for scale, most in ((2 * np.pi / 4096, 200), (-2 * np.pi / 1000, 300)):
+        plan = Plan.of(policy("cart-pendulum"), scale=[scale, 0.01])
+        found = sizes(files(plan, None, readings="int16"), "cart_pendulum")["cortex-m0"]
+        assert 0 < found["quantiser"] <= most
+        own = found["decision"] + found["quantiser"]
+        assert found["with_library"] <= own + (4 if scale > 0 else 600)  # a division
+
+
+@pytest.mark.parametrize(
+    ("scale", "readings", "told"),
+    [
+        ([1.0, 0.01], "int8", "`readings` must be"),
+        ([2 * np.pi / 2**33, 0.01], "int32", "axis 'theta'.*need 34 bits"),
+        ([2 * np.pi / 2**17, 0.01], "int16", "axis 'theta'.*take int32"),
+        ([2 * np.pi / 4096, 1e-4], "int16", "axis 'omega'.*need 17 bits; take int32"),
+        ([2 * np.pi / 4096, 1e-18], "int32", "axis 'omega'.*counts of up to 5e"),
+        ([0.001, 0.01], "int16", "'theta' a whole number of counts; got 6283.18"),
+        ([2 * np.pi / 4096, -11.0], "int16", "coarser than axis 'omega'"),
+    ],
+)
+def test_counts_that_do_not_fit(scale, readings, told):
+    plan = Plan.of(policy("cart-pendulum"), scale=scale)
+    with pytest.raises(ProblemError, match=told):
+        files(plan, None, readings=readings)
+    with pytest.raises(ProblemError, match="needs `arithmetic` lattice"):
+        files(plan, None, readings="int16", arithmetic="double")
+
+
 @pytest.mark.parametrize("default", [0.0, 5.0])  # 5: the same control as a symbol is no change
 @pytest.mark.parametrize("dwell", [0.05, 0.1, 0.13])
 def test_dwell_is_that_of_the_closed_loop(tmp_path, dwell, default):
@@ -250,6 +371,23 @@ def test_sizes(mode, most):
     assert all(0 < measured["stack"] <= 64 for measured in found.values())
 
 
+@pytest.mark.parametrize("tool", ["gcc", "nm", "size"])
+def test_sizes_without_a_tool(monkeypatch, tool):
+    run = c_sizes._run
+    monkeypatch.setattr(
+        c_sizes,
+        "_run",
+        lambda command, *rest: None if command[0].endswith(tool) else run(command, *rest),
+    )
+    assert sizes(files(plan_of("cart-pendulum"), None), "cart_pendulum") == {}
+
+
+def test_sizes_name_compilers():
+    need("gcc")
+    for measured in sizes(files(plan_of("cart-pendulum"), None), "cart_pendulum").values():
+        assert re.fullmatch(r"[a-z-]*gcc \d+\.\d+\.\d+", measured["compiler"])
+
+
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a", "cart-pole"])
 def test_few_nodes_are_read(name):
     tree = plan_of(name).tree.cells
@@ -273,13 +411,27 @@ ADVISORY = ("misra-c2012-2.4", "misra-c2012-8.7")
         ("linear", "table", "lattice", 0.0),
         ("linear", "nested", "lattice", 0.1),
         ("freedom", "nested", "float", 0.0),
-        ("freedom", "grid", "lattice", 0.0),
+        ("small", "grid", "lattice", 0.0),
     ],
 )
 def test_misra(tmp_path, mode, style, arithmetic, dwell):
+    plan = random_plan(8, depth=3) if mode == "small" else plan_of("cart-pendulum", mode)
+    plan = dataclasses.replace(plan, dwell=dwell)
+    assert_misra(files(plan, None, style=style, arithmetic=arithmetic), tmp_path)
+
+
+@pytest.mark.parametrize("turn", [-4096, 1000])
+def test_misra_of_counts(tmp_path, turn, monkeypatch):
+    if turn > 0:  # as where rounding decides at each face
+        monkeypatch.setattr(c_counts, "_affine", lambda changes, top: None)
+    plan = Plan.of(random_plan(8, depth=3).policy, scale=[2 * np.pi / turn, 0.01])
+    written = files(plan, None, readings="int16")
+    assert (b"_axis_rank" if turn > 0 else b"_axis_step") in written["cart_pendulum.c"]
+    assert_misra(written, tmp_path)
+
+
+def assert_misra(written, tmp_path):
     need("cppcheck")
-    plan = dataclasses.replace(plan_of("cart-pendulum", mode), dwell=dwell)
-    written = files(plan, None, style=style, arithmetic=arithmetic)
     write(written, tmp_path)
     command = "cppcheck -q --addon=misra --enable=style --std=c99 --template={id} cart_pendulum.c"
     told = subprocess.run(command.split(), cwd=tmp_path, capture_output=True, text=True)
@@ -303,9 +455,22 @@ def test_example(tmp_path, compiler, dwell):
 
 
 def test_same_input_same_bytes():
-    for options in ({}, {"style": "nested", "arithmetic": "float"}, {"style": "grid"}):
-        first = files(Plan.of(policy("cart-pendulum"), dwell=0.1), None, **options)
-        again = files(Plan.of(policy("cart-pendulum"), dwell=0.1), None, **options)
+    for options in (
+        {},
+        {"style": "nested", "arithmetic": "float"},
+        {"style": "grid"},
+        {"readings": "int16"},
+    ):
+        first = files(
+            Plan.of(policy("cart-pendulum"), dwell=0.1, scale=0.0015339807878856412),
+            None,
+            **options,
+        )
+        again = files(
+            Plan.of(policy("cart-pendulum"), dwell=0.1, scale=0.0015339807878856412),
+            None,
+            **options,
+        )
         assert first == again
     for content in first.values():
         assert "SHA-256" in content.decode()
@@ -313,6 +478,16 @@ def test_same_input_same_bytes():
         line for name, c in first.items() for line in c.decode().splitlines() if "#" not in line
     ]
     assert [line for line in lines if len(line) > 100] == []
+
+
+@pytest.mark.parametrize("roundings", [9, 40, 1000])
+def test_steps_of_a_few_roundings(tmp_path, roundings):
+    tree = random_plan(1 << 12).policy
+    lower, width = np.array([3e5, -7e5]), (1 << 12) * roundings * np.spacing(7e5)
+    domain = capsyn.Box(lower, lower + width, periodic=(True, False))
+    domain.check_resolution(tree.cells.counts)
+    plan = Plan.of(dataclasses.replace(tree, domain=domain))
+    assert_golden(Library(files(plan, None), tmp_path, 2), golden_vectors(plan), True)
 
 
 @pytest.mark.parametrize("count", [1 << 12, 1 << 15, 1 << 20, 1 << 30])
@@ -365,7 +540,8 @@ def test_names(tmp_path):
     p = prefix_of(written)
     assert p == "n7_int_under_the_s"
     header = written[f"{p}.h"].decode()
-    assert f"became {p}." in header and "Symbol '-5' became MINUS_5." in header
+    told = " ".join(header.replace("\n *", " ").split())
+    assert f"became {p}." in told and "Name '-5' became MINUS_5." in told
     assert f"{p.upper()}_SYMBOL_MINUS_5 = 1" in header
     Library(written, tmp_path, 2)
     assert prefix_of(files(Plan.of(source), None, name="double")) == "double_2"
@@ -378,8 +554,8 @@ def test_what_cannot_be_written():
     with pytest.raises(ProblemError, match="`arithmetic` must be"):
         files(plan, None, arithmetic="half")
     with pytest.raises(ProblemError, match="65,536 cells"):
-        files(random_plan(1 << 12), None, style="grid")
+        files(random_plan(1 << 12, depth=3), None, style="grid")
     with pytest.raises(ProblemError, match="axis 'theta'.*24 bits"):
-        files(random_plan(1 << 24), None, arithmetic="float")
+        files(random_plan(1 << 24, depth=3), None, arithmetic="float")
     with pytest.raises(ProblemError, match="`tick` must be more than"):
         files(dataclasses.replace(plan, dwell=1.0), None, tick=1e-12)

@@ -1,15 +1,17 @@
+import dataclasses
 import re
 
 import numpy as np
 import pytest
 
 import capsyn
-from capsyn import Alphabet, Box, Policy, problems
+from capsyn import Alphabet, Box, Policy
 from capsyn.errors import ProblemError
 from capsyn.exports import structured_text as target
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.split_tree import LEAF, SplitTree
+from exported import PROBLEMS, built_in
 from trees import GRIDS, random_policy, random_tree
 
 pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
@@ -18,18 +20,7 @@ pytest.importorskip(
 )
 from structured_text import Program  # noqa: E402
 
-NAMES = ["cart-pendulum", "cart-pendulum-4", "double-tank-a", "double-tank-b", "cart-pole"]
 STYLES = ("nested", "table")
-
-
-@pytest.fixture(scope="module")
-def policies():
-    return {
-        name: capsyn.synthesize(
-            problems.get(name), **({"max_level": 2} if name == "cart-pole" else {})
-        )
-        for name in NAMES
-    }
 
 
 def source(plan, **options):
@@ -53,14 +44,14 @@ def check(plan, golden=None, **options):
 
 
 @pytest.mark.parametrize("style", STYLES)
-@pytest.mark.parametrize("name", NAMES)
-def test_every_golden_vector_has_its_symbol_and_status(policies, name, style):
-    check(Plan.of(policies[name]), style=style)
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_every_golden_vector_has_its_symbol_and_status(name, style):
+    check(Plan.of(built_in(name)), style=style)
 
 
 @pytest.mark.parametrize("mode", ["freedom", "linear"])
-def test_compressed_trees_too(policies, mode):
-    tree = capsyn.compress(policies["cart-pendulum"], mode, states=5_000)
+def test_compressed_trees_too(mode):
+    tree = capsyn.compress(built_in("cart-pendulum"), mode, states=5_000)
     for style in STYLES:
         check(Plan.of(tree), style=style)
 
@@ -164,14 +155,19 @@ def test_names_that_the_language_keeps():
         check(plan, style=style)
 
 
-def test_same_input_same_bytes_and_header(policies):
-    plan = Plan.of(policies["double-tank-b"])
-    assert source(plan) == source(Plan.of(policies["double-tank-b"]))
+def test_states_may_be_called_like_functions():
+    domain = dataclasses.replace(random_policy(3).domain, names=["random_tree1", "random_step"])
+    check(Plan.of(dataclasses.replace(random_policy(3), domain=domain)))
+
+
+def test_same_input_same_bytes_and_header():
+    plan = Plan.of(built_in("double-tank-b"))
+    assert source(plan) == source(Plan.of(built_in("double-tank-b")))
     text = source(plan).decode()
     for line in plan.header:
         assert line[:60] in text
 
 
-def test_style_must_be_known(policies):
+def test_style_must_be_known():
     with pytest.raises(ProblemError, match="style"):
-        source(Plan.of(policies["double-tank-b"]), style="short")
+        source(Plan.of(built_in("double-tank-b")), style="short")

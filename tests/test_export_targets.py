@@ -27,7 +27,7 @@ from exported import (
 from trees import random_policy
 
 
-@pytest.mark.parametrize("to", ["python", "javascript"])
+@pytest.mark.parametrize("to", RUNNERS)
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_built_in_problems(name, to, tmp_path):
     assert_equal(to, built_in(name), tmp_path)
@@ -71,6 +71,11 @@ def test_python_modules_need_nothing(tmp_path):
     code = f"import {path.stem} as m; print(m.control([0.0, 0.0]), m.SYMBOLS)"
     run = subprocess.run([sys.executable, "-S", "-c", code], cwd=tmp_path, capture_output=True)
     assert run.returncode == 0, run.stderr
+
+
+def test_python_modules_may_be_called_like_an_encoding(tmp_path):
+    policy = dataclasses.replace(small(), name="coding: gray")
+    assert module(made_by(policy, "python", tmp_path)).STATES == policy.domain.names
 
 
 def test_python_module_names_hide_nothing(tmp_path):

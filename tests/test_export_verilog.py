@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import re
 import shutil
@@ -7,26 +8,16 @@ import numpy as np
 import pytest
 
 import capsyn
-from capsyn import Alphabet, Box, Policy, problems
+from capsyn import Alphabet, Box, Policy
 from capsyn.errors import ProblemError
 from capsyn.exports import verilog as target
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.split_tree import LEAF, SplitTree
+from exported import PROBLEMS, built_in
 from trees import GRIDS, random_policy, random_tree
 
-NAMES = ["cart-pendulum", "cart-pendulum-4", "double-tank-a", "double-tank-b", "cart-pole"]
 KINDS = [(inputs, pipeline) for inputs in ("lattice", "fixed") for pipeline in (False, True)]
-
-
-@pytest.fixture(scope="module")
-def policies():
-    return {
-        name: capsyn.synthesize(
-            problems.get(name), **({"max_level": 2} if name == "cart-pole" else {})
-        )
-        for name in NAMES
-    }
 
 
 def tool(name):
@@ -112,9 +103,9 @@ def oblique(n=3, size=40, seed=0, periodic=False):
 
 
 @pytest.mark.parametrize("inputs, pipeline", KINDS)
-@pytest.mark.parametrize("name", NAMES)
-def test_every_golden_vector_has_its_symbol(policies, name, inputs, pipeline, tmp_path):
-    text = check(tmp_path, Plan.of(policies[name]), inputs=inputs, pipeline=pipeline)
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_every_golden_vector_has_its_symbol(name, inputs, pipeline, tmp_path):
+    text = check(tmp_path, Plan.of(built_in(name)), inputs=inputs, pipeline=pipeline)
     if inputs == "fixed":
         share = float(re.search(r"whose symbol the rounding changes: (\S+)", text)[1])
         assert share < 0.01
@@ -125,6 +116,45 @@ def test_random_policies_on_periodic_axes(grid, tmp_path):
     plan = Plan.of(random_policy(grid, periodic=True, seed=grid))
     for inputs in ("lattice", "fixed"):
         check(tmp_path, plan, inputs=inputs, pipeline=grid % 2 == 1)
+
+
+def single_split(counts, threshold, lower, upper):
+    """Return a tree policy of one split of the first axis."""
+    split = np.array([0, LEAF, LEAF], dtype=np.int32)
+    numbers = np.array([threshold, 0, 1], dtype=np.int32)
+    second = np.array([2, 1, 2], dtype=np.int32)
+    n = len(counts)
+    tree = SplitTree(counts, split, numbers, second, np.zeros((0, n), dtype=np.int32))
+    domain = Box(lower, upper)
+    guarantee = capsyn.compress(built_in("double-tank-b")).guarantee
+    return capsyn.DecisionTree(
+        "single", domain, Alphabet([1, 2]), np.zeros(1), tree, guarantee=guarantee
+    )
+
+
+def test_steps_that_the_tree_does_not_tell_apart_cost_nothing(tmp_path):
+    plan = Plan.of(single_split((1 << 30,), 12345, [0.0], [2.0**20]))
+    assert len(check(tmp_path, plan, inputs="fixed")) < 10_000
+
+
+def test_oblique_trees_whose_faces_are_numbers_of_the_port(tmp_path):
+    plan = Plan.of(oblique(2, seed=3))
+    domain = Box([-0.5, -4.0], [0.5, 4.0])
+    tree = dataclasses.replace(plan.policy.cells, counts=(128, 64))
+    policy = dataclasses.replace(plan.policy, domain=domain, cells=tree)
+    check(tmp_path, Plan.of(policy), inputs="fixed")
+
+
+def test_expected_symbols_of_fixed_point_ports_are_those_of_their_numbers():
+    plan = Plan.of(random_policy(3, periodic=True))
+    golden = golden_vectors(plan)
+    assert target.files(plan, golden).golden is None
+    found = target.files(plan, golden, inputs="fixed").golden
+    rounded = decide(plan, found.readings)
+    np.testing.assert_array_equal(found.labels, rounded.labels)
+    finite = golden.statuses != 2
+    assert (found.readings != golden.readings[finite]).any()
+    assert (found.labels != golden.labels[finite]).any()  # beside the faces
 
 
 @pytest.mark.parametrize("inputs, pipeline", KINDS)
@@ -172,9 +202,9 @@ def test_expected_symbols_are_the_policys_at_the_quantised_states(periodic):
     assert seen > 1000
 
 
-def test_outside_takes_the_nearest_or_the_safe_symbol(policies, tmp_path):
-    assert policies["cart-pendulum"].outside == "nearest"
-    check(tmp_path, Plan.of(policies["double-tank-b"], safe=1), inputs="fixed")
+def test_outside_takes_the_nearest_or_the_safe_symbol(tmp_path):
+    assert built_in("cart-pendulum").outside == "nearest"
+    check(tmp_path, Plan.of(built_in("double-tank-b"), safe=1), inputs="fixed")
 
 
 def test_a_single_leaf(tmp_path):
@@ -184,15 +214,16 @@ def test_a_single_leaf(tmp_path):
         check(tmp_path, Plan.of(policy), inputs=inputs, pipeline=pipeline)
 
 
-def test_a_wrong_symbol_is_found(policies, tmp_path):
-    plan = Plan.of(policies["double-tank-b"])
+def test_a_wrong_symbol_is_found(tmp_path):
+    plan = Plan.of(built_in("double-tank-b"))
     files = target.files(plan, golden_vectors(plan)).files
     lines = files["double_tank_b.mem"].decode().splitlines()
     lines[-1] = f"{int(lines[-1], 16) ^ 1:0{len(lines[-1])}x}"
     files["double_tank_b.mem"] = ("\n".join(lines) + "\n").encode()
     assert "FAIL: 1 wrong" in simulate(tmp_path, files)
     files["double_tank_b.mem"] = b"\n"
-    assert "FAIL" in simulate(tmp_path, files)
+    told = simulate(tmp_path, files)
+    assert "FAIL: no vectors in double_tank_b.mem; run where it lies" in told
 
 
 DWELL_BENCH = """
@@ -216,6 +247,28 @@ module dwell_tb;
     end
 endmodule
 """
+
+
+@pytest.mark.parametrize("clock", [50e6, 100e6])
+@pytest.mark.parametrize("dwell", [0.1 * 3, 500 / 1.3, 86400.0, 1e6 / 3])
+def test_clocks_of_long_dwell_times(clock, dwell, tmp_path):
+    plan = Plan.of(random_policy(3), dwell=dwell)
+    written = target.files(plan, golden_vectors(plan), clock_hz=clock, name="top").files
+    written["show.v"] = (
+        b"module show; wire [1:0] s; wire v; top dut(1'b0, 1'b0, 1'b0, 5'd0, 5'd0, v, s);"
+        b' initial begin $display("%0d", dut.DWELL_CYCLES); $finish; end endmodule\n'
+    )
+    for name in ("top.v", "show.v"):
+        (tmp_path / name).write_bytes(written[name])
+    run(tmp_path, "iverilog", "-g2005", "-o", "show.vvp", "top.v", "show.v")
+    found = int(run(tmp_path, "vvp", "-n", "show.vvp"))
+    assert abs(found - dwell * clock) <= 1 + 1e-12 * dwell * clock
+
+
+def test_dwell_times_beyond_the_counter():
+    plan = Plan.of(random_policy(3), dwell=1e12)
+    with pytest.raises(ProblemError, match="`dwell` must be less than 2.63 clocks of 50000000 Hz"):
+        target.files(plan, golden_vectors(plan))
 
 
 @pytest.mark.parametrize("pipeline", [False, True])
@@ -248,11 +301,11 @@ def test_dwell_time_with_fixed_point_ports(tmp_path):
         check(tmp_path, plan, inputs="fixed", pipeline=pipeline)
 
 
-def test_synthesis(policies, tmp_path):
+def test_synthesis(tmp_path):
     tool("yosys")
     cells = {}
     for inputs in ("lattice", "fixed"):
-        plan = Plan.of(policies["double-tank-b"])
+        plan = Plan.of(built_in("double-tank-b"))
         files = target.files(plan, golden_vectors(plan), inputs=inputs, name="top").files
         (tmp_path / "top.v").write_bytes(files["top.v"])
         told = run(tmp_path, "yosys", "-p", "read_verilog top.v; synth_ice40 -top top; stat")
@@ -280,8 +333,8 @@ def test_names_that_the_language_keeps(tmp_path):
     assert "// Renamed: 'reg' is reg_2" in text
 
 
-def test_same_input_same_bytes_and_header(policies):
-    plan = Plan.of(policies["double-tank-b"])
+def test_same_input_same_bytes_and_header():
+    plan = Plan.of(built_in("double-tank-b"))
     for inputs in ("lattice", "fixed"):
         made = [target.files(plan, golden_vectors(plan), inputs=inputs).files for _ in range(2)]
         assert made[0] == made[1]
@@ -290,9 +343,9 @@ def test_same_input_same_bytes_and_header(policies):
                 assert line[:60] in content.decode()
 
 
-def test_bad_options(policies):
+def test_bad_options():
     def files(name="double-tank-a", **options):
-        plan = Plan.of(policies[name])
+        plan = Plan.of(built_in(name))
         return target.files(plan, golden_vectors(plan), **options).files
 
     with pytest.raises(ProblemError, match="would fall together.*at least 9 bits with 8"):

@@ -22,9 +22,9 @@ def int32(*values):
 
 
 def random_split_tree(counts, planes=0, labels=LABELS, depth=6, seed=0):
-    """Return a tree with random splits, some of them beyond the lattice or of no effect.
+    """Return a tree with random splits, some of them of no effect.
 
-    Oblique ones have one of `planes` normals.
+    Oblique ones have one of `planes` normals, and may lie beyond the lattice.
     """
     rng, n = np.random.default_rng(seed), len(counts)
     coefficients = rng.integers(-4, 5, (planes, n)).astype(np.int32)
@@ -32,17 +32,17 @@ def random_split_tree(counts, planes=0, labels=LABELS, depth=6, seed=0):
 
     def grow(left):
         here = len(rows)
-        if not left or (here and rng.random() < 0.2):
+        split = int(rng.integers(n + planes))
+        if not left or (here and rng.random() < 0.2) or (split < n and counts[split] == 1):
             rows.append([LEAF, rng.integers(labels), here])
             return
-        split = int(rng.integers(n + planes))
-        point = rng.integers(counts)
-        cut = point[split] if split < n else coefficients[split - n] @ point
-        if split >= n:
+        if split < n:
+            cut = rng.integers(1, counts[split])
+        else:
+            cut = coefficients[split - n] @ rng.integers(counts)
+            cut += (rng.random() < 0.1) * rng.integers(-3, 4) * max(counts)
             used.append(coefficients[split - n])
             split = n + len(used) - 1
-        if rng.random() < 0.1:
-            cut += rng.integers(-3, 4) * max(counts)
         rows.append([split, cut, 0])
         grow(left - 1)
         rows[here][2] = len(rows)
@@ -156,6 +156,15 @@ def test_boxes_are_the_leaves_in_order(counts):
     assert (np.diff(boxes.places) > 0).all() and not boxes.levels.any()
     assert np.array_equal(boxes.labels, tree.threshold[boxes.places])
     assert boxes.volumes().sum() == math.prod(counts)
+
+
+@pytest.mark.parametrize("threshold", [-3, 0, 5, 1000])
+def test_splits_beyond_the_lattice_are_refused(threshold):
+    tree = random_split_tree((5, 7), seed=3)
+    wrong = tree.threshold.copy()
+    wrong[np.flatnonzero(tree.split == 0)[0]] = threshold
+    with pytest.raises(PolicyFormatError, match="splits an axis beyond its lattice"):
+        dataclasses.replace(tree, threshold=wrong).check(LABELS)
 
 
 def test_oblique_trees_have_no_boxes():

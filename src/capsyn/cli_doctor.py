@@ -31,12 +31,12 @@ DATA = {
 
 SLOWER = "NumPy does the work: a solve takes some 25 times as long, the results are the same"
 COMMANDS: dict[str, tuple[str, str]] = {
-    "gcc": ("bytes of exported C on this machine", "the certificate has no such figures"),
+    "gcc": ("bytes of exported C on this machine", "measured.json has no such figures"),
     "arm-none-eabi-gcc": (
         "bytes of exported C on Cortex-M0 and M4",
-        "the certificate has no such figures",
+        "measured.json has no such figures",
     ),
-    "avr-gcc": ("bytes of exported C on AVR", "the certificate has no such figures"),
+    "avr-gcc": ("bytes of exported C on AVR", "measured.json has no such figures"),
     "dot": ("drawing what `export --to dot` writes", "`capsyn automaton -o FILE.svg` draws, too"),
     "iverilog": ("the test bench of exported Verilog", "any other simulator runs it"),
     "clang": ("tests of kernels and exported C", "these tests are skipped"),

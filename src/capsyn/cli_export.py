@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from capsyn.cli_options import File, Json, assignments, number, one_or_list
+from capsyn.cli_options import File, Json, assignments, one_or_list
 from capsyn.console import show, working
 
 TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
@@ -64,7 +64,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a policy or a tree in another language, with golden vectors and what it costs."""
-    from capsyn.exports.export import CERTIFICATE, check_options, export
+    from capsyn.exports.export import CERTIFICATE, MEASURED, all_targets, check_options, export
     from capsyn.policy import Policy
 
     options: dict[str, Any] = {
@@ -83,17 +83,21 @@ def export(
     }
     options |= {key: value for key, value in given.items() if value is not None}
     policy = Policy.load(file)
+    if to == "all":
+        targets = list(all_targets(policy))
     one = len(targets) == 1
     with working(f"exporting to {to}"):
         written = export(policy, targets[0] if one else targets, output, **options)
-    found = [json.loads(path.read_bytes()) for path in written if path.name == CERTIFICATE]
+    read = {path: json.loads(path.read_bytes()) for path in written if path.suffix == ".json"}
+    found = [data for path, data in read.items() if path.name == CERTIFICATE]
+    measured = [data for path, data in read.items() if path.name == MEASURED]
     data = {
         "files": [str(path) for path in written],
         "certificate": found[0] if one else dict(zip(targets, found)),
-    }
+    } | ({"measured": measured[0]} if measured else {})
 
     def told() -> None:
-        print_export(list(map(str, written)), found)
+        print_export(list(map(str, written)), found, measured)
 
     show(as_json, data, told)
 
@@ -109,11 +113,13 @@ def _value(text: str) -> Any:
         except ValueError:
             pass
     if "," in text:
-        return [number("--option", part) for part in text.split(",")]
+        return [_value(part) for part in text.split(",")]
     return text
 
 
-def print_export(files: list[str], certificates: list[dict[str, Any]]) -> None:
+def print_export(
+    files: list[str], certificates: list[dict[str, Any]], measured: list[dict[str, Any]]
+) -> None:
     """Print what a decision costs, and which files were written."""
     tree = certificates[0]
     compared = tree["comparisons"]
@@ -124,15 +130,18 @@ def print_export(files: list[str], certificates: list[dict[str, Any]]) -> None:
     )
     typer.echo(tree["guarantee"])
     for figures in certificates:
-        changed = f"{figures['changed_by_rounding']:.2%}"
-        typer.echo(f"{figures['target']}: quantisation changes the symbol of {changed} of states")
-        for note in figures["notes"]:
-            typer.echo(f"  {note}")
+        changed, lines = figures["changed_by_rounding"], list(figures["notes"])
+        if changed is None:
+            lines.append("quantisation changes no symbol: the lattice is the policy's own")
+        else:
+            lines.append(f"rounding changes the symbol of {changed:.2%} of random states")
         if figures["renamed"]:
             pairs = (f"{old!r} is {new}" for old, new in figures["renamed"].items())
-            typer.echo(f"  renamed: {', '.join(pairs)}")
-        for processor, found in figures.get("measured", {}).items():
-            words = [f"{name.replace('_', ' ')} {value:,}" for name, value in found.items()]
-            typer.echo(f"  {processor}: {', '.join(words)} bytes")
+            lines.append(f"renamed: {', '.join(pairs)}")
+        for line in lines:
+            typer.echo(f"{figures['target']}: {line}")
+    for processor, found in (measured[0] if measured else {}).items():
+        words = [f"{k.replace('_', ' ')} {v:,}" for k, v in found.items() if k != "compiler"]
+        typer.echo(f"c, {processor}, {found['compiler']}, bytes: {', '.join(words)}")
     for name in files:
         typer.echo(f"wrote {name}")

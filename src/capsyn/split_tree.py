@@ -248,6 +248,10 @@ class SplitTree:
         sums = np.abs(self.planes.astype(np.float64)) @ np.array(self.counts, dtype=np.float64)
         if (sums > MAX_COUNT).any():
             raise PolicyFormatError("a plane of the tree has sums beyond 32 bits")
+        counts = np.array((*self.counts, *[0] * len(self.planes)))[self.split]
+        axis = (self.split != LEAF) & (self.split < n)
+        if (axis & ((self.threshold < 1) | (self.threshold >= counts))).any():
+            raise PolicyFormatError("a node of the tree splits an axis beyond its lattice")
 
     @functools.cached_property
     def starts(self) -> tuple[int, np.ndarray]:

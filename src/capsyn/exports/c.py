@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.exports import c_dwell
+from capsyn.exports.c_cmake import cmake
+from capsyn.exports.c_counts import READINGS, CountAxis, count_axes, counts_quantiser
 from capsyn.exports.c_grid import grid
 from capsyn.exports.c_language import (
     KEYWORDS,
@@ -21,6 +24,7 @@ from capsyn.exports.c_language import (
     z_type,
 )
 from capsyn.exports.c_nested import nested
+from capsyn.exports.c_notes import count_lines, notes
 from capsyn.exports.c_quantiser import (
     check_single_precision,
     quantiser,
@@ -30,7 +34,8 @@ from capsyn.exports.c_quantiser import (
 from capsyn.exports.c_table import table
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 from capsyn.split_tree import SplitTree
 from capsyn.validation import one_of
 
@@ -44,6 +49,7 @@ def files(
     *,
     style: str = "table",
     arithmetic: str = "lattice",
+    readings: str = "real",
     name: str | None = None,
     tick: float = 1e-6,
 ) -> Made:
@@ -57,6 +63,14 @@ def files(
     arithmetic : "lattice", "double" or "float"
         What a decision is made on: lattice steps, which a function gives for states in double
         precision; states in double precision; or in single precision.
+    readings : "real", "int16" or "int32"
+        What functions take: real numbers, or counts of a sensor, whole numbers of 16 or 32 bits.
+        Scale and offset then go into whole numbers, and nothing needs floating point. At every
+        count of the integer the symbol is that of the state ``count * scale + offset``; on a
+        periodic axis, where a turn must be a whole number of counts (within 0.001), that of the
+        count in the turn that begins at the lower bound. The integer must reach the first and the
+        last step of every axis. Counts may be coarser than steps, but not than a whole axis; the
+        header says how many steps no count gives. Needs ``arithmetic`` lattice.
     name : str, optional
         What files and functions are called, made an identifier. Default: the policy's name.
     tick : float
@@ -64,18 +78,20 @@ def files(
     """
     one_of("style", style, list(STYLES))
     one_of("arithmetic", arithmetic, list(ARITHMETICS))
+    one_of("readings", readings, list(READINGS))
+    if readings != "real" and arithmetic != "lattice":
+        raise ProblemError(f"`readings` {readings} needs `arithmetic` lattice; got {arithmetic}")
     if plan.labels > 1 << 15:
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
-    code = Code.of(plan, style, arithmetic, name, tick)
+    code = Code.of(plan, style, arithmetic, readings, name, tick)
     prefix = code.prefix
     written = {
         f"{prefix}.h": code.header().encode(),
         f"{prefix}.c": code.source().encode(),
         "example.c": code.example().encode(),
-        "CMakeLists.txt": code.cmake().encode(),
+        "CMakeLists.txt": cmake(plan, prefix).encode(),
     }
-    changed = share_changed_by_single_precision(plan) if code.real == "float" else 0.0
-    return Made(written, code.renamed, code.wide(), changed)
+    return Made(written, code.renamed, code.told(), code.changed)
 
 
 @dataclass(frozen=True)
@@ -90,9 +106,13 @@ class Code:
     tick: float
     tree: SplitTree
     faces: list[np.ndarray] | None
+    readings: str
+    axes: list[CountAxis]
 
     @staticmethod
-    def of(plan: Plan, style: str, arithmetic: str, name: str | None, tick: float) -> Code:
+    def of(
+        plan: Plan, style: str, arithmetic: str, readings: str, name: str | None, tick: float
+    ) -> Code:
         """Return the code of a plan, its tree over faces where floats are looked up in tables."""
         wanted = plan.policy.name if name is None else name
         prefix = file_name(name, wanted, KEYWORDS)
@@ -104,7 +124,8 @@ class Code:
             check_single_precision(tree, plan.policy.domain)
             if style != "nested" or len(tree.planes):
                 tree, faces = ranked(tree, plan.policy.domain)
-        return Code(plan, style, arithmetic, prefix, wanted, tick, tree, faces)
+        axes = [] if readings == "real" else count_axes(plan, readings)
+        return Code(plan, style, arithmetic, prefix, wanted, tick, tree, faces, readings, axes)
 
     @property
     def direct(self) -> bool:
@@ -116,6 +137,11 @@ class Code:
     def real(self) -> str:
         """Type of states."""
         return "float" if self.arithmetic == "float" else "double"
+
+    @property
+    def reading(self) -> str:
+        """Type of what decisions are asked for."""
+        return self.real if self.readings == "real" else f"{self.readings}_t"
 
     @property
     def integer(self) -> str:
@@ -134,12 +160,18 @@ class Code:
         changed = {old: new for old, new in symbols if old.upper() != new}
         return renamed([self.wanted], [self.prefix]) | changed
 
-    def wide(self) -> tuple[str, ...]:
-        """Return that lattice steps need 32 bits, where they do."""
-        many = max(self.tree.counts)
-        if self.integer == "int16_t":
-            return ()
-        return (f"lattice steps are {self.integer}: an axis has {many:,} steps, beyond 16 bits",)
+    @functools.cached_property
+    def changed(self) -> float | None:
+        """Share of states whose symbol rounding changes; None where none can."""
+        return share_changed_by_single_precision(self.plan) if self.real == "float" else None
+
+    def told(self) -> tuple[str, ...]:
+        """Return what a user is told as the export is made."""
+        found = [line for axis, line in count_lines(self.axes) if axis.missed]
+        if self.integer != "int16_t":
+            many = max(self.tree.counts)
+            found.append(f"lattice steps are {self.integer}: an axis has {many:,}, beyond 16 bits")
+        return tuple(found)
 
     def about(self, role: str) -> str:
         """Return the comment that a file begins with."""
@@ -152,13 +184,13 @@ class Code:
         n = plan.n
         inputs = len(plan.policy.alphabet.inputs)
         lattice = self.arithmetic == "lattice"
+        includes = "#include <stdint.h>" if self.axes else "#include <float.h>\n#include <stdint.h>"
         text = f"""{self.about("header")}
-{comment(self.notes())}
+{comment(notes(self.plan, self.arithmetic, self.axes, self.renamed, self.changed))}
 #ifndef {upper}_H
 #define {upper}_H
 
-#include <float.h>
-#include <stdint.h>
+{includes}
 {self.no_double()}
 #ifdef __cplusplus
 extern "C" {{
@@ -188,22 +220,23 @@ int16_t {p}_symbol(const {self.integer} z[{n}]);
 """
         if plan.dwell:
             ticks = c_dwell.ticks_of(plan, self.tick)
-            text += c_dwell.declarations(p, self.real, n, plan.dwell, self.tick, ticks)
-        states = "readings" if plan.folded else "states"
+            text += c_dwell.declarations(p, plan.dwell, self.tick, ticks)
+        states = "readings" if plan.folded or self.axes else "states"
+        lost = "" if self.axes else "; of those that are not finite 0"
         decisions = ""
         if lattice:
             decisions += f"""
-/* Give the lattice steps of {states}; of those that are not finite 0. */
-{p}_status {p}_quantise(const double x[{n}], {self.integer} z[{n}]);
+/* Give the lattice steps of {states}{lost}. */
+{p}_status {p}_quantise(const {self.reading} x[{n}], {self.integer} z[{n}]);
 """
         decisions += f"""
 /* Return the symbol of {states}. */
-int16_t {p}_decide(const {self.real} x[{n}], {p}_status *status);
+int16_t {p}_decide(const {self.reading} x[{n}], {p}_status *status);
 """
         if plan.dwell:
             decisions += f"""
 /* Return the symbol in force at tick `now`: that of {states}, or the one that must be held. */
-int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
+int16_t {p}_step({p}_state *state, const {self.reading} x[{n}], uint32_t now,
     {p}_status *status);
 """
         return f"""{text}{self.guarded(decisions)}
@@ -216,16 +249,14 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
 
     def guarded(self, text: str) -> str:
         """Return text for compilers whose double has 53 bits, as what follows needs them."""
-        if self.real == "float":
-            return text
-        if self.arithmetic == "double":
+        if self.arithmetic != "lattice" or self.axes:
             return text
         guard = f"#ifndef {self.prefix.upper()}_NO_DOUBLE /* else only steps can be decided */"
         return f"\n{guard}\n{text}\n#endif\n"
 
     def no_double(self) -> str:
         """Return the test for compilers whose double does not have 53 bits, or not always."""
-        if self.real == "float":
+        if self.real == "float" or self.axes:
             return ""
         lacking = f"#define {self.prefix.upper()}_NO_DOUBLE"
         if self.arithmetic == "double":
@@ -242,36 +273,6 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
 #endif
 #endif
 """
-
-    def notes(self) -> list[str]:
-        """Return what a user must know, as lines."""
-        plan = self.plan
-        counts = ", ".join(map(str, plan.tree.cells.counts))
-        lines = [
-            f"Quantisation: the axes have {counts} equal steps. Step k of an axis with C steps "
-            "holds the states face(k) <= x < face(k + 1), where face(k) = lower + (upper - lower) "
-            "* (k / C), rounded as written in double precision; the upper bound belongs to the "
-            "last step; periodic states are brought into [lower, upper) first. The tree compares "
-            "steps: its symbol is the same for all states of a step, and quantising changes the "
-            "symbol of 0 % of the states.",
-        ]
-        if self.arithmetic == "lattice":
-            lines.append(f"Steps are {self.integer}: 0 to C - 1 fit.")
-        if self.real == "float":
-            share = share_changed_by_single_precision(plan)
-            lines.append(
-                "Single precision: the symbol is the policy's at the float state. Rounding states "
-                f"to floats changed the symbol of {share:.3%} of 20,000 random states. A periodic "
-                "state beyond its bounds is brought back in single precision."
-            )
-        lines.append(
-            "Status: OUTSIDE of the domain, or NOT_FINITE, or OK. Symbols outside are those above."
-        )
-        lines.append(
-            "MISRA C:2012: deviations, of the category advisory only: 2.4 (symbols are for "
-            "callers), 8.7 (callers may call every function of this file)."
-        )
-        return lines + [f"Name '{old}' became {new}." for old, new in self.renamed.items()]
 
     def source(self) -> str:
         """Return the source file."""
@@ -325,7 +326,9 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
         n, p, single = self.plan.n, self.prefix, self.real == "float"
         places = f"{self.real} y[{n}]" if self.direct else f"{self.integer} z[{n}]"
         static = "" if self.arithmetic == "lattice" else "static "
-        opening = f"{static}{p}_status {p}_quantise(const {self.real} x[{n}], {places})"
+        opening = f"{static}{p}_status {p}_quantise(const {self.reading} x[{n}], {places})"
+        if self.axes:
+            return counts_quantiser(self.plan, p, opening, self.axes)
         return quantiser(self.plan, p, opening, single, self.faces)
 
     def decide(self) -> str:
@@ -336,7 +339,7 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
         else:
             known = f"*status == {upper}_OK"
         return f"""
-int16_t {p}_decide(const {self.real} x[{plan.n}], {p}_status *status)
+int16_t {p}_decide(const {self.reading} x[{plan.n}], {p}_status *status)
 {{
     {self.real if self.direct else self.integer} places[{plan.n}];
     int16_t symbol = {plan.safe};
@@ -352,7 +355,7 @@ int16_t {p}_decide(const {self.real} x[{plan.n}], {p}_status *status)
         """Return the function that gives the symbol of states, dwell time allowing."""
         p, n = self.prefix, self.plan.n
         return f"""
-int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
+int16_t {p}_step({p}_state *state, const {self.reading} x[{n}], uint32_t now,
     {p}_status *status)
 {{
     const int16_t symbol = {p}_decide(x, status);
@@ -364,7 +367,7 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
         """Return a program that decides at the middle of the domain."""
         plan, p, domain = self.plan, self.prefix, self.plan.policy.domain
         middle = ((domain.lower + domain.widths / 2) - plan.offset) / plan.scale
-        values = ", ".join(self.literal(v) for v in middle)
+        values = ", ".join(str(round(v)) if self.axes else self.literal(v) for v in middle)
         declare = f"    {p}_state state;\n" if plan.dwell else ""
         call = f"    symbol = {p}_decide(x, &status);\n"
         if plan.dwell:
@@ -377,25 +380,11 @@ int16_t {p}_step({p}_state *state, const {self.real} x[{n}], uint32_t now,
 
 int main(void)
 {{
-    const {self.real} x[{plan.n}] = {{{values}}};
+    const {self.reading} x[{plan.n}] = {{{values}}};
     {p}_status status;
     int16_t symbol;
 {declare}{call}    (void)printf("symbol %d, status %d\\n", (int)symbol, (int)status);
     (void)printf("control %g\\n", {first});
     return 0;
 }}
-"""
-
-    def cmake(self) -> str:
-        """Return the snippet for CMake."""
-        p = self.prefix
-        about = "\n".join(f"# {line}" for line in self.plan.header)
-        return f"""{about}
-cmake_minimum_required(VERSION 3.10)
-project({p} C)
-add_library({p} STATIC {p}.c)
-set_target_properties({p} PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON)
-target_include_directories({p} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-# what a program does not use is left out by -Wl,--gc-sections
-target_compile_options({p} PRIVATE -ffunction-sections -fdata-sections)
 """

@@ -21,7 +21,7 @@ def ticks_of(plan: Plan, tick: float) -> int:
     return max(1, math.ceil(ticks - 1e-9))
 
 
-def declarations(prefix: str, real: str, n: int, dwell: float, tick: float, ticks: int) -> str:
+def declarations(prefix: str, dwell: float, tick: float, ticks: int) -> str:
     """Return what the header says of the state and its functions, but for ``_step``."""
     return f"""
 #define {prefix.upper()}_DWELL {ticks}uL /* ticks of {tick!r} s: {dwell!r} s */

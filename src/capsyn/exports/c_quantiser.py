@@ -1,12 +1,15 @@
 """The quantiser in C: from states or readings to lattice steps, with a status, and no library.
 
-In double precision a step is estimated, then corrected by the places of its faces as capsyn
-computes them; the product is volatile, since a compiler may otherwise contract it with the sum
-after it into one rounding. In single precision steps are looked up in a table of faces, rounded up
-to floats: a float is at or beyond a face exactly when it is at or beyond the rounded one.
+In double precision a step is estimated and, where the estimate is near a face, corrected by the
+places of faces as capsyn computes them; the product is volatile, since a compiler may otherwise
+contract it with the sum after it into one rounding. In single precision steps are looked up in a
+table of faces, rounded up to floats: a float is at or beyond a face exactly when it is at or beyond
+the rounded one.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -70,6 +73,7 @@ def quantiser(
     """
     domain, n = plan.policy.domain, plan.n
     real = "float" if single else "double"
+    counts = plan.tree.cells.counts
     states = " y[" in opening
 
     def literal(value: float) -> str:
@@ -88,7 +92,7 @@ def quantiser(
         text += _rank(prefix, max(len(k) for k in faces) + 1)
         reads.add("FLOAT")
     elif not states:
-        text += _step(prefix, z_type(plan.tree.cells.counts))
+        text += _step(prefix, z_type(counts), margin(domain, counts))
     body = []
     for i in range(n):
         value = f"x[{i}]"
@@ -127,8 +131,9 @@ def quantiser(
         if states:
             body.append(f"        y[{i}] = {value};")
         elif faces is None:
-            count = plan.tree.cells.counts[i]
-            body.append(f"        z[{i}] = {prefix}_axis_step({value}, {bounds}, {count});")
+            scale = double_literal(counts[i] / domain.widths[i])
+            call = f"{prefix}_axis_step({value}, {bounds}, {scale}, {counts[i]})"
+            body.append(f"        z[{i}] = {call};")
         elif len(faces[i]):
             call = f"{prefix}_axis_step({value}, faces{i}, {len(faces[i]) + 1})"
             body.append(f"        z[{i}] = {call};")
@@ -205,7 +210,19 @@ static {real} {prefix}_wrapped({real} x, {real} lower, {real} width, {real} uppe
 """
 
 
-def _step(prefix: str, integer: str) -> str:
+def margin(domain: Box, counts: Sequence[int]) -> float:
+    """Return how near to a whole number an estimated place tells its step no more; 1: always.
+
+    With u the spacing of floats at the bounds, a face as computed is within 5 u of its place
+    without rounding, and an estimate ``(x - lower) * scale`` within 5 u of its own.
+    """
+    u = np.spacing(np.maximum(abs(domain.lower), abs(domain.upper)))
+    near = float(np.max(16 * u * np.asarray(counts) / domain.widths))
+    return near if near < 0.5 else 1.0
+
+
+def _step(prefix: str, integer: str, near: float) -> str:
+    least, most = (0.5, 0.5) if near < 0.5 else (0.0, 1.0)  # places that need no correction
     return f"""
 /* Return the place of a face; volatile: rounded before the sum. */
 static double {prefix}_face(double lower, double width, {integer} k, {integer} count)
@@ -214,25 +231,39 @@ static double {prefix}_face(double lower, double width, {integer} k, {integer} c
     return lower + part;
 }}
 
-/* Return the step that holds x; of states beyond the axis the nearest. */
-static {integer} {prefix}_axis_step(double x, double lower, double width, {integer} count)
+/* Return the step that holds x, which is step k or a neighbour. */
+static {integer} {prefix}_corrected(double x, double lower, double width, {integer} k,
+    {integer} count)
 {{
-    const double place = (x - lower) * ((double)count / width);
-    const {integer} last = ({integer})(count - 1);
-    {integer} k = 0;
-    if (place >= (double)last) {{
-        k = last;
-    }} else if (place > 0.0) {{
-        k = ({integer})place;
-    }} else {{
-        /* the first */
-    }}
+    {integer} step = k;
     if ((k > 0) && (x < {prefix}_face(lower, width, k, count))) {{
-        --k;
-    }} else if ((k < last) && (x >= {prefix}_face(lower, width, ({integer})(k + 1), count))) {{
-        ++k;
+        step = ({integer})(k - 1);
+    }} else if ((k < (count - 1))
+        && (x >= {prefix}_face(lower, width, ({integer})(k + 1), count))) {{
+        step = ({integer})(k + 1);
     }} else {{
         /* the estimate is right */
+    }}
+    return step;
+}}
+
+/* Return the step that holds x; of states beyond the axis the nearest. */
+static {integer} {prefix}_axis_step(double x, double lower, double width, double scale,
+    {integer} count)
+{{
+    double place = (x - lower) * scale;
+    double within;
+    {integer} k;
+    if (place < {least!r}) {{
+        place = {least!r};
+    }}
+    if (place > ((double)count - {most!r})) {{
+        place = (double)count - {most!r};
+    }}
+    k = ({integer})place;
+    within = place - (double)k;
+    if ((within < {near!r}) || (within > (1.0 - {near!r}))) {{
+        k = {prefix}_corrected(x, lower, width, k, count);
     }}
     return k;
 }}

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from capsyn.exports.plan import Files
@@ -21,7 +22,7 @@ FLASH = (".text", ".rodata", ".progmem")
 RAM = (".data", ".bss")
 
 
-def sizes(files: Files, prefix: str) -> dict[str, dict[str, int]]:
+def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
     """Return what the code takes at ``-Os``, by processor, of those whose compiler is here.
 
     Parameters
@@ -34,27 +35,39 @@ def sizes(files: Files, prefix: str) -> dict[str, dict[str, int]]:
     Returns
     -------
     dict of dict
-        Of each processor ``decision``: code and tables from lattice steps, or from states, to a
-        symbol; ``quantiser``: how much more it takes from states, without the compiler's
-        arithmetic; ``with_library``: what both take with it, where it links [bytes]; ``ram``:
-        static memory [bytes]; ``stack`` and ``stack_from_states``: of the deepest chains of calls,
-        without the compiler's arithmetic [bytes]. Without ``quantiser`` where a processor has no
-        double precision.
+        Of each processor ``compiler``: its name and version; ``decision``: code and tables from
+        lattice steps, or from states, to a symbol; ``quantiser``: how much more it takes from
+        states, without the compiler's arithmetic; ``with_library``: what both take with it, where
+        it links [bytes]; ``ram``: static memory [bytes]; ``stack`` and ``stack_from_states``: of
+        the deepest chains of calls, without the compiler's arithmetic [bytes]. Without
+        ``quantiser`` where a processor has no double precision. Processors are left out whose
+        compiler is missing, fails or has not its linker.
     """
-    found = {}
-    for processor, command in COMPILERS.items():
-        if shutil.which(command[0]):
-            with tempfile.TemporaryDirectory() as made:
-                for name in (f"{prefix}.h", f"{prefix}.c"):
-                    Path(made, name).write_bytes(files[name])
-                measured = _measure(command, Path(made), prefix)
-            if measured:
-                found[processor] = measured
-    return found
+    with ThreadPoolExecutor(len(COMPILERS)) as pool:
+        found = pool.map(lambda command: _of_compiler(command, files, prefix), COMPILERS.values())
+        return {name: measured for name, measured in zip(COMPILERS, found) if measured}
+
+
+def _of_compiler(command: list[str], files: Files, prefix: str) -> dict[str, int | str]:
+    """Return the sizes for one compiler; none where it is missing or the code is not for it."""
+    if not shutil.which(command[0]):
+        return {}
+    with tempfile.TemporaryDirectory() as made:
+        for name in (f"{prefix}.h", f"{prefix}.c"):
+            Path(made, name).write_bytes(files[name])
+        measured = _measure(command, Path(made), prefix)
+        version = (_run([command[0], "-dumpfullversion", "-dumpversion"], Path(made)) or "").strip()
+    return {"compiler": f"{command[0]} {version}".strip(), **measured} if measured else {}
 
 
 def _run(command: list[str], directory: Path) -> str | None:
-    done = subprocess.run(command, cwd=directory, capture_output=True, text=True, check=False)
+    """Return what a command says; none where it fails, is missing or does not end."""
+    try:
+        done = subprocess.run(
+            command, cwd=directory, capture_output=True, text=True, check=False, timeout=60
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
     return done.stdout if done.returncode == 0 else None
 
 
@@ -73,7 +86,9 @@ def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]
     roots += [f"{prefix}_decide"] if f"{prefix}_decide" in defined else []
     frames = _frames((directory / "code.su").read_text())
     calls = _calls(source, prefix)
-    by_root = {root: _linked(compile_[: len(command)], directory, tool, root) for root in roots}
+    by_root = {root: _linked(command, directory, tool, root) for root in roots}
+    if not roots or not all(flash for flash, _, _ in by_root.values()):
+        return {}
     measured = dict(zip(("decision", "ram"), by_root[roots[0]][:2]))
     if len(roots) == 2:
         measured["quantiser"] = by_root[roots[1]][0] - measured["decision"]

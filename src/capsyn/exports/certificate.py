@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
 from typing import Any
 
 from capsyn.complexity import mean_depth
-from capsyn.exports.c_sizes import sizes
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 from capsyn.packing import packed_bytes
 from capsyn.policy_file import content_hash
 
 
-def certificate(plan: Plan, made: Made, target: str) -> dict[str, Any]:
+def certificate(plan: Plan, made: Made, target: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a decision takes at most, as plain data.
 
-    ``comparisons`` is exact, from the tree; ``tree_bytes`` counts its arrays in the smallest
-    integers that hold them, ``file_bytes`` the files by name; ``changed_by_rounding`` is the share
-    of states whose symbol is another as the target rounds them. Target c has ``measured`` besides:
-    flash and stack by processor, of the compilers that are here; see `c_sizes.sizes`.
+    ``comparisons`` is exact, from the tree; the mean is over the volume, and None where splits are
+    oblique. ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
+    ``changed_by_rounding`` is the share of random states whose symbol is another as the target
+    rounds them; None where it rounds to the policy's own lattice, which changes none.
     """
     tree = plan.tree
-    figures = {
+    return {
         "header": list(plan.header),
         "target": target,
+        "options": dict(options),
         "policy": plan.policy.name,
         "sha256": content_hash(plan.policy),
         "nodes": tree.node_count,
@@ -30,13 +33,12 @@ def certificate(plan: Plan, made: Made, target: str) -> dict[str, Any]:
         "planes": len(tree.cells.planes),
         "lattice": list(tree.cells.counts),
         "tree_bytes": packed_bytes(tree.cells),
-        "file_bytes": {name: len(content) for name, content in sorted(made.files.items())},
+        "files": {
+            name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+            for name, content in sorted(made.files.items())
+        },
         "guarantee": tree.guarantee.text,
         "changed_by_rounding": made.changed,
         "renamed": dict(made.renamed),
         "notes": list(made.notes),
     }
-    if target == "c":
-        (header,) = (name for name in made.files if name.endswith(".h"))
-        figures["measured"] = sizes(made.files, header.removesuffix(".h"))
-    return figures

@@ -6,7 +6,8 @@ from capsyn.automaton import Automaton
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 
 
 def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:

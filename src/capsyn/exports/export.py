@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import importlib
 import inspect
 import json
 import os
-import shutil
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from capsyn.decision_tree import DecisionTree
 from capsyn.errors import ProblemError
+from capsyn.exports.c_sizes import sizes
 from capsyn.exports.certificate import certificate
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Files, Plan
@@ -32,8 +35,14 @@ TARGETS = {
 }
 """Targets and their modules, each with ``files(plan, golden, **options) -> Made``."""
 
-CERTIFICATE = "certificate.json"
-"""File of what a decision costs; see `certificate`."""
+GOLDEN, CERTIFICATE, MEASURED = "golden.csv", "certificate.json", "measured.json"
+"""Files beside those of a target: vectors, costs, and what compilers here make of C."""
+
+
+def all_targets(policy: Policy) -> tuple[str, ...]:
+    """Return the targets that a policy can be exported to: ``dot`` draws no oblique splits."""
+    oblique = isinstance(policy, DecisionTree) and len(policy.cells.planes) > 0
+    return tuple(target for target in TARGETS if target != "dot" or not oblique)
 
 
 def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
@@ -78,7 +87,8 @@ def export(
         One of `TARGETS`; or several, each into a folder of its name.
     directory : path
         Where; it is made if need be. Files of the same names are replaced, others left alone; if
-        anything fails, everything is as it was.
+        anything fails, everything is as it was. A killed process may leave a hidden folder
+        ``.capsyn-*``, and files of two exports, which the certificate's SHA-256 tell apart.
     safe : symbol index or name, optional
         Symbol of states that have no other. Default: the policy's own safe symbol, or the default.
     dwell : float, optional
@@ -99,50 +109,73 @@ def export(
         An unknown target or option, or one that the policy does not allow.
     """
     targets = check_options(to, options)
+    if not isinstance(directory, os.PathLike) and not (isinstance(directory, str) and directory):
+        raise ProblemError(f"`directory` must be a path; got {describe(directory)}")
     plan = Plan.of(policy, safe=safe, dwell=dwell, scale=scale, offset=offset)
     golden = golden_vectors(plan)
-    vectors = golden.to_csv(plan)
     files: Files = {}
     for target in targets:
-        made = _module(target).files(plan, golden, **options)
-        made.files["golden.csv"] = vectors
-        figures = certificate(plan, made, target)
-        made.files[CERTIFICATE] = (json.dumps(figures, indent=2, sort_keys=True) + "\n").encode()
+        found = inspect.signature(_module(target).files).parameters.values()
+        chosen = {p.name: options.get(p.name, p.default) for p in list(found)[2:]}
+        made = _module(target).files(plan, golden, **chosen)
+        for name in {GOLDEN, CERTIFICATE, MEASURED} & set(made.files):
+            raise ProblemError(f"`name` must be another: the export has a {name} of its own")
+        vectors = (made.golden or golden).to_csv(plan)
+        made = dataclasses.replace(made, files=made.files | {GOLDEN: vectors})
+        written = made.files | {CERTIFICATE: _json(certificate(plan, made, target, chosen))}
+        if target == "c":
+            (header,) = (name for name in made.files if name.endswith(".h"))
+            written[MEASURED] = _json(sizes(made.files, header.removesuffix(".h")))
         folder = "" if isinstance(to, str) else f"{target}/"
-        files |= {folder + name: content for name, content in made.files.items()}
+        files |= {folder + name: content for name, content in written.items()}
     return _write(files, Path(directory))
+
+
+def _json(data: dict[str, Any]) -> bytes:
+    return (json.dumps(data, indent=2) + "\n").encode()
 
 
 def _write(files: Files, directory: Path) -> tuple[Path, ...]:
     """Write files under temporary names, then rename them all; a failure leaves what was there."""
-    made = not directory.exists()
-    directory.mkdir(parents=True, exist_ok=True)
-    done: list[str] = []
+    folders = sorted({(directory / name).parent for name in files} | {directory})
+    new_folders = [p for p in {f for x in folders for f in (x, *x.parents)} if not p.exists()]
     try:
+        directory.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".capsyn-", dir=directory) as temporary:
-            new, old = Path(temporary, "new"), Path(temporary, "old")
-            for name, content in files.items():
-                if (directory / name).is_dir():
-                    raise ProblemError(f"cannot write '{directory / name}': it is a directory")
-                for path in (new / name, old / name):
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                (new / name).write_bytes(content)
-            try:
-                for name in files:
-                    (directory / name).parent.mkdir(parents=True, exist_ok=True)
-                    done.append(name)
-                    if (directory / name).exists():
-                        os.replace(directory / name, old / name)
-                    os.replace(new / name, directory / name)
-            except BaseException:
-                for name in done:
-                    if (old / name).exists():
-                        os.replace(old / name, directory / name)
-                    elif not (new / name).exists():
-                        (directory / name).unlink()
-                raise
-    except BaseException:
-        if made:
-            shutil.rmtree(directory, ignore_errors=True)
+            _exchange(files, directory, Path(temporary))
+    except BaseException as error:
+        for folder in sorted(new_folders, reverse=True):  # the innermost first
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            at = f" '{error.filename}'" if error.filename else ""
+            raise ProblemError(
+                f"cannot write to '{directory}':{at} {error.strerror or error}"
+            ) from None
         raise
     return tuple(directory / name for name in files)
+
+
+def _exchange(files: Files, directory: Path, temporary: Path) -> None:
+    """Write files in a temporary folder, and exchange them with those of their names."""
+    new, old = temporary / "new", temporary / "old"
+    for name, content in files.items():
+        if (directory / name).is_dir():
+            raise ProblemError(f"cannot write '{directory / name}': it is a directory")
+        for path in (new / name, old / name, directory / name):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        (new / name).write_bytes(content)
+    done: list[str] = []
+    try:
+        for name in files:
+            done.append(name)
+            if (directory / name).exists():
+                os.replace(directory / name, old / name)
+            os.replace(new / name, directory / name)
+    except BaseException:
+        for name in done:
+            if (old / name).exists():
+                os.replace(old / name, directory / name)
+            elif not (new / name).exists():
+                (directory / name).unlink()
+        raise

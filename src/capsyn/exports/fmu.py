@@ -24,12 +24,14 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from capsyn import __version__
-from capsyn.errors import CapsynWarning, KernelBuildError
+from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.plan import Files, Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Files, Plan
 from capsyn.native.build import find_compiler
 from capsyn.policy_file import content_hash
+from capsyn.validation import describe
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
 BUILD_SECONDS = 120
@@ -56,6 +58,8 @@ def files(
         Whether to leave out the binary; the unit then runs where its importer can build sources.
         So it is, with a warning, where there is no compiler or no name for the platform.
     """
+    if not isinstance(sources_only, bool):
+        raise ProblemError(f"`sources_only` must be true or false; got {describe(sources_only)}")
     name = file_name(name, plan.policy.name, C_KEYWORDS)
     guid = "{" + _guid(plan) + "}"
     source = _source(plan, guid)

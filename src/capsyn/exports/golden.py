@@ -46,9 +46,12 @@ class Golden:
         steps = (f"step_{i}" for i in range(self.steps.shape[1]))
         head = io.StringIO()
         csv.writer(head, lineterminator="").writerow([*names, *steps, "symbol", "status"])
-        rows = [*(f"# {line}" for line in plan.header), head.getvalue()]
-        columns = (self.readings, self.steps, self.labels, self.statuses)
-        for reading, step, label, status in zip(*(column.tolist() for column in columns)):
+        columns = head.getvalue()
+        if columns.startswith("#"):  # no remark
+            columns = f'"{names[0]}"{columns[len(names[0]) :]}'
+        rows = [*(f"# {line}" for line in plan.header), columns]
+        arrays = (self.readings, self.steps, self.labels, self.statuses)
+        for reading, step, label, status in zip(*(array.tolist() for array in arrays)):
             rows.append(",".join([*map(repr, reading), *map(str, [*step, label, status])]))
         return ("\n".join(rows) + "\n").encode()
 

@@ -9,15 +9,18 @@ from collections.abc import Collection, Sequence
 from capsyn.errors import ProblemError
 from capsyn.validation import describe
 
+LONGEST_FILE_NAME = 64
+"""Most characters of a name that files are called by."""
+
 
 def identifiers(
     names: Sequence[str], keywords: Collection[str] = (), fold: bool = False
 ) -> tuple[str, ...]:
     """Return identifiers for names, in order, each different.
 
-    Letters are taken without accents, everything else than letters, digits and underscores becomes
-    an underscore, a digit in front gets an ``n``, a minus sign of a number becomes
-    ``minus_``; keywords, names in use and names that end up empty get a number.
+    Letters are taken without accents; a plus sign, and a minus sign of a number or at the end of a
+    word, become words; everything else than letters, digits and underscores becomes an underscore;
+    a digit in front gets an ``n``; keywords, names in use and names that end up empty get a number.
 
     Parameters
     ----------
@@ -37,6 +40,7 @@ def identifiers(
     for name in names:
         plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
         plain = re.sub(r"(?<![A-Za-z0-9])-(?=[0-9.])", "minus_", plain)
+        plain = re.sub(r"-(?![A-Za-z0-9 ])", "_minus_", plain.replace("+", "_plus_"))
         plain = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9_]", "_", plain)).strip("_")
         if not plain or plain[0].isdigit():
             plain = f"n{plain}"
@@ -50,9 +54,9 @@ def identifiers(
 
 def file_name(name: str | None, policy: str, keywords: Collection[str] = ()) -> str:
     """Return an identifier of a name that is asked for, or else of a policy's."""
-    if name is not None and (not isinstance(name, str) or not name.isprintable()):
+    if name is not None and not (isinstance(name, str) and name and name.isprintable()):
         raise ProblemError(f"`name` must be a printable text; got {describe(name)}")
-    return identifiers([policy if name is None else name], keywords)[0]
+    return identifiers([(policy if name is None else name)[:LONGEST_FILE_NAME]], keywords)[0]
 
 
 def renamed(names: Sequence[str], chosen: Sequence[str]) -> dict[str, str]:

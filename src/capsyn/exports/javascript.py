@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import textwrap
-from typing import Any
 
+from capsyn.exports.constants import constants, tables
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 
 CODE = """
 /** Return the lattice steps of a state of finite numbers; beyond the bounds the nearest. */
@@ -104,41 +105,12 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     name : str, optional
         What it is called, made an identifier. Default: the policy's name.
     """
-    policy, tree = plan.policy, plan.tree.cells
-    domain, alphabet = policy.domain, policy.alphabet
-    constants: list[tuple[str, Any, str]] = [
-        ("STATES", domain.names, "Names of the states."),
-        ("UNITS", domain.units, "Their units."),
-        ("LOWER", domain.lower.tolist(), "Bounds of the domain."),
-        ("UPPER", domain.upper.tolist(), ""),
-        ("PERIODIC", domain.periodic, "Whether the upper bound is the same point as the lower."),
-        ("SCALE", plan.scale.tolist(), "A state is what decide gets * SCALE + OFFSET."),
-        ("OFFSET", plan.offset.tolist(), ""),
-        ("COUNTS", tree.counts, "Lattice steps along each axis."),
-        ("INPUTS", alphabet.inputs, "Names of the inputs."),
-        ("INPUT_UNITS", alphabet.units, "Their units."),
-        ("SYMBOLS", plan.symbol_names, "Names of the symbols, the default control last."),
-        ("CONTROLS", policy.controls.tolist(), "Their control vectors."),
-        ("DEFAULT", plan.labels - 1, "The symbol of the default control."),
-        ("SAFE", plan.safe, "The symbol of states that have no other."),
-        ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
-        ("MIN_DWELL", plan.dwell, "Least time between switches [s]."),
-        ("OK", 0, "Statuses."),
-        ("OUTSIDE", 1, ""),
-        ("NOT_FINITE", 2, ""),
-    ]
-    tables = [
-        ("SPLIT", tree.split.tolist(), "What a node compares: a state, then PLANES; -1: a leaf."),
-        ("THRESHOLD", tree.threshold.tolist(), "From where it goes to SECOND; a leaf's symbol."),
-        ("SECOND", tree.second.tolist(), "Its second child; the first is the next node."),
-        ("PLANES", tree.planes.tolist(), "Coefficients of the steps."),
-    ]
     lines = [*(f"// {line}" for line in plan.header), ""]
-    for constant, value, note in constants:
+    for constant, value, note in constants(plan):
         lines += [f"// {note}"] * bool(note)
         lines.append(f"export const {constant} = {json.dumps(value)};")
-    for constant, value, note in tables:
+    for constant, value, note in tables(plan):
         lines += [f"// {note}", f"const {constant} ="]
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
-    file = f"{file_name(name, policy.name)}.mjs"
+    file = f"{file_name(name, plan.policy.name)}.mjs"
     return Made({file: ("\n".join(lines) + "\n" + CODE).encode()})

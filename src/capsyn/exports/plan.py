@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from capsyn import __version__
 from capsyn.alphabet import Alphabet
 from capsyn.compression.compress import exact_tree
 from capsyn.decision_tree import DecisionTree
+from capsyn.domain import Box
 from capsyn.errors import ProblemError
 from capsyn.policy import Policy, check_outside
 from capsyn.policy_file import content_hash
@@ -21,29 +21,6 @@ Files = dict[str, bytes]
 """Contents of files by name."""
 OK, OUTSIDE, NOT_FINITE = 0, 1, 2
 """Status of a decision: a state in the domain, outside it, or with a NaN or infinite component."""
-
-
-@dataclass(frozen=True)
-class Made:
-    """What a target makes of a plan.
-
-    Parameters
-    ----------
-    files : dict of bytes by name
-        Its files.
-    renamed : dict, optional
-        Names that are no identifiers of the language, and what they became.
-    notes : tuple of texts, optional
-        What a user must be told.
-    changed : float, optional
-        Share of states in the domain whose symbol is another than the policy's, as numbers are
-        rounded for the target; 0 where the target rounds to the policy's own lattice.
-    """
-
-    files: Files
-    renamed: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    changed: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +87,11 @@ class Plan:
         ]
         if (factors[0] == 0).any():
             raise ProblemError(f"`scale` must not be 0; got {describe(scale)}")
+        tree = policy if isinstance(policy, DecisionTree) else _exact_tree(policy)
+        _check_readings(policy.domain, tree.cells.counts, *factors)
         return Plan(
             policy,
-            policy if isinstance(policy, DecisionTree) else _exact_tree(policy),
+            tree,
             chosen % (labels + 1),
             policy.outside == "nearest",
             policy.min_dwell if dwell is None else finite_number("dwell", dwell, least=0.0),
@@ -170,8 +149,8 @@ class Plan:
             value = ", ".join(f"{v!r}" for v in policy.controls[k].tolist())
             lines.append(f"Symbol {k}: {name} ({value})")
         lost = f"symbol {self.safe} ({self.symbol_names[self.safe]})"
-        rule = f"the symbol of the nearest cell; not finite: {lost}" if self.nearest else lost
-        lines.append(f"Outside: {rule}")
+        nearest = f"Outside: the symbol of the nearest cell; not finite: {lost}"
+        lines.append(nearest if self.nearest else f"Outside and not finite: {lost}")
         lines.append(f"Least time between switches: {self.dwell!r} s")
         if policy.settings is not None and policy.horizon is not None:
             settings = policy.settings
@@ -183,11 +162,30 @@ class Plan:
                 f"Made by sSAC: rule {settings.rule}, "
                 + (f"{wanted}, " if settings.rule == "schedule" else "")
                 + f"control weight {weight!r}, {settings.on_no_descent} where none descends, "
-                f"horizon {policy.horizon!r} s, {settings.steps} steps, {settings.precision}"
+                f"horizon {policy.horizon!r} s, {settings.steps} steps, "
+                f"{settings.precision} precision"
             )
         lines.append(f"Tree: {self.tree.node_count} nodes; {self.tree.guarantee.text}.")
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
         return tuple(lines)
+
+
+def _check_readings(
+    domain: Box, counts: tuple[int, ...], scale: np.ndarray, offset: np.ndarray
+) -> None:
+    """Raise where the steps of an axis fall together in the readings, or in ``+ offset``."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        ends = np.stack([(domain.lower - offset) / scale, (domain.upper - offset) / scale])
+        at = np.maximum(np.maximum(abs(domain.lower), abs(domain.upper)), abs(offset))
+        step = np.abs(ends[1] - ends[0]) / counts
+        lost = ~(step >= 2 * np.spacing(np.abs(ends).max(axis=0)))
+        lost |= ~(domain.widths / counts >= 2 * np.spacing(at)) | ~np.isfinite(ends).all(axis=0)
+    if ((scale != 1) | (offset != 0))[lost].any():
+        i = int(np.flatnonzero(lost)[0])
+        raise ProblemError(
+            f"`scale` and `offset` must keep the {counts[i]:,} lattice steps of axis "
+            f"'{domain.names[i]}' apart in double precision; got {scale[i]:g} and {offset[i]:g}"
+        )
 
 
 @functools.lru_cache(maxsize=1)
@@ -198,7 +196,7 @@ def _exact_tree(policy: Policy) -> DecisionTree:
 
 def _symbol(safe: object, alphabet: Alphabet) -> int:
     """Return the index of a safe symbol, -1 for the default control."""
-    if safe == "default":
+    if isinstance(safe, str) and safe == "default" or safe == len(alphabet):
         return -1
     try:
         chosen = check_outside(safe, alphabet)

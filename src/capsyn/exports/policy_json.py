@@ -10,7 +10,8 @@ from typing import Any
 from capsyn import __version__
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 from capsyn.policy_file import content_hash
 
 FORMAT, VERSION = "capsyn-policy-json", 1

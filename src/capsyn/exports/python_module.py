@@ -8,9 +8,11 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
+from capsyn.exports.constants import constants, tables
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 
 KEYWORDS = {*keyword.kwlist, *keyword.softkwlist, *sys.stdlib_module_names}
 """Names that the module cannot have, or that would hide another."""
@@ -106,45 +108,20 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     name : str, optional
         What it is called, made an identifier. Default: the policy's name.
     """
-    policy, tree = plan.policy, plan.tree.cells
-    domain, alphabet = policy.domain, policy.alphabet
-    constants: list[tuple[str, Sequence[Any], str]] = [
-        ("STATES", domain.names, "Names of the states."),
-        ("UNITS", domain.units, "Their units."),
-        ("LOWER", domain.lower.tolist(), "Bounds of the domain."),
-        ("UPPER", domain.upper.tolist(), ""),
-        ("PERIODIC", domain.periodic, "Whether the upper bound is the same point as the lower."),
-        ("SCALE", plan.scale.tolist(), "A state is what decide gets * SCALE + OFFSET."),
-        ("OFFSET", plan.offset.tolist(), ""),
-        ("COUNTS", tree.counts, "Lattice steps along each axis."),
-        ("INPUTS", alphabet.inputs, "Names of the inputs."),
-        ("INPUT_UNITS", alphabet.units, "Their units."),
-        ("SYMBOLS", plan.symbol_names, "Names of the symbols, the default control last."),
-        ("CONTROLS", [tuple(v) for v in policy.controls.tolist()], "Their control vectors."),
-        ("SPLIT", tree.split.tolist(), "What a node compares: a state, then PLANES; -1: a leaf."),
-        ("THRESHOLD", tree.threshold.tolist(), "From where it goes to SECOND; a leaf's symbol."),
-        ("SECOND", tree.second.tolist(), "Its second child; the first is the next node."),
-        ("PLANES", [tuple(row) for row in tree.planes.tolist()], "Coefficients of the steps."),
-    ]
-    lines = [f"# {line}" for line in plan.header]
-    title = f"Control alphabet policy {policy.name}: states to symbols."
+    lines = ["# -*- coding: utf-8 -*-", *(f"# {line}" for line in plan.header)]
+    title = f"Control alphabet policy {plan.policy.name}: states to symbols."
     lines += [repr(title), "", "import math", ""]
-    for constant, values, note in constants:
-        lines += [f"# {note}"] * bool(note) + [_tuple(constant, values)]
-    lines += [
-        f"DEFAULT = {plan.labels - 1}  # the symbol of the default control",
-        f"SAFE = {plan.safe}  # the symbol of states that have no other",
-        f"NEAREST = {plan.nearest}  # whether a state outside has the symbol of the nearest step",
-        f"MIN_DWELL = {plan.dwell!r}  # least time between switches [s]",
-        "OK, OUTSIDE, NOT_FINITE = 0, 1, 2  # statuses",
-    ]
-    file = f"{file_name(name, policy.name, KEYWORDS)}.py"
+    for constant, value, note in constants(plan) + tables(plan):
+        lines += [f"# {note}"] * bool(note)
+        whole = isinstance(value, (list, tuple))
+        lines.append(_tuple(constant, value) if whole else f"{constant} = {value!r}")
+    file = f"{file_name(name, plan.policy.name, KEYWORDS)}.py"
     return Made({file: ("\n".join(lines) + CODE).encode()})
 
 
 def _tuple(name: str, values: Sequence[Any]) -> str:
     """Return an assignment of a tuple, in lines that are short where items are."""
-    items = [repr(v) for v in values]
+    items = [repr(tuple(v) if isinstance(v, list) else v) for v in values]
     line = f"{name} = ({', '.join(items)}{',' * (len(items) == 1)})"
     if len(line) <= 100:
         return line

@@ -9,7 +9,8 @@ import numpy as np
 
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Files, Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Files, Plan
 from capsyn.exports.structured_text_lines import (
     KEYWORDS,
     WIDTH,
@@ -65,7 +66,9 @@ class _Block:
         n = plan.n
         self.steps = [f"z{i}" for i in range(n)]
         self.calls = {part: f"{self.name}_{part}" for part in ("wrap", "step", "tree")}
+        more = (f"{self.calls['tree']}{k}" for k in range(1, plan.tree.node_count))
         kept = {*KEYWORDS, *FIXED, *LOCAL, *TABLES, *self.steps, self.name, *self.calls.values()}
+        kept.update(more)
         names = [*domain.names, *alphabet.inputs]
         found = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
         self.readings, self.controls = found[:n], found[n:]

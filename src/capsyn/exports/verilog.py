@@ -10,7 +10,8 @@ from decimal import Decimal
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.plan import Made, Plan
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
 from capsyn.exports.verilog_bench import Interface, bench
 from capsyn.exports.verilog_ports import Port, changed_share, fixed_ports, fold, width_of
 from capsyn.exports.verilog_tree import TreeCircuit
@@ -30,7 +31,6 @@ FIXED = frozenset(
     "valid_then".split()
 )
 """Names that are the module's own."""
-UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
 
 def files(
@@ -71,14 +71,15 @@ def files(
         raise ProblemError("`bits` and `fraction` must be given for inputs fixed only")
     clock = math.ceil(finite_number("clock_hz", clock_hz, above=0.0))
     module = _Module(plan, ports, pipeline, clock, name)
-    made, vectors, about = bench(module.interface, golden)
+    made, vectors, about, at_ports = bench(module.interface, golden)
     text = "\n".join(module.lines(about)) + "\n"
     written = {
         f"{module.name}.v": text.encode("ascii"),
         f"{module.name}_tb.v": made,
         f"{module.name}.mem": vectors,
     }
-    return Made(written, module.renamed, changed=changed_share(plan, ports) if ports else 0.0)
+    changed = changed_share(plan, ports) if ports else None
+    return Made(written, module.renamed, changed=changed, golden=at_ports)
 
 
 def _per_state(name: str, given: object, n: int, least: int) -> tuple[int | None, ...]:
@@ -101,7 +102,7 @@ class _Module:
         self.tree, domain = plan.tree.cells, plan.policy.domain
         file_name(name, plan.policy.name)
         given = plan.policy.name if name is None else name
-        self.name = identifiers([given[:LONGEST_NAME]], KEYWORDS)[0]
+        self.name = identifiers([given[:LONGEST_NAME]], {*KEYWORDS, *FIXED})[0]
         end = "" if ports else "_step"
         own = {self.name, f"{self.name}_tb", *FIXED}
         names = [text[:LONGEST_NAME] + end for text in domain.names]
@@ -209,15 +210,25 @@ class _Module:
     def _interface(self) -> list[str]:
         found = [f"module {self.name}"]
         if self.dwell:
-            exact = Decimal(repr(self.plan.dwell))
+            exact = Decimal(f"{self.plan.dwell:.12g}")  # 0.1 * 3 is 0.3
             units = [k for k in UNITS.values() if exact * k == int(exact * k)]
             unit = units[0] if units else UNITS["ns"]
             amount = math.ceil(exact * unit)
             label = next(k for k, v in UNITS.items() if v == unit)
+            if amount * self.clock // unit >= 2**63:
+                raise ProblemError(
+                    f"`dwell` must be less than 2^63 clocks of {self.clock} Hz; got {exact} s"
+                )
             found += ["#(", f"    parameter [63:0] CLOCK_HZ = 64'd{self.clock},"]
             found.append(f"    // at least {amount} {label} between switches, in whole clocks")
-            sum_ = f"CLOCK_HZ * 64'd{amount} + 64'd{unit - 1}"
-            found += [f"    parameter [63:0] DWELL_CYCLES = ({sum_}) / 64'd{unit}", ")"]
+            seconds, rest = (f"64'd{k}" for k in divmod(amount, unit))
+            one = f"64'd{unit}"  # products of remainders only, so that 64 bits hold them
+            found += [
+                "    parameter [63:0] DWELL_CYCLES =",
+                f"        CLOCK_HZ * {seconds} + CLOCK_HZ / {one} * {rest}",
+                f"        + (CLOCK_HZ % {one} * {rest} + 64'd{unit - 1}) / {one}",
+                ")",
+            ]
         found.append("(")
         ports = []
         if self.clocked:
@@ -259,14 +270,14 @@ class _Module:
 
     def _product(self, i: int, port: Port, periodic: bool) -> list[str]:
         """Return the step as ``(w * M + A) >> S``, proved at every number when exported."""
-        factor, addend, shift = fold(port, self.plan.policy.domain.names[i])
+        factor, addend, shift = fold(port, self.plan.policy.domain.names[i], periodic)
         width = self.inner_widths[i]
-        top = max(factor * max(abs(port.first), abs(port.last)), abs(addend), factor)
+        top = max(factor * max(map(abs, port.ends(periodic))), abs(addend), factor)
         bits = max(width_of(2 * top + 2), shift + width, port.bits) + 1
         kind = f"    wire signed [{bits - 1}:0]"
         found, value = [], f"w{i}"
         if not periodic:  # the nearest step
-            value, first, last = f"c{i}", *(signed(k, port.bits) for k in (port.first, port.last))
+            value, first, last = f"c{i}", *(signed(k, port.bits) for k in port.ends(periodic))
             found.append(f"    wire signed [{port.bits - 1}:0] c{i} =")
             found += [f"        w{i} < {first} ? {first} : w{i} > {last} ? {last} : w{i};"]
         extended = f"{{{{{bits - port.bits}{{{value}[{port.bits - 1}]}}}}, {value}}}"

@@ -42,8 +42,10 @@ class Interface:
     dwell: bool
 
 
-def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str]]:
-    """Return a test bench, its vectors in hexadecimal numbers, and what to tell of these.
+def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str], Golden | None]:
+    """Return a test bench, its vectors in hexadecimal numbers, what to tell of these, and them.
+
+    The last are the golden vectors at the readings of fixed-point ports; None for lattice steps.
 
     A line holds, from the highest bits on, the inputs in order, whether the state is outside (for
     fixed-point ports), and the symbol. States that are not finite are left out.
@@ -56,12 +58,12 @@ def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str]]:
         labels = plan.tree.cells.labels(columns)
         beyond = int((golden.statuses[used] != OK).sum())
         about[0] += f" Of {beyond} outside the domain, the nearest steps were taken."
-        outside = None
+        outside = at_ports = None
     else:
         readings = golden.readings[used]
         columns = port_numbers(ports, readings)
-        found = decide(plan, quantised_readings(plan, ports, columns))
-        labels, outside = found.labels, found.statuses != OK
+        at_ports = decide(plan, quantised_readings(plan, ports, columns))
+        labels, outside = at_ports.labels, at_ports.statuses != OK
         room = np.array([2.0**-port.fraction for port in ports])
         least = np.array([port.least for port in ports]) * room
         most = np.array([port.most for port in ports]) * room
@@ -78,7 +80,7 @@ def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str]]:
     head = comment([*plan.header, *about])
     vectors = "\n".join([*head, *(f"{word:0{digits}x}" for word in words.tolist())]) + "\n"
     text = "\n".join([*head, *_text(module, len(words), bits)]) + "\n"
-    return text.encode("ascii"), vectors.encode("ascii"), about
+    return text.encode("ascii"), vectors.encode("ascii"), about, at_ports
 
 
 def _text(module: Interface, count: int, bits: int) -> list[str]:
@@ -129,6 +131,18 @@ def _text(module: Interface, count: int, bits: int) -> list[str]:
         "        end",
         "    endtask",
         *(_clocked() if module.clocked else _plain()),
+        "    task load;",
+        "        begin",
+        "            $readmemh(VECTORS, vectors);",
+        "            sent = 0;",
+        "            seen = 0;",
+        "            wrong = 0;",
+        "            if (^vectors[COUNT - 1] === 1'bx) begin",
+        '                $display("FAIL: no vectors in %0s; run where it lies", VECTORS);',
+        "                $finish;",
+        "            end",
+        "        end",
+        "    endtask",
         "    task finish;",
         "        begin",
         '            if (wrong == 0 && seen == COUNT) $display("PASS: %0d vectors", seen);',
@@ -143,10 +157,7 @@ def _text(module: Interface, count: int, bits: int) -> list[str]:
 def _plain() -> list[str]:
     return """\
     initial begin
-        $readmemh(VECTORS, vectors);
-        sent = 0;
-        seen = 0;
-        wrong = 0;
+        load;
         while (sent < COUNT) begin
             send;
             #1 check;
@@ -158,10 +169,7 @@ def _plain() -> list[str]:
 def _clocked() -> list[str]:
     return """\
     initial begin
-        $readmemh(VECTORS, vectors);
-        sent = 0;
-        seen = 0;
-        wrong = 0;
+        load;
         clk = 1'b0;
         rst = 1'b1;
         valid_in = 1'b0;

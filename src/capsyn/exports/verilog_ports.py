@@ -20,6 +20,10 @@ MAX_TURNS = 16
 """Most turns of a periodic axis that a port may hold."""
 SHARED = 100_000
 """Random states at which the effect of the quantisation is counted."""
+LEAST_STEP = 1e-200
+"""Finest lattice step in readings."""
+MOST_STEPS = 1 << 20
+"""Most lattice steps of an axis that sums of an oblique tree may take from a port."""
 QUANTISED = 8
 """Purpose of these states."""
 MAX_SHIFT = 40
@@ -42,9 +46,9 @@ class Port:
         Width with the sign, and the bits behind the point.
     negative : bool
         Whether the state falls as the reading rises: the circuit works with ``-v - 1``.
-    faces : (count - 1,) int64
-        Least numbers of the steps 1 .. count - 1; a number on a periodic axis is brought into
-        ``first .. last`` first.
+    steps, faces : (F,) int64
+        Steps that the tree tells apart from those below, ascending, and their least numbers; a
+        number on a periodic axis is brought into ``first .. last`` first.
     first, last : int
         Least and largest number of a state in the domain.
     step : float
@@ -55,10 +59,21 @@ class Port:
     bits: int
     fraction: int
     negative: bool
+    steps: np.ndarray
     faces: np.ndarray
     first: int
     last: int
     step: float
+
+    def face(self, step: int) -> int:
+        """Return the least number of a step that the tree tells apart."""
+        return int(self.faces[np.searchsorted(self.steps, step)])
+
+    def ends(self, periodic: bool) -> tuple[int, int]:
+        """Return numbers between which all steps are found; beyond, the step is that of an end."""
+        if periodic or not len(self.faces):
+            return self.first, self.last
+        return int(self.faces[0]) - 1, int(self.faces[-1])
 
     @property
     def least(self) -> int:
@@ -103,6 +118,11 @@ def _port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port
     low, high = float(domain.lower[axis]), float(domain.upper[axis])
     ends = [(low - offset) / scale, (high - offset) / scale]
     step = abs(ends[1] - ends[0]) / count
+    if not LEAST_STEP < step < 1 / LEAST_STEP:
+        raise ProblemError(
+            f"a lattice step of axis '{name}' must be of {LEAST_STEP} to {1 / LEAST_STEP} in its "
+            f"readings for a fixed-point port; it is {step}"
+        )
     if fraction is None:
         fraction = max(0, math.ceil(math.log2(LEAST_UNITS / step)))
     reach = max(abs(end) for end in ends) * 2.0**fraction
@@ -131,8 +151,9 @@ def _port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port
             below = np.where(~passed & inner, middle, below)
         return above
 
-    places = domain.faces(axis, np.arange(1, count), count)
-    faces = first_from(lambda x: x >= places, count - 1)
+    steps = _told_apart(plan, axis)
+    places = domain.faces(axis, steps, count)
+    faces = first_from(lambda x: x >= places, len(steps))
     first = int(first_from(lambda x: x >= low, 1)[0])
     end = first_from(lambda x: x >= high if periodic else x > high, 1)
     last = int(end[0]) - 1
@@ -145,13 +166,27 @@ def _port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port
             f"{bits} bits with {fraction} behind the point: at least {whole} bits with {narrow} "
             "behind the point are needed"
         )
-    port = Port(axis, bits, fraction, negative, faces, first, last, step * 2.0**fraction)
+    port = Port(axis, bits, fraction, negative, steps, faces, first, last, step * 2.0**fraction)
     if periodic and 2**bits > MAX_TURNS * port.turn:
         raise ProblemError(
             f"a port of axis '{name}' would hold more than {MAX_TURNS} turns; give `bits` and "
             "`fraction` for it"
         )
     return port
+
+
+def _told_apart(plan: Plan, axis: int) -> np.ndarray:
+    """Return the steps of an axis that the tree tells apart from those below, ascending."""
+    tree = plan.tree.cells
+    if not len(tree.planes):
+        return np.unique(tree.threshold[tree.split == axis]).astype(np.int64)
+    count = tree.counts[axis]
+    if count > MOST_STEPS:
+        raise ProblemError(
+            f"sums of an oblique tree take up to {MOST_STEPS:,} lattice steps from a fixed-point "
+            f"port; axis '{plan.policy.domain.names[axis]}' has {count:,}: take inputs lattice"
+        )
+    return np.arange(1, count)
 
 
 def changed_share(plan: Plan, ports: tuple[Port, ...]) -> float:
@@ -181,19 +216,20 @@ def quantised_states(plan: Plan, ports: tuple[Port, ...], numbers: np.ndarray) -
     return plan.states(quantised_readings(plan, ports, numbers))
 
 
-def fold(port: Port, name: str) -> tuple[int, int, int]:
-    """Return (M, A, S) with ``(v * M + A) >> S`` the step of every number of the domain."""
+def fold(port: Port, name: str, periodic: bool) -> tuple[int, int, int]:
+    """Return (M, A, S) with ``(v * M + A) >> S`` the step of every number between its ends."""
     count = len(port.faces) + 1
     k = np.arange(1, count)
+    first, last = port.ends(periodic)
     for shift in range(MAX_SHIFT + 1):
         slope = 2**shift / port.step
-        if slope * max(abs(port.first), abs(port.last)) > 2.0**60 or count * 2.0**shift > 2.0**60:
+        if slope * max(abs(first), abs(last)) > 2.0**60 or count * 2.0**shift > 2.0**60:
             break
         for factor in sorted({max(1, math.floor(slope) + d) for d in (0, 1)}):
             lower = (k << shift) - factor * port.faces
             upper = (k << shift) - 1 - factor * (port.faces - 1)
-            least = max([-factor * port.first, *lower.tolist()])
-            most = min([(count << shift) - 1 - factor * port.last, *upper.tolist()])
+            least = max([-factor * first, *lower.tolist()])
+            most = min([(count << shift) - 1 - factor * last, *upper.tolist()])
             if least <= most:
                 return factor, least, shift
     raise ProblemError(

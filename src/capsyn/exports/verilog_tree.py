@@ -57,10 +57,8 @@ class TreeCircuit:
         if split >= self.plan.n:
             width = self._sum_bits(node)
             return f"s{split - self.plan.n} >= {signed(threshold, width)}"
-        if not 0 < threshold < self.tree.counts[split]:
-            return "1'b1" if threshold <= 0 else "1'b0"
         if self.direct and self.ports:
-            face = int(self.ports[split].faces[threshold - 1])
+            face = self.ports[split].face(threshold)
             return f"z{split}{end} >= {signed(face, self.widths[split])}"
         return f"z{split}{end} >= {self.widths[split]}'d{threshold}"
 

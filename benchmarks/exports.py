@@ -1,0 +1,148 @@
+"""What exported C takes: bytes by processor, and nanoseconds per decision on this computer.
+
+``lattice`` is timed from states, through its quantiser; its bytes are those from lattice steps, and
+``counts`` are its integer readings.
+"""
+
+import ctypes
+import itertools
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from capsyn import compress, problems, synthesize
+from capsyn.exports.c import files
+from capsyn.exports.c_sizes import sizes
+from capsyn.exports.plan import Plan
+
+STATES = 100_000
+ROUNDS = 50
+CASES = [
+    ("cart-pendulum", 4, "exact"),
+    ("cart-pendulum", 4, "freedom"),
+    ("cart-pendulum-4", 4, "exact"),
+    ("double-tank-a", 4, "exact"),
+    ("cart-pole", 2, "exact"),
+]
+STYLES = ("table", "nested", "grid")
+ARITHMETICS = {
+    "lattice": ({"arithmetic": "lattice"}, "double"),
+    "double": ({"arithmetic": "double"}, "double"),
+    "float": ({"arithmetic": "float"}, "float"),
+    "counts": ({"readings": "int16"}, "int16_t"),
+}
+"""Options of the target, and the type of what it reads."""
+PROCESSORS = ("cortex-m0", "cortex-m4", "avr")
+COUNTS = 4096
+"""Counts of each axis where readings are counts."""
+MOST_BYTES = {
+    "exact": {"cortex-m0": 1200, "avr": 2500},
+    "freedom": {"cortex-m0": 900, "avr": 2500},
+}
+"""Of the pendulum's `table` from lattice steps."""
+LOOP = """
+#include "{p}.h"
+void loop(long count, const {type} *x, int16_t *symbols);
+void loop(long count, const {type} *x, int16_t *symbols)
+{{
+    for (long i = 0; i < count; ++i) {{
+        {p}_status status;
+        symbols[i] = {p}_decide(x + {n} * i, &status);
+    }}
+}}
+"""
+
+
+def compiled(written, n, compiler, kind, directory):
+    """Return the loop over decisions, compiled."""
+    directory.mkdir()
+    for name, content in written.items():
+        (directory / name).write_bytes(content)
+    prefix = prefix_of(written)
+    (directory / "loop.c").write_text(LOOP.format(p=prefix, n=n, type=kind))
+    command = [compiler, "-O2", "-std=c99", "-shared", "-fPIC", f"{prefix}.c", "loop.c"]
+    subprocess.run([*command, "-o", "loop.so"], cwd=directory, check=True)
+    return ctypes.CDLL(str(directory / "loop.so")).loop
+
+
+def prefix_of(written):
+    """Return what the header and the source are called."""
+    (header,) = [name for name in written if name.endswith(".h")]
+    return header.removesuffix(".h")
+
+
+def nanoseconds(loops, readings, labels):
+    """Return the nanoseconds per decision of each loop, best of rounds that take turns."""
+    symbols, best = np.empty(STATES, np.int16), dict.fromkeys(loops, np.inf)
+    for _ in range(ROUNDS):
+        for (style, arithmetic, compiler), loop in loops.items():
+            kind = ARITHMETICS[arithmetic][1]
+            pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in (readings[kind], symbols)]
+            started = time.perf_counter()
+            loop(ctypes.c_long(STATES), *pointers)
+            seconds = time.perf_counter() - started
+            key = (style, arithmetic, compiler)
+            best[key] = min(best[key], seconds)
+            if kind == "double" and not np.array_equal(symbols, labels):
+                raise SystemExit(f"{style} {arithmetic} by {compiler} is wrong")
+    return {key: 1e9 * seconds / STATES for key, seconds in best.items()}
+
+
+def bytes_of(written, what, limits):
+    """Return the rows of what code takes, on processors that have a compiler here."""
+    rows = []
+    for processor, found in sizes(written, prefix_of(written)).items():
+        if processor in PROCESSORS:
+            row = {"what": f"{what}, {processor}", "unit": "bytes"}
+            most = limits.get(processor)
+            wanted = most and f"<= {most}"
+            rows.append({**row, "value": found["decision"], "wanted": wanted})
+            if "quantiser" in found:
+                more = {**row, "what": f"{row['what']}, and its quantiser"}
+                rows.append({**more, "value": found["quantiser"]})
+    return rows
+
+
+def measure(name, level, mode):
+    """Return the rows of one tree; bytes of all codes for the pendulum, else of the default."""
+    tree = compress(synthesize(problems.get(name), max_level=level), mode)
+    domain, rows, loops = tree.domain, [], {}
+    plain = Plan.of(tree)
+    counted = Plan.of(tree, scale=domain.widths / COUNTS, offset=domain.lower)
+    states = domain.sample(STATES, 1)
+    readings = {
+        "double": states,
+        "float": states.astype(np.float32),
+        "int16_t": ((states - domain.lower) / domain.widths * COUNTS).astype(np.int16),
+    }
+    labels = tree.cells.labels(domain.locate(states, tree.cells.counts))
+    with tempfile.TemporaryDirectory() as made:
+        for style, arithmetic in itertools.product(STYLES, ARITHMETICS):
+            options, kind = ARITHMETICS[arithmetic]
+            plan = counted if arithmetic == "counts" else plain
+            written = files(plan, None, style=style, **options).files
+            what = f"export c: {name} level {level} {mode}, {style} {arithmetic}"
+            default = (style, arithmetic) == ("table", "lattice")
+            if name == "cart-pendulum" or default:
+                limits = MOST_BYTES[mode] if default and name == "cart-pendulum" else {}
+                rows += bytes_of(written, what, limits)
+            for compiler in ("gcc", "clang"):
+                if shutil.which(compiler):
+                    place = Path(made, f"{style}-{arithmetic}-{compiler}")
+                    loop = compiled(written, plan.n, compiler, kind, place)
+                    loops[style, arithmetic, compiler] = loop
+        found = nanoseconds(loops, readings, labels)
+    for (style, arithmetic, compiler), value in found.items():
+        what = f"export c: {name} level {level} {mode}, {style} {arithmetic}, {compiler} -O2"
+        wanted = "<= 30" if (style, arithmetic) == ("grid", "double") else ""
+        rows.append({"what": f"{what}, a decision", "value": value, "unit": "ns", "wanted": wanted})
+    return rows
+
+
+if __name__ == "__main__":
+    print(json.dumps([row for case in CASES for row in measure(*case)]))

@@ -1,0 +1,45 @@
+"""The constants of a policy, for targets that walk through its tree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
+
+
+def constants(plan: Plan) -> list[tuple[str, Any, str]]:
+    """Return names, values and remarks; remarks of a pair of constants stand at the first."""
+    policy, tree = plan.policy, plan.tree.cells
+    domain, alphabet = policy.domain, policy.alphabet
+    return [
+        ("STATES", domain.names, "Names of the states."),
+        ("UNITS", domain.units, "Their units."),
+        ("LOWER", domain.lower.tolist(), "Bounds of the domain."),
+        ("UPPER", domain.upper.tolist(), ""),
+        ("PERIODIC", domain.periodic, "Whether the upper bound is the same point as the lower."),
+        ("SCALE", plan.scale.tolist(), "A state is what decide gets * SCALE + OFFSET."),
+        ("OFFSET", plan.offset.tolist(), ""),
+        ("COUNTS", tree.counts, "Lattice steps along each axis."),
+        ("INPUTS", alphabet.inputs, "Names of the inputs."),
+        ("INPUT_UNITS", alphabet.units, "Their units."),
+        ("SYMBOLS", plan.symbol_names, "Names of the symbols, the default control last."),
+        ("CONTROLS", policy.controls.tolist(), "Their control vectors."),
+        ("DEFAULT", plan.labels - 1, "The symbol of the default control."),
+        ("SAFE", plan.safe, "The symbol of states that have no other."),
+        ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
+        ("MIN_DWELL", plan.dwell, "Least time between switches [s]."),
+        ("OK", OK, "Statuses of a state: in the domain, outside, or not finite."),
+        ("OUTSIDE", OUTSIDE, ""),
+        ("NOT_FINITE", NOT_FINITE, ""),
+    ]
+
+
+def tables(plan: Plan) -> list[tuple[str, Any, str]]:
+    """Return the arrays of the tree likewise."""
+    tree = plan.tree.cells
+    return [
+        ("SPLIT", tree.split.tolist(), "What a node compares: a state, then PLANES; -1: a leaf."),
+        ("THRESHOLD", tree.threshold.tolist(), "From where it goes to SECOND; a leaf's symbol."),
+        ("SECOND", tree.second.tolist(), "Its second child; the first is the next node."),
+        ("PLANES", tree.planes.tolist(), "Coefficients of the steps."),
+    ]
