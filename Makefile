@@ -50,7 +50,6 @@ bench: $(VENV)/developed
 	$(BIN)/python benchmarks/run.py
 
 docs: $(VENV)/developed figures
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	$(BIN)/sphinx-build -W --keep-going -q -E -b html docs build/docs
 
 figures: $(VENV)/installed

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import pytest
 
+import capsyn
 from capsyn.cli_doctor import COMMANDS
 
 ROOT = Path(__file__).parents[1]
@@ -108,6 +109,15 @@ def test_what_a_page_shows_is_checked(tmp_path):
     for wrong in ("$ echo a\nb\n", "$ printf 'a\\nb\\n'\na\n", "$ echo a\n...\nb\n", "$ false\n"):
         with pytest.raises(AssertionError):
             console(wrong, tmp_path)
+
+
+def test_the_site_builds_without_a_warning(tmp_path):
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "-d"]
+    command += [tmp_path / "doctrees", ROOT / "docs", tmp_path / "site"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    reference = (tmp_path / "site" / "api.html").read_text()
+    assert all(f'id="capsyn.{name}"' in reference for name in capsyn.__all__)
 
 
 def test_every_block_has_a_language():
