@@ -8,14 +8,15 @@ DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
   cppcheck gcc-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr binutils \
   iverilog verilator yosys graphviz nodejs chromium fonts-dejavu-core
 
-.PHONY: help demo test check bench figures page debian clean
+.PHONY: help demo test check bench docs figures page debian clean
 
 help:
 	@echo "make demo     synthesise the paper's two-symbol pendulum policy and draw it"
 	@echo "make test     install what the tests need and run them all"
 	@echo "make check    formatting, lint, types"
 	@echo "make bench    measure, and write benchmarks/README.md and results.json"
-	@echo "make figures  draw the figures of the README again"
+	@echo "make docs     draw the figures and build the site in build/docs; a warning is an error"
+	@echo "make figures  draw the figures of README and guides again"
 	@echo "make page     bundle the explorer's page again from its modules (Node)"
 	@echo "make clean    remove what the other targets made"
 
@@ -56,6 +57,9 @@ node_modules/.package-lock.json: package.json package-lock.json
 	@echo "installing what bundles the page into node_modules ..."
 	npm ci --silent
 	@touch $@
+
+docs: $(VENV)/developed figures
+	$(BIN)/sphinx-build -W --keep-going -q -E -b html docs build/docs
 
 figures: $(VENV)/developed
 	$(BIN)/python docs/figures/draw.py

@@ -22,13 +22,15 @@ def seconds_of(command, environment, directory):
 def measure():
     """Return rows of seconds, medians over several fresh processes."""
     capsyn = [sys.executable, "-m", "capsyn", "synth", "cart-pendulum", "-o", "policy.cap"]
-    times = {"empty": [], "warm": [], "import": [], "nothing": []}
+    times = {"empty": [], "warm": [], "without": [], "import": [], "nothing": []}
     with tempfile.TemporaryDirectory() as directory:
         for k in range(ROUNDS):
             cache = Path(directory) / f"cache-{k}"
             environment = os.environ | {"CAPSYN_CACHE_DIR": str(cache)}
             times["empty"].append(seconds_of(capsyn, environment, directory))
             times["warm"].append(seconds_of(capsyn, environment, directory))
+            alone = environment | {"PATH": "", "CC": ""}
+            times["without"].append(seconds_of(capsyn, alone, directory))
             for name, code in (("import", "import capsyn"), ("nothing", "pass")):
                 times[name].append(seconds_of([sys.executable, "-c", code], environment, directory))
     median = {name: float(np.median(values)) for name, values in times.items()}
@@ -44,6 +46,12 @@ def measure():
             "value": median["warm"],
             "unit": "s",
             "wanted": "<= 1.0",
+        },
+        {
+            "what": "capsyn synth cart-pendulum, no compiler",
+            "value": median["without"],
+            "unit": "s",
+            "wanted": "<= 5",
         },
         {
             "what": "python -c 'import capsyn', whole process",

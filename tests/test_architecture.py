@@ -167,6 +167,7 @@ ORDER = [
     "cli_export",
     "cli_explore",
     "cli_import",
+    "cli_doctor",
     "cli",
     "__main__",
 ]
@@ -187,6 +188,7 @@ IMPORT_BY_NAME = {
     "problems",  # the built-in problems
     "problem_finder",  # the user's own
     "exports.export",  # the targets
+    "cli_doctor",  # what capsyn needs
 }
 
 CASADI = {"problem", "transcription"}

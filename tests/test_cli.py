@@ -272,7 +272,7 @@ def test_interrupt_leaves_what_was_there(tmp_path):
         cwd=tmp_path,
     )
     time.sleep(2.0)
-    assert process.poll() is None, "it must still be running"
+    assert process.poll() is None, f"it must still be running; {process.communicate()}"
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert process.returncode == 130 and out == "" and err.strip() == "interrupted"

@@ -534,3 +534,14 @@ def test_a_policy_without_a_model_is_refused():
     for run in (lambda: lyapunov(policy, square), lambda: lyapunov_grid(policy, square, 0.5)):
         with pytest.raises(ProblemError, match="`policy` must have a model to follow"):
             run()
+
+
+def test_a_proof_of_everything_is_no_share_above_one():
+    # the shares of these 354 cells summed to 1.0000000000000002, which no file takes as evidence
+    box = Box([-0.2] * 2, [0.2] * 2)
+    policy = loop(
+        lambda x, u: [-x[0], -x[1]], box, lambda x: (x.sum(1) > 0).astype(int), partitions=12
+    )
+    proof = lyapunov(policy, square)
+    assert proof.proved == 1.0
+    assert policy.with_evidence(lyapunov=proof.to_json()).evidence["lyapunov"]["proved"] == 1.0

@@ -78,7 +78,20 @@ class Alphabet:
         return self.values.shape[1]
 
     def control(self, name: str, value: Any) -> np.ndarray:
-        """Return a control vector (m,) from m numbers, or from one number where m is 1."""
+        """Return a control vector (m,) [input units], checked.
+
+        Parameters
+        ----------
+        name : str
+            What an error calls the argument.
+        value : (m,) numbers, or one where m is 1
+            The control [input units].
+
+        Raises
+        ------
+        ProblemError
+            Another shape, or numbers that are not finite.
+        """
         control = finite_array(name, value, 1 if numbers(name, value).ndim else 0).reshape(-1)
         if control.shape != (self.m,):
             raise ProblemError(

@@ -168,24 +168,24 @@ class Automaton:
         )
 
     def region_name(self, label: int) -> str:
-        """Return the name of a symbol's region: A1 of the first symbol, A0 of the default."""
+        """Return the name of the region of symbol `label`: A1 of the first, A0 of the default."""
         return f"A{self.symbol_number(label)}"
 
     def symbol_number(self, label: int) -> int:
-        """Return the number of a symbol as the paper counts: from 1, the default control 0."""
+        """Return the number of symbol `label` in the paper: from 1, of the default control 0."""
         self._vertex(label)
         return (label + 1) % (self.symbols + 1)
 
     def region(self, label: int) -> Region:
-        """Return the region of a symbol, N for the default control."""
+        """Return the region of symbol `label`, N for the default control."""
         return self.regions[self._vertex(label)]
 
     def edge(self, source: int, target: int) -> Edge:
-        """Return the edge from a symbol to another, N for the default control."""
+        """Return the edge from symbol `source` to `target`, N for the default control."""
         return self.edges[self._vertex(source) * len(self.vertices) + self._vertex(target)]
 
     def bounds(self, label: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the boxes (K, n) and (K, n) of a symbol's region [state units].
+        """Return lower and upper bounds (K, n) of the boxes of symbol `label` [state units].
 
         See `Region.bounds`.
         """

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from capsyn.cli_compression import automaton, compress
+from capsyn.cli_doctor import doctor
 from capsyn.cli_evidence import reproduce, simulate, verify
 from capsyn.cli_explore import explore
 from capsyn.cli_export import export
@@ -305,6 +306,7 @@ def bench(
 
 
 app.command()(reproduce)
+app.command()(doctor)
 
 
 def main() -> None:

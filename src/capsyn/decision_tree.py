@@ -144,12 +144,14 @@ class DecisionTree(Policy):
 
     Parameters
     ----------
+    cells : SplitTree
+        Splits, and labels of leaves.
     guarantee : Guarantee
         What it has in common with the policy that it was made from.
 
     Notes
     -----
-    ``cells`` is a `SplitTree`: splits compare lattice integers, so that every backend and export
+    Splits compare lattice integers, so that every backend and export
     gives the same symbol.
     """
 
@@ -165,7 +167,7 @@ class DecisionTree(Policy):
 
     @staticmethod
     def of(policy: Policy, cells: SplitTree, guarantee: Guarantee) -> DecisionTree:
-        """Return a policy with its cells replaced by a tree, without its evidence."""
+        """Return `policy` with a tree for `cells`, and its `guarantee`; without its evidence."""
         kept = {f.name: getattr(policy, f.name) for f in fields(Policy)}
         return DecisionTree(
             guarantee=guarantee, **kept | {"cells": cells, "evidence": {}, "timings": {}}

@@ -113,7 +113,11 @@ class Box:
         }
 
     def faces(self, axis: int, k: np.ndarray, count: int) -> np.ndarray:
-        """Return the positions of the faces with integer coordinates `k` on one axis."""
+        """Return the positions (K,) [state unit] of the faces `k` (K,) of `count` steps on an axis.
+
+        Face ``k`` is at ``lower + (upper - lower) * (k / count)``, rounded as written, and face
+        `count` at ``upper``.
+        """
         low, high = self.lower[axis], self.upper[axis]
         positions = np.divide(k, count)
         positions *= high - low
@@ -122,7 +126,13 @@ class Box:
         return positions
 
     def check_resolution(self, counts: Sequence[int]) -> None:
-        """Raise where neighbouring faces of a lattice would fall together in floating point."""
+        """Check that `counts` (n,) steps are apart from each other in floating point.
+
+        Raises
+        ------
+        ProblemError
+            Neighbouring faces of an axis would fall together.
+        """
         for i, count in enumerate(counts):
             low, high = float(self.lower[i]), float(self.upper[i])
             step = (high - low) / count
@@ -134,7 +144,7 @@ class Box:
                 )
 
     def points(self, coordinates: np.ndarray, counts: Sequence[int]) -> np.ndarray:
-        """Return the states (B, n) at lattice coordinates (B, n)."""
+        """Return the states (B, n) at lattice `coordinates` (B, n), of `counts` (n,) steps."""
         return np.stack(
             [self.faces(i, coordinates[:, i], counts[i]) for i in range(self.n)], axis=1
         )
@@ -157,13 +167,16 @@ class Box:
         return states
 
     def contains(self, states: np.ndarray) -> np.ndarray:
-        """Return (B,) booleans: finite, and within the bounds of the axes that are not periodic."""
+        """Return which `states` (B, n) are in the box, (B,) booleans.
+
+        They are finite, and within the bounds of the axes that are not periodic.
+        """
         with np.errstate(invalid="ignore"):
             inside = (states >= self.lower) & (states <= self.upper)
         return np.all((inside | self.periodic) & np.isfinite(states), axis=1)
 
     def locate(self, states: np.ndarray, counts: Sequence[int]) -> np.ndarray:
-        """Return the lattice steps (B, n) that hold the states (B, n).
+        """Return the lattice steps (B, n), of `counts` (n,) an axis, that hold the states (B, n).
 
         States beyond an ordinary axis take its nearest step. The states must be finite or
         infinite, not NaN; on periodic axes finite.
@@ -180,7 +193,7 @@ class Box:
         return steps
 
     def sample(self, count: int, seed: int | Sequence[int] = 0) -> np.ndarray:
-        """Return `count` states (count, n) drawn uniformly from the box."""
+        """Return `count` states (count, n), drawn uniformly from the box, the same for a `seed`."""
         unit = np.random.default_rng(seed).random((count, self.n))
         return self.lower + unit * self.widths
 
@@ -231,7 +244,10 @@ class Ball:
         return {"center": self.center.tolist(), "radius": self.radius} | named
 
     def sample(self, count: int, seed: int | Sequence[int] = 0) -> np.ndarray:
-        """Return `count` points (count, n) drawn uniformly from the ball."""
+        """Return `count` states (count, n), drawn uniformly from the ball, the same for a `seed`.
+
+        The first of them do not depend on how many there are.
+        """
         # streams of their own: the first points do not depend on how many there are
         direction, distance = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))
         normal = direction.standard_normal((count, self.n))

@@ -89,6 +89,17 @@ class OnlineController:
 
     `simulate` and `monte_carlo` take it like a policy. Calling it with a time and states (B, n)
     returns the controls (B, m) that act at once.
+
+    Parameters
+    ----------
+    method : "ssac" or "sac"
+        Symbols, or continuous controls.
+    model, domain, alphabet, default, horizon, settings, min_dwell, target
+        Those of the problem or policy, or what replaced them.
+    background : callable ``time -> (m,)``, Policy or None
+        Default control of the prediction, where it is no constant.
+    kernel, numpy
+        What finds actions: compiled, where there is a compiler, and in NumPy.
     """
 
     method: str
@@ -114,8 +125,17 @@ class OnlineController:
 
         Parameters
         ----------
+        states : (..., n)
+            States [state units].
+        time : float
+            Now [s], for a default control that is a signal.
         schedule : bool
             Whether to return the whole schedule, too.
+
+        Raises
+        ------
+        ProblemError
+            States of another shape.
         """
         states = numbers("states", states)
         n, m = self.domain.n, self.alphabet.m
@@ -161,7 +181,10 @@ class OnlineController:
         return np.where(acts[..., None], found.control, found.base)
 
     def decide(self, time: float, measured: np.ndarray) -> Command:
-        """Return the command over a sample: default control, action, default control."""
+        """Return the command over a sample: default control, action, default control.
+
+        `measured` are the states (B, n) at `time` [s]; `simulate` calls this.
+        """
         found = self.actions(measured, time)
         start = np.where(found.duration > 0, found.start, np.inf)
         stop, now = start + found.duration, start <= 0
@@ -245,7 +268,7 @@ def online_controller(
         Model, costs, alphabet, and what is not given below.
     method : "ssac" or "sac"
         Symbols of the alphabet, or continuous controls ``u* = (Lambda + R)^-1 (Lambda u_default +
-        h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h`` for ``f = g(x) + h(x) u`` [1]_,
+        h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h`` for ``f = g(x) + h(x) u``,
         saturated.
     default : (m,), callable ``time -> (m,)`` or Policy, optional
         Default control of the prediction, which also acts where nothing is better. Under a policy
@@ -266,8 +289,8 @@ def online_controller(
 
     References
     ----------
-    .. [1] A. R. Ansari and T. D. Murphey, "Sequential Action Control: Closed-Form Optimal Control
-       for Nonlinear and Nonsmooth Systems", IEEE Transactions on Robotics 32 (2016).
+    A. R. Ansari and T. D. Murphey, "Sequential Action Control: Closed-Form Optimal Control for
+    Nonlinear and Nonsmooth Systems", IEEE Transactions on Robotics 32 (2016).
     """
     one_of("method", method, ["ssac", "sac"])
     one_of("backend", backend, ["auto", "c", "numpy"])

@@ -138,6 +138,8 @@ class Policy:
         OutsideDomainError
             A state outside the domain under rule ``"error"``, or one in a gap, or one that is not
             finite, under ``"error"`` or ``"nearest"``.
+        ProblemError
+            States of another shape.
         """
         states = numbers("states", states)
         n = self.domain.n
@@ -207,7 +209,10 @@ class Policy:
         )
 
     def control(self, states: Any, outside: Outside | None = None) -> np.ndarray:
-        """Return the control vectors (..., m) [input units] of states (..., n)."""
+        """Return the control vectors (..., m) [input units] of states (..., n).
+
+        `outside` and errors are those of a call of the policy.
+        """
         return self.controls[self(states, outside)]
 
     @functools.cached_property
@@ -255,14 +260,20 @@ class Policy:
         return float(mixed.sum() / np.prod(cells.counts, dtype=float))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the policy to a file; what was there is replaced only by a whole new one."""
+        """Write the policy to a file at `path`, whole or not at all.
+
+        Raises
+        ------
+        ProblemError
+            A place that cannot be written.
+        """
         from capsyn.policy_file import save
 
         save(self, path)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Policy:
-        """Return the policy in a file, a `DecisionTree` where it holds one.
+        """Return the policy in the file at `path`, a `DecisionTree` where it holds one.
 
         Raises
         ------
@@ -276,7 +287,7 @@ class Policy:
     def with_evidence(self, **kinds: dict[str, Any]) -> Policy:
         """Return the policy with evidence added, which its file will carry.
 
-        Evidence is what ``to_json()`` of a result of `capsyn.verification` gives, under its kind:
+        `kinds` are what ``to_json()`` of a result of `capsyn.verification` gives, by name:
         ``monte_carlo``, ``lyapunov`` or ``agreement``. That of another content is dropped.
 
         Raises

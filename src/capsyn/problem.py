@@ -141,7 +141,15 @@ class Problem:
         }
 
     def replace(self, **changes: Any) -> Problem:
-        """Return the problem with some fields replaced."""
+        """Return the problem with some fields replaced: ``replace(horizon=2.0)``.
+
+        `changes` are fields by name; the result is checked like a new problem.
+
+        Raises
+        ------
+        ProblemError
+            A value that cannot be used.
+        """
         return dataclasses.replace(self, **changes)
 
 

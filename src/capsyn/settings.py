@@ -113,7 +113,13 @@ class SsacSettings:
             keep(name, value)
 
     def efforts(self, values: np.ndarray) -> np.ndarray:
-        """Return the control efforts ``u^T R u`` (N,) of control vectors (N, m)."""
+        """Return the control efforts ``u^T R u`` (N,) of the control vectors `values` (N, m).
+
+        Raises
+        ------
+        ProblemError
+            `control_weight` is a matrix of another size.
+        """
         m = values.shape[1]
         weight = np.asarray(self.control_weight)
         if weight.ndim == 0:

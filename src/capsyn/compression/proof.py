@@ -24,6 +24,13 @@ SAMPLES = 100_000
 def prove(tree: Policy, policy: Policy) -> float:
     """Prove again what a tree of mode ``exact`` or ``freedom`` guarantees of its policy.
 
+    Parameters
+    ----------
+    tree : DecisionTree
+        A tree of either mode.
+    policy : Policy
+        The policy of cells that it was made from.
+
     Returns
     -------
     float

@@ -98,6 +98,11 @@ def export(
     options
         Those of the target, see its module.
 
+    Returns
+    -------
+    tuple of Path
+        The files that were written.
+
     Raises
     ------
     ProblemError

@@ -41,6 +41,8 @@ COMMON_FLAGS = ("-std=gnu11", "-fPIC", "-shared")
 BUILD_TIMEOUT = 600
 """Seconds that one compiler run may take."""
 
+OTHERS_MAY_WRITE = "others may write there: it must be yours with mode 0700"
+
 _lock = threading.Lock()
 _loaded: dict[str, ctypes.CDLL] = {}
 
@@ -120,27 +122,37 @@ def cache_directory() -> Path:
     return Path(platformdirs.user_cache_dir("capsyn", appauthor=False))
 
 
+def cache_trouble(directory: Path) -> str | None:
+    """Return why an existing directory cannot keep kernels, None where it can."""
+    status = directory.lstat()
+    if directory.is_symlink():
+        return "it is a symbolic link"
+    if not directory.is_dir():
+        return "it is not a directory"
+    if not os.access(directory, os.W_OK):
+        return "it cannot be written to"
+    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o077):
+        return OTHERS_MAY_WRITE
+    return None
+
+
 def _trusted_cache() -> Path | None:
     """Return the cache directory if it is this user's alone, creating it where needed."""
     try:
         directory = cache_directory()
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        status = directory.lstat()
-        if directory.is_symlink() or not os.access(directory, os.W_OK):
-            return None
-        if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o077):
-            _warn_open_cache(directory)
-            return None
-        return directory
+        trouble = cache_trouble(directory)
     except (OSError, RuntimeError):
         return None
+    if trouble == OTHERS_MAY_WRITE:
+        _warn_open_cache(directory)
+    return None if trouble else directory
 
 
 @functools.lru_cache(maxsize=8)
 def _warn_open_cache(directory: Path) -> None:
     warnings.warn(
-        f"the kernel cache '{directory}' is not used, since others may write there: it must be "
-        "yours with mode 0700",
+        f"the kernel cache '{directory}' is not used, since {OTHERS_MAY_WRITE}",
         CapsynWarning,
         stacklevel=2,
     )

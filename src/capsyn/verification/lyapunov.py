@@ -173,9 +173,10 @@ def lyapunov(
 ) -> LyapunovProof:
     """Return what interval arithmetic proves about dV/dt in continuous time, cell by cell.
 
-    In every cell, faces included, the control is that of its symbol. Where V has a kink, as |E|
-    at E = 0, the gradients on either side and all between them count. That V is positive, and that
-    it does not jump but where random pairs of states would show it, is up to whoever made it.
+    In every cell, faces included, the control is that of its symbol. Where V has a kink, as
+    ``abs(E)`` at ``E = 0``, the gradients on either side and all between them count. That V is
+    positive, and that it does not jump but where random pairs of states would show it, is up to
+    whoever made it.
 
     Parameters
     ----------
@@ -188,6 +189,11 @@ def lyapunov(
     max_boxes : int
         Most parts of cells that are made in one round of bisections; those that get no turn count
         as undecided.
+
+    Returns
+    -------
+    LyapunovProof
+        Shares of the volume, and the cells where V grows or that are undecided.
 
     Raises
     ------
@@ -250,6 +256,11 @@ def lyapunov_grid(
     return LyapunovGrid(axes, signs.reshape(shape), tolerance)
 
 
+def _total(shares: np.ndarray) -> float:
+    """Return a sum of shares of a whole, which rounding does not lift above it."""
+    return min(1.0, math.fsum(shares))
+
+
 class _Cells:
     """The leaf cells of a policy as arrays, and what is found in them."""
 
@@ -282,10 +293,10 @@ class _Cells:
             function=function,
             depth=depth,
             max_boxes=max_boxes,
-            proved=float(boxes.shares[boxes.proved].sum()),
-            negative=float(boxes.shares[boxes.negative].sum()),
-            violated=float(boxes.shares[boxes.violated].sum()),
-            undecided=float(boxes.shares[boxes.undecided].sum()),
+            proved=_total(boxes.shares[boxes.proved]),
+            negative=_total(boxes.shares[boxes.negative]),
+            violated=_total(boxes.shares[boxes.violated]),
+            undecided=_total(boxes.shares[boxes.undecided]),
             cells=count,
             proved_cells=count - len(np.unique(boxes.cells[~boxes.proved])),
             negative_cells=count - len(np.unique(boxes.cells[~boxes.negative])),
