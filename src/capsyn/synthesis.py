@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 import warnings
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import numpy as np
 
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.labelling import answerer
 from capsyn.lattice_points import Progress
 from capsyn.masks import several
 from capsyn.model import Model
@@ -42,6 +44,8 @@ def synthesize(
     max_solves: int | None = None,
     backend: str = "auto",
     threads: int | None = None,
+    executor: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Policy:
     """Return the control alphabet policy of a problem: sSAC at every test point, Algorithm 1.
@@ -62,6 +66,13 @@ def synthesize(
         How to solve: compiled where there is a compiler, or as told.
     threads : int, optional
         Threads that solve; default: one per processor. The policy does not depend on it.
+    executor : dask.distributed.Client, optional
+        A cluster whose workers solve, with the same results; workers that would give others are
+        refused.
+    checkpoint : path, optional
+        A directory that keeps what is solved. A run that was killed goes on from there when it is
+        started again, to the same policy; one of another problem or other settings is refused.
+        Threads, executor and `max_solves` may change.
     progress : callable, optional
         Called with a `Progress` now and then.
 
@@ -109,23 +120,28 @@ def synthesize(
     model = transcribe(problem)
     controller = problem_controller(problem, model, backend, seed)
     ready = time.perf_counter()
-    policy = subdivide(
-        controller.masks,
-        domain,
-        problem.alphabet,
-        partitions=problem.partitions,
-        refinement=problem.refinement,
-        max_level=problem.max_level,
-        test_points=test_points,
-        seed=seed,
-        returns="masks",
-        preference=controller.preference,
-        outside=problem.outside,
-        name=problem.name,
-        max_solves=max_solves,
-        threads=threads,
-        progress=progress,
-    )
+    asked = {"test_points": test_points, "seed": seed}
+    with answerer(
+        controller, problem, model, "masks", threads, backend, executor, checkpoint, asked
+    ) as answers:
+        controller = answers.controller
+        policy = subdivide(
+            answers.label,
+            domain,
+            problem.alphabet,
+            partitions=problem.partitions,
+            refinement=problem.refinement,
+            max_level=problem.max_level,
+            test_points=test_points,
+            seed=seed,
+            returns="masks",
+            preference=controller.preference,
+            outside=problem.outside,
+            name=problem.name,
+            max_solves=max_solves,
+            threads=answers.threads,
+            progress=progress,
+        )
     _warn_not_finite(policy)
     return dataclasses.replace(
         policy,

@@ -1,0 +1,84 @@
+"""A labelling function that asks the workers of a cluster."""
+
+from __future__ import annotations
+
+import collections
+import threading
+from concurrent.futures import Future
+from typing import Any
+
+import numpy as np
+
+from capsyn.answers import Answer, Packed
+from capsyn.cluster import Workers
+
+IN_FLIGHT = 128
+"""Chunks that wait for their answers at a time, each in a thread of its own."""
+BATCH_BYTES = 1 << 22
+"""Size of the states that are sent at once."""
+
+
+class RemoteLabels:
+    """A labelling function for `IN_FLIGHT` threads: chunks that wait travel together.
+
+    Workers answer chunk by chunk, so the answers are those of a local call for each.
+    """
+
+    def __init__(self, workers: Workers) -> None:
+        self._workers = workers
+        self._guard = threading.Lock()
+        self._queue: collections.deque[tuple[np.ndarray, Future[Answer]]] = collections.deque()
+        self._sent = 0
+
+    def __call__(self, states: np.ndarray) -> Answer:
+        """Return the answer for states (B, n)."""
+        answer: Future[Answer] = Future()
+        with self._guard:
+            self._queue.append((states, answer))
+        self._send()
+        return answer.result()
+
+    def _send(self) -> None:
+        """Send what waits, in as many batches as workers have use for."""
+        slots = self._workers.slots()
+        while batch := self._next_batch(slots):
+            states = np.concatenate([chunk for chunk, _ in batch])
+            rows = [len(chunk) for chunk, _ in batch]
+            answers = [answer for _, answer in batch]
+            try:
+                task = self._workers.submit((states, rows))
+            except BaseException as error:
+                _fail(answers, error)
+                raise
+            task.add_done_callback(lambda task, answers=answers: self._receive(task, answers))
+
+    def _next_batch(self, slots: int) -> list[tuple[np.ndarray, Future[Answer]]]:
+        with self._guard:
+            free = slots - self._sent
+            if free <= 0 or not self._queue:
+                return []
+            share = -(-len(self._queue) // free)
+            batch, size = [], 0
+            while self._queue and len(batch) < share and size < BATCH_BYTES:
+                batch.append(self._queue.popleft())
+                size += batch[-1][0].nbytes
+            self._sent += 1
+            return batch
+
+    def _receive(self, task: Any, answers: list[Future[Answer]]) -> None:
+        """Hand out the answers of a batch that is done, and send the next."""
+        try:
+            packed: Packed = self._workers.result(task)
+            for answer, found in zip(answers, packed.answers(), strict=True):
+                answer.set_result(found)
+        except BaseException as error:  # the threads that wait raise it
+            _fail(answers, error)
+        with self._guard:
+            self._sent -= 1
+        self._send()
+
+
+def _fail(answers: list[Future[Answer]], error: BaseException) -> None:
+    for answer in answers:
+        if not answer.done():
+            answer.set_exception(error)
