@@ -60,6 +60,7 @@ ORDER = [
     "plant",
     "closed_loop",
     "policy_loop",
+    "trial_job",
     "actions",
     "sac",
     "online",

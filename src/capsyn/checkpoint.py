@@ -217,9 +217,9 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _key(states: np.ndarray) -> bytes:
-    digest = hashlib.blake2b(repr(states.shape).encode(), digest_size=HASH_BYTES)
-    digest.update(np.ascontiguousarray(states, dtype=np.float64))
-    return digest.digest()
+    found = hashlib.blake2b(repr(states.shape).encode(), digest_size=HASH_BYTES)
+    found.update(np.ascontiguousarray(states, dtype=np.float64).data)
+    return found.digest()
 
 
 def _write_block(path: Path, new: list[tuple[bytes, Answer]]) -> None:

@@ -13,6 +13,7 @@ from capsyn.cli_evidence import reproduce, simulate, verify
 from capsyn.cli_export import export
 from capsyn.cli_options import (
     Backend,
+    Dask,
     File,
     Json,
     MinDwell,
@@ -20,6 +21,7 @@ from capsyn.cli_options import (
     Seed,
     Threads,
     assignments,
+    executor,
     number,
     whole_number_list,
 )
@@ -121,6 +123,13 @@ def synth(
     max_solves: Annotated[int | None, typer.Option(help="Stop at a level before so many.")] = None,
     backend: Backend = "auto",
     threads: Threads = None,
+    dask: Dask = None,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Keep what is solved there; a run that was killed goes on from it."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make the control alphabet policy of a problem."""
@@ -152,7 +161,7 @@ def synth(
         "tolerance": tolerance,
         "precision": precision,
     }
-    with progress_bars() as progress:
+    with executor(dask) as client, progress_bars() as progress:
         policy = synthesize(
             chosen,
             partitions=whole_number_list("--partitions", partitions),
@@ -166,6 +175,8 @@ def synth(
             max_solves=max_solves,
             backend=backend,
             threads=threads,
+            executor=client,
+            checkpoint=checkpoint,
             progress=progress,
         )
     policy.save(path)

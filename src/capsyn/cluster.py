@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-import capsyn
+from capsyn import __version__
 from capsyn.answers import digest
 from capsyn.errors import (
     CapsynError,
@@ -87,9 +87,12 @@ def connect(address: str) -> Iterator[Any]:
                 f"`dask` must be an address or local:N of N workers; got '{address}'"
             ) from None
         workers = whole_number("dask local:N", workers, least=1)
-        with distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, dashboard_address=None
-        ) as cluster, distributed.Client(cluster) as client:
+        with (
+            distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address=None
+            ) as cluster,
+            distributed.Client(cluster) as client,
+        ):
             yield client
         return
     try:
@@ -122,9 +125,7 @@ def check_client(executor: Any) -> None:
     try:
         executor.wait_for_workers(1, timeout=CONNECT_SECONDS)
     except (OSError, asyncio.TimeoutError):
-        raise ProblemError(
-            f"the Dask scheduler at '{_address(executor)}' has no workers"
-        ) from None
+        raise ProblemError(f"the Dask scheduler at '{_address(executor)}' has no workers") from None
     except (ValueError, AttributeError):
         raise ProblemError("`executor` is a client without a scheduler: it was closed") from None
 
@@ -186,7 +187,7 @@ class Workers:
         self._job = job
         self._expected = _ready(job.build, job.key, job.plain)[1]
         found = self._client.run(
-            _report, job.build, job.key, job.plain, capsyn.__version__, on_error="return"
+            _report, job.build, job.key, job.plain, __version__, on_error="return"
         )
         for who, report in found.items():
             if isinstance(report, BaseException):
@@ -200,7 +201,7 @@ class Workers:
             if "capsyn" in report:
                 raise ProblemError(
                     f"worker {who} cannot take part: it has capsyn {report['capsyn']}, "
-                    f"this process {capsyn.__version__}"
+                    f"this process {__version__}"
                 )
             if report["probe"] != self._expected:
                 raise ProblemError(_difference(who, report["about"], own))
@@ -286,8 +287,8 @@ def _ready(build: Build, key: str, plain: Any) -> tuple[Work, str]:
 
 async def _report(build: Build, key: str, plain: Any, version: str) -> dict[str, Any]:
     """Return, on a worker, how it does with a job."""
-    if capsyn.__version__ != version:
-        return {"capsyn": capsyn.__version__}
+    if __version__ != version:
+        return {"capsyn": __version__}
     try:
         _, probe = await asyncio.to_thread(_ready, build, key, plain)
     except KernelBuildError as error:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import capsyn
+from capsyn import __version__
 from capsyn.answers import Labelling, digest
 from capsyn.checkpoint import Checkpoint
 from capsyn.cluster import Workers
@@ -100,7 +100,7 @@ def manifest(
     programs = json.dumps(model.to_json(), sort_keys=True)
     settings = dataclasses.asdict(controller.settings)
     return {
-        "capsyn": capsyn.__version__,
+        "capsyn": __version__,
         "name": problem.name,
         "model": hashlib.sha256(programs.encode()).hexdigest(),
         **{key: problem.domain.to_json()[key] for key in ("lower", "upper", "periodic", "names")},

@@ -58,7 +58,8 @@ class RemoteLabels:
             if free <= 0 or not self._queue:
                 return []
             share = -(-len(self._queue) // free)
-            batch, size = [], 0
+            batch: list[tuple[np.ndarray, Future[Answer]]] = []
+            size = 0
             while self._queue and len(batch) < share and size < BATCH_BYTES:
                 batch.append(self._queue.popleft())
                 size += batch[-1][0].nbytes
