@@ -23,7 +23,7 @@ import numpy as np
 from capsyn.answers import Answer, Labelling, Packed, digest, kind, parts
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.files import atomic_write
-from capsyn.validation import describe
+from capsyn.validation import describe, one_line
 
 FORMAT = "capsyn-checkpoint"
 VERSION = 1
@@ -114,12 +114,18 @@ class Checkpoint:
         except (OSError, ValueError, RecursionError):
             raise ProblemError(f"'{path}' is no manifest of a checkpoint, or damaged") from None
         own = json.loads(json.dumps(own))
-        for key in sorted(set(own) | set(there), key=lambda k: (k not in ("capsyn", "name"), k)):
-            if own.get(key) != there.get(key):
-                raise ProblemError(
-                    f"the checkpoint '{self._directory}' is of another run: its `{key}` is "
-                    f"{describe(there.get(key), 40)}, not {describe(own.get(key), 40)}"
-                )
+        if own == there:
+            return
+        told = [
+            f"`{key}` is {describe(there.get(key), 40)} there, {describe(own.get(key), 40)} here"
+            for key in dict.fromkeys([*own, *there])
+            if own.get(key) != there.get(key)
+        ]
+        raise ProblemError(
+            one_line(
+                f"the checkpoint '{self._directory}' is of another run: {'; '.join(told)}", 400
+            )
+        )
 
     def _read(self, path: Path) -> None:
         """Take the answers of a block, or remove it where it is damaged."""

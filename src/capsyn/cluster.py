@@ -32,7 +32,7 @@ from capsyn.errors import (
 from capsyn.native.build import find_compiler, processor_name
 from capsyn.validation import describe, one_line, whole_number
 
-CONNECT_SECONDS = 8.0
+CONNECT_SECONDS = 6.0
 """Time in which a scheduler must answer, and a first worker must be there [s]."""
 RETRIES = 3
 """Times that a batch is tried again where it failed."""
@@ -246,7 +246,8 @@ class Workers:
 def about() -> dict[str, str]:
     """Return what of this machine results may depend on, in words."""
     try:
-        compiler = find_compiler().version
+        found = find_compiler()
+        compiler = " ".join([found.version, *found.command[1:]])
     except KernelBuildError:
         compiler = "none"
     return {

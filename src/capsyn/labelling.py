@@ -102,7 +102,7 @@ def manifest(
     return {
         "capsyn": __version__,
         "name": problem.name,
-        "model": hashlib.sha256(programs.encode()).hexdigest(),
+        "model": hashlib.sha256(programs.encode()).hexdigest()[:16],
         **{key: problem.domain.to_json()[key] for key in ("lower", "upper", "periodic", "names")},
         "alphabet": problem.alphabet.to_json(),
         "default": problem.default.tolist(),
@@ -115,5 +115,5 @@ def manifest(
         **settings,
         **asked,
         "backend": controller.backend,
-        "bits of results": digest(solved),
+        "bits of results": digest(solved)[:16],
     }
