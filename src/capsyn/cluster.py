@@ -89,7 +89,7 @@ def connect(address: str) -> Iterator[Any]:
         workers = whole_number("dask local:N", workers, least=1)
         with (
             distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=None
+                n_workers=workers, threads_per_worker=1, dashboard_address=":0"
             ) as cluster,
             distributed.Client(cluster) as client,
         ):
@@ -122,12 +122,14 @@ def check_client(executor: Any) -> None:
             f"`executor` must be a dask.distributed.Client that is not asynchronous; "
             f"got {describe(executor)}"
         )
+    if executor.status != "running":
+        raise ProblemError(
+            f"`executor` must be connected; the client's status is {executor.status}"
+        )
     try:
         executor.wait_for_workers(1, timeout=CONNECT_SECONDS)
     except (OSError, asyncio.TimeoutError):
         raise ProblemError(f"the Dask scheduler at '{_address(executor)}' has no workers") from None
-    except (ValueError, AttributeError):
-        raise ProblemError("`executor` is a client without a scheduler: it was closed") from None
 
 
 def _address(client: Any) -> str:
@@ -229,7 +231,9 @@ class Workers:
             raise
         except Exception as error:  # of Dask, or whatever a worker may run into
             reason = one_line(str(error) or type(error).__name__)
-            what = "a worker failed" if future.status == "error" else "the Dask scheduler was lost"
+            what = (
+                "the cluster failed" if future.status == "error" else "the Dask scheduler was lost"
+            )
             raise SynthesisError(f"{what}: {reason}") from error
 
     def map(self, batches: Iterable[Any]) -> Iterator[Any]:
