@@ -179,7 +179,7 @@ def test_a_worker_that_comes_late_is_checked_when_it_works(client, monkeypatch):
 
 def test_another_version_is_refused(client, monkeypatch):
     monkeypatch.setattr(cluster, "__version__", "7.7")
-    with pytest.raises(ProblemError, match=r"it has capsyn 0\.1\.0, this process 7\.7"):
+    with pytest.raises(ProblemError, match=r"it has capsyn 0\.1\.0, the process that asks 7\.7"):
         capsyn.synthesize(PROBLEM, max_level=1, executor=client)
 
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 import asyncio
 import collections
 import contextlib
+import functools
 import hashlib
+import pickle
 import platform
 import threading
 import time
@@ -38,6 +40,8 @@ RETRIES = 3
 """Times that a batch is tried again where it failed."""
 AHEAD = 3
 """Batches per thread of the workers that are under way: one at work, the others on their way."""
+ASK_SECONDS = 5.0
+"""Time after which the workers are counted again [s]."""
 KEPT_JOBS = 8
 """Jobs whose kernels a worker keeps."""
 
@@ -61,11 +65,10 @@ class Job:
     build: Build
     plain: Any
 
-    @property
+    @functools.cached_property
     def key(self) -> str:
         """A hash of the job."""
-        text = f"{self.build.__module__}.{self.build.__qualname__}:{self.plain!r}"
-        return hashlib.sha256(text.encode()).hexdigest()
+        return hashlib.sha256(pickle.dumps((self.build, self.plain), protocol=5)).hexdigest()
 
 
 @contextlib.contextmanager
@@ -142,7 +145,7 @@ class Workers:
     Parameters
     ----------
     client : dask.distributed.Client
-        The cluster.
+        The cluster; `check_client` has seen it.
     job_of : callable ``backend -> Job``
         The job for the backend ``"c"`` or ``"numpy"``.
     backend : "auto", "c" or "numpy"
@@ -158,8 +161,8 @@ class Workers:
     """
 
     def __init__(self, client: Any, job_of: Callable[[str], Job], backend: str, used: str) -> None:
-        check_client(client)
         self._client, self._used = client, used
+        self._threads, self._asked = 1, -np.inf
         found = self._inspect(job_of(used))
         lacking = {who: report["lacks"] for who, report in found.items() if "lacks" in report}
         if lacking and backend == "auto" and len(lacking) == len(found):
@@ -177,7 +180,6 @@ class Workers:
             raise ProblemError(f"worker {who} cannot take part: {reason}{advice}")
         self._check(found)
         self._plain = client.submit(_same, self._job.plain, key=f"capsyn-job-{self._job.key}")
-        self._threads, self._asked = 0, -np.inf
 
     @property
     def used(self) -> str:
@@ -201,25 +203,30 @@ class Workers:
         own = about()
         for who, report in sorted(found.items()):
             if "capsyn" in report:
-                raise ProblemError(
-                    f"worker {who} cannot take part: it has capsyn {report['capsyn']}, "
-                    f"this process {__version__}"
-                )
+                raise ProblemError(_other_version(who, report["capsyn"], __version__))
             if report["probe"] != self._expected:
                 raise ProblemError(_difference(who, report["about"], own))
 
-    def slots(self) -> int:
-        """Return how many batches should be under way, by the workers that are there now."""
+    @property
+    def threads(self) -> int:
+        """Threads of the workers that are there now, or were a few seconds ago; at least 1."""
         now = time.monotonic()
-        if now - self._asked > 5:
-            self._threads, self._asked = sum(self._client.nthreads().values()), now
-        return max(1, AHEAD * self._threads)
+        if now - self._asked > ASK_SECONDS:
+            self._asked = now
+            with contextlib.suppress(Exception):  # where it is lost, `result` tells
+                self._threads = max(1, sum(self._client.nthreads().values()))
+        return self._threads
+
+    @property
+    def slots(self) -> int:
+        """How many batches should be under way."""
+        return AHEAD * self.threads
 
     def submit(self, batch: Any) -> Any:
         """Return the Dask future of what the job makes of a batch."""
         job = self._job
         return self._client.submit(
-            _work, job.build, job.key, self._plain, self._expected, batch,
+            _work, job.build, job.key, self._plain, __version__, self._expected, batch,
             pure=False, retries=RETRIES,
         )  # fmt: skip
 
@@ -241,7 +248,7 @@ class Workers:
         waiting: collections.deque[Any] = collections.deque()
         for batch in batches:
             waiting.append(self.submit(batch))
-            if len(waiting) >= self.slots():
+            if len(waiting) >= self.slots:
                 yield self.result(waiting.popleft())
         while waiting:
             yield self.result(waiting.popleft())
@@ -269,7 +276,7 @@ def _difference(who: str, theirs: dict[str, str], own: dict[str, str]) -> str:
         for key, value in own.items()
         if theirs.get(key) != value
     ]
-    reason = "; ".join(told) or "on paper it is the same as this machine"
+    reason = "; ".join(told) or ", ".join(f"its {k} is {v}" for k, v in theirs.items())
     return one_line(f"worker {who} cannot take part: its results have other bits: {reason}", 400)
 
 
@@ -301,14 +308,32 @@ async def _report(build: Build, key: str, plain: Any, version: str) -> dict[str,
     return {"probe": probe, "about": about()}
 
 
-def _work(build: Build, key: str, plain: Any, expected: str, batch: Any) -> Any:
+def _work(build: Build, key: str, plain: Any, version: str, expected: str, batch: Any) -> Any:
     """Return, on a worker, what a job makes of a batch; one that came late is checked here."""
+    try:
+        work = _checked(build, key, plain, version, expected)
+    except KernelBuildError as error:
+        raise ProblemError(f"worker {_own_address()} cannot take part: {error}") from None
+    return work(batch)
+
+
+def _checked(build: Build, key: str, plain: Any, version: str, expected: str) -> Work:
+    if __version__ != version:
+        raise ProblemError(_other_version(_own_address(), __version__, version))
     work, probe = _ready(build, key, plain)
     if probe != expected:
-        from distributed import get_worker
+        raise ProblemError(_difference(_own_address(), about(), {}))
+    return work
 
-        raise ProblemError(_difference(get_worker().address, about(), {}))
-    return work(batch)
+
+def _own_address() -> str:
+    from distributed import get_worker
+
+    return str(get_worker().address)
+
+
+def _other_version(who: str, theirs: str, own: str) -> str:
+    return f"worker {who} cannot take part: it has capsyn {theirs}, the process that asks {own}"
 
 
 def _same(plain: Any) -> Any:

@@ -40,17 +40,15 @@ class RemoteLabels:
 
     def _send(self) -> None:
         """Send what waits, in as many batches as workers have use for."""
-        slots = self._workers.slots()
+        slots = self._workers.slots
         while batch := self._next_batch(slots):
-            states = np.concatenate([chunk for chunk, _ in batch])
-            rows = [len(chunk) for chunk, _ in batch]
             answers = [answer for _, answer in batch]
             try:
-                task = self._workers.submit((states, rows))
-            except BaseException as error:
-                _fail(answers, error)
-                raise
-            task.add_done_callback(lambda task, answers=answers: self._receive(task, answers))
+                states = np.concatenate([chunk for chunk, _ in batch])
+                task = self._workers.submit((states, [len(chunk) for chunk, _ in batch]))
+                task.add_done_callback(lambda task, answers=answers: self._receive(task, answers))
+            except BaseException as error:  # the threads that wait raise it
+                self._done(answers, error)
 
     def _next_batch(self, slots: int) -> list[tuple[np.ndarray, Future[Answer]]]:
         with self._guard:
@@ -72,14 +70,15 @@ class RemoteLabels:
             packed: Packed = self._workers.result(task)
             for answer, found in zip(answers, packed.answers(), strict=True):
                 answer.set_result(found)
-        except BaseException as error:  # the threads that wait raise it
-            _fail(answers, error)
-        with self._guard:
-            self._sent -= 1
+            self._done(answers)
+        except BaseException as error:
+            self._done(answers, error)
         self._send()
 
-
-def _fail(answers: list[Future[Answer]], error: BaseException) -> None:
-    for answer in answers:
-        if not answer.done():
-            answer.set_exception(error)
+    def _done(self, answers: list[Future[Answer]], error: BaseException | None = None) -> None:
+        """Let another batch go; threads that still wait raise the error."""
+        with self._guard:
+            self._sent -= 1
+        for answer in answers:
+            if not answer.done():
+                answer.set_exception(error)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cluster import check_client
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.labelling import answerer
@@ -106,6 +107,8 @@ def synthesize(
     threads = processors(threads)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, ["auto", "c", "numpy"])
+    if executor is not None:
+        check_client(executor)
     domain = problem.domain
     check_size(
         domain,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import tempfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.closed_loop import Loop, Noise
-from capsyn.cluster import AHEAD, Job, Workers
+from capsyn.cluster import Job, Workers
 from capsyn.errors import KernelBuildError
 from capsyn.native.kernels import SIMULATION_LANES
 from capsyn.plant import Plant
@@ -23,8 +24,10 @@ from capsyn.program import Program
 PROBE_TRIALS = 64
 PROBE_SAMPLES = 256
 """The first trials, and their first samples, tell whether two machines compute the same."""
-MOST_TRIALS = 4096
-"""Most trials that are sent at once."""
+BATCHES = 4
+"""Batches for each thread of the workers, so that none waits long for the last one."""
+BATCH_BYTES = 1 << 21
+"""Size of the trials that are sent at once."""
 
 Batch = tuple[np.ndarray, np.ndarray | None, list[tuple[int, ...]] | None]
 """Trials as records, and the deviations and seeds of their noise."""
@@ -53,8 +56,9 @@ def run_on_workers(
     workers = Workers(
         client, functools.partial(_job, policy, outside, plant, loop, first), backend, used
     )
-    share = -(-len(trials) // (workers.slots() // AHEAD * 4))  # four batches for every thread
-    size = min(MOST_TRIALS, -(-share // SIMULATION_LANES) * SIMULATION_LANES)
+    share = -(-len(trials) // (BATCHES * workers.threads))
+    most = max(1, BATCH_BYTES // (trials.itemsize * SIMULATION_LANES))
+    size = SIMULATION_LANES * min(most, -(-share // SIMULATION_LANES))
     starts = range(0, len(trials), size)
 
     def batches() -> Iterator[Batch]:
@@ -78,7 +82,7 @@ def _job(
     with tempfile.TemporaryDirectory(prefix="capsyn-") as directory:
         path = Path(directory) / "policy.cap"
         policy.save(path)
-        file = path.read_bytes()
+        file = zlib.compress(path.read_bytes(), 1)
     programs = {
         name: getattr(plant, name).to_json()
         for name in ("dynamics", "running_cost", "terminal_cost")
@@ -103,7 +107,7 @@ def build(
     """Return what runs trials and what probes, of plain data; kernels are built here."""
     with tempfile.TemporaryDirectory(prefix="capsyn-") as directory:
         path = Path(directory) / "policy.cap"
-        path.write_bytes(plain["policy"])
+        path.write_bytes(zlib.decompress(plain["policy"]))
         policy = Policy.load(path)
     programs = {
         name: Program.from_json(plain["plant"][name])
