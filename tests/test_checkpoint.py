@@ -227,6 +227,7 @@ def test_a_directory_of_something_else_is_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("hello")
     with pytest.raises(ProblemError, match="must be an empty directory or a checkpoint.*thesis"):
         Checkpoint(tmp_path, {})
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
     with pytest.raises(ProblemError, match="must be a directory to write to"):
         Checkpoint(tmp_path / "thesis.tex", {})
     (tmp_path / "manifest.json").write_text("[" * 100_000)

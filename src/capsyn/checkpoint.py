@@ -66,6 +66,7 @@ class Checkpoint:
         self._started = self._written = time.monotonic()
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
+            self._refuse_others()
             self._lock = open(self._directory / LOCK, "ab")
         except OSError as error:
             raise ProblemError(
@@ -77,28 +78,36 @@ class Checkpoint:
             self._lock.close()
             raise
 
+    def _refuse_others(self) -> None:
+        """Raise `ProblemError` where the directory holds something else; nothing is touched."""
+        names = [path.name for path in self._directory.iterdir()]
+        others = [name for name in names if name != LOCK and not name.startswith(".capsyn-")]
+        if others and MANIFEST not in others:
+            raise ProblemError(
+                f"`checkpoint` must be an empty directory or a checkpoint; '{self._directory}' "
+                f"holds '{min(others)}'"
+            )
+
     def _open(self, manifest: dict[str, Any]) -> None:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             raise ProblemError(
                 f"the checkpoint '{self._directory}' is in use by another process"
             ) from None
-        for left in self._directory.glob(".capsyn-*"):  # of a process that was killed
-            left.unlink()
+        except OSError as error:
+            raise ProblemError(
+                f"the checkpoint '{self._directory}' cannot be locked: {error.strerror}"
+            ) from None
         own = {"format": FORMAT, "version": VERSION, **manifest}
         path = self._directory / MANIFEST
         if path.exists():
             self._compare(path, own)
         else:
-            others = [p.name for p in self._directory.iterdir() if p.name != LOCK]
-            if others:
-                raise ProblemError(
-                    f"`checkpoint` must be an empty directory or a checkpoint; "
-                    f"'{self._directory}' holds '{min(others)}'"
-                )
             text = json.dumps(own, indent=1, sort_keys=True, allow_nan=False) + "\n"
             atomic_write(path, lambda temporary: _write_text(temporary, text))
+        for left in self._directory.glob(".capsyn-*"):  # of a process that was killed
+            left.unlink()
         for block in sorted(self._directory.glob("block-*.safetensors")):
             number = block.stem.partition("-")[2]
             if number.isdecimal():
@@ -135,7 +144,6 @@ class Checkpoint:
             keys, packed = _read_block(path)
         except (
             SafetensorError,
-            OSError,
             KeyError,
             TypeError,
             ValueError,
@@ -149,6 +157,8 @@ class Checkpoint:
                 stacklevel=5,
             )
             path.unlink(missing_ok=True)
+        except OSError as error:  # it may be whole all the same
+            raise ProblemError(f"'{path}' cannot be read: {error.strerror or error}") from None
         else:
             self._known.update((key, (packed, i)) for i, key in enumerate(keys))
 
