@@ -1,10 +1,13 @@
 """A real scheduler and worker processes on loopback: the same bytes as without them."""
 
 import json
+import os
 import platform
+import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -132,6 +135,23 @@ def test_the_scheduler_is_killed_half_way(other, tmp_path):
     whole = capsyn.synthesize(PROBLEM, **options)  # goes on without
     del options["checkpoint"]
     assert file_of(whole, tmp_path) == file_of(capsyn.synthesize(PROBLEM, **options), tmp_path)
+
+
+def test_an_interrupt_does_not_wait_for_workers(other, tmp_path):
+    client, workers, _ = other({})
+
+    def stop(progress):
+        if workers[0].poll() is None and progress.level == 1:
+            workers[0].send_signal(signal.SIGSTOP)
+            threading.Timer(0.3, os.kill, [os.getpid(), signal.SIGINT]).start()
+
+    options = {"max_level": 3, "backend": "numpy", "checkpoint": tmp_path / "kept"}
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        capsyn.synthesize(PROBLEM, executor=client, progress=stop, **options)
+    assert time.monotonic() - started < 10
+    assert len(list((tmp_path / "kept").glob("block-*"))) == 1
+    capsyn.synthesize(PROBLEM, **options)  # nobody holds the checkpoint
 
 
 def test_a_checkpoint_of_a_cluster_goes_on_in_one_process(client, tmp_path):

@@ -183,6 +183,8 @@ class Checkpoint:
 
     def _keep(self, key: bytes, answer: Answer) -> None:
         with self._guard:
+            if self._lock.closed:  # a thread that nobody waited for
+                return
             if self._new and kind(self._new[0][1]) != kind(answer):
                 self._flush()
             self._new.append((key, answer))
@@ -213,8 +215,9 @@ class Checkpoint:
     def close(self) -> None:
         """Write what is new, and let others in."""
         with self._guard:
-            self._flush()
-        self._lock.close()
+            if not self._lock.closed:
+                self._flush()
+                self._lock.close()
 
     def __enter__(self) -> Checkpoint:
         return self

@@ -13,6 +13,7 @@ import functools
 import hashlib
 import pickle
 import platform
+import signal
 import threading
 import time
 import warnings
@@ -90,12 +91,11 @@ def connect(address: str) -> Iterator[Any]:
                 f"`dask` must be an address or local:N of N workers; got '{address}'"
             ) from None
         workers = whole_number("dask local:N", workers, least=1)
-        with (
-            distributed.LocalCluster(
+        with _deaf_to_interrupts():
+            cluster = distributed.LocalCluster(
                 n_workers=workers, threads_per_worker=1, dashboard_address=":0"
-            ) as cluster,
-            distributed.Client(cluster) as client,
-        ):
+            )
+        with cluster, distributed.Client(cluster) as client:
             yield client
         return
     try:
@@ -105,6 +105,19 @@ def connect(address: str) -> Iterator[Any]:
         raise ProblemError(f"no Dask scheduler answers at '{address}': {reason}") from None
     with client:
         yield client
+
+
+@contextlib.contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Let processes that start now ignore Ctrl-C: it is for the one that ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _distributed() -> Any:

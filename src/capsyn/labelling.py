@@ -86,6 +86,7 @@ def answerer(
             if workers.used != controller.backend:
                 controller = batch_controller(*given, workers.used)
             label, threads = RemoteLabels(workers), IN_FLIGHT
+            stack.callback(label.close)
         if checkpoint is not None:
             about = manifest(controller, problem, model, {"answers": method, **(asked or {})})
             label = stack.enter_context(Checkpoint(checkpoint, about)).remember(label)

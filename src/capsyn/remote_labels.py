@@ -11,6 +11,7 @@ import numpy as np
 
 from capsyn.answers import Answer, Packed
 from capsyn.cluster import Workers
+from capsyn.errors import SynthesisError
 
 IN_FLIGHT = 128
 """Chunks that wait for their answers at a time, each in a thread of its own."""
@@ -28,15 +29,28 @@ class RemoteLabels:
         self._workers = workers
         self._guard = threading.Lock()
         self._queue: collections.deque[tuple[np.ndarray, Future[Answer]]] = collections.deque()
-        self._sent = 0
+        self._open: set[Future[Answer]] = set()
+        self._under_way = 0
+        self._closed = False
 
     def __call__(self, states: np.ndarray) -> Answer:
         """Return the answer for states (B, n)."""
         answer: Future[Answer] = Future()
         with self._guard:
+            if self._closed:
+                raise SynthesisError("the run has ended")
             self._queue.append((states, answer))
+            self._open.add(answer)
         self._send()
         return answer.result()
+
+    def close(self) -> None:
+        """Let threads that still wait go, with an error."""
+        with self._guard:
+            self._closed = True
+            self._queue.clear()
+            waiting = list(self._open)
+        self._fail(waiting, SynthesisError("the run has ended"))
 
     def _send(self) -> None:
         """Send what waits, in as many batches as workers have use for."""
@@ -48,11 +62,13 @@ class RemoteLabels:
                 task = self._workers.submit((states, [len(chunk) for chunk, _ in batch]))
                 task.add_done_callback(lambda task, answers=answers: self._receive(task, answers))
             except BaseException as error:  # the threads that wait raise it
-                self._done(answers, error)
+                self._fail(answers, error)
+                with self._guard:
+                    self._under_way -= 1
 
     def _next_batch(self, slots: int) -> list[tuple[np.ndarray, Future[Answer]]]:
         with self._guard:
-            free = slots - self._sent
+            free = slots - self._under_way
             if free <= 0 or not self._queue:
                 return []
             share = -(-len(self._queue) // free)
@@ -61,24 +77,28 @@ class RemoteLabels:
             while self._queue and len(batch) < share and size < BATCH_BYTES:
                 batch.append(self._queue.popleft())
                 size += batch[-1][0].nbytes
-            self._sent += 1
+            self._under_way += 1
             return batch
 
     def _receive(self, task: Any, answers: list[Future[Answer]]) -> None:
         """Hand out the answers of a batch that is done, and send the next."""
         try:
             packed: Packed = self._workers.result(task)
-            for answer, found in zip(answers, packed.answers(), strict=True):
-                answer.set_result(found)
-            self._done(answers)
+            found = packed.answers()
+            with self._guard:
+                for answer, value in zip(answers, found, strict=True):
+                    if not answer.done():
+                        answer.set_result(value)
+                self._open.difference_update(answers)
         except BaseException as error:
-            self._done(answers, error)
+            self._fail(answers, error)
+        with self._guard:
+            self._under_way -= 1
         self._send()
 
-    def _done(self, answers: list[Future[Answer]], error: BaseException | None = None) -> None:
-        """Let another batch go; threads that still wait raise the error."""
+    def _fail(self, answers: list[Future[Answer]], error: BaseException) -> None:
         with self._guard:
-            self._sent -= 1
-        for answer in answers:
-            if not answer.done():
-                answer.set_exception(error)
+            for answer in answers:
+                if not answer.done():
+                    answer.set_exception(error)
+            self._open.difference_update(answers)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from capsyn.lattice_points import LatticePoints, Progress, Question
 from capsyn.masks import Label, checked_masks, masks_of_symbols, preferred, several
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.policy_file import ROLES
+from capsyn.processors import pool_of
 from capsyn.propositions import check_memory, worst_case_solves
 from capsyn.validation import describe, is_list, one_of, whole_number
 
@@ -112,7 +112,7 @@ def subdivide(
     outside = check_outside(outside, alphabet)
     masks = (checked_masks if returns == "masks" else masks_of_symbols)(label, n_symbols)
     started = time.perf_counter()
-    with ThreadPoolExecutor(threads) as pool:
+    with pool_of(threads) as pool:
         store = LatticePoints(
             masks, domain, lattice, n_symbols, pool if threads > 1 else None, progress
         )
