@@ -46,11 +46,11 @@ def labelled(monkeypatch):
 
 
 def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(tmp_path):
-    command = [sys.executable, str(HERE / "killed_runs.py"), str(tmp_path), "20", "3"]
+    command = [sys.executable, str(HERE / "killed_runs.py"), str(tmp_path), "10", "3"]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
     told = json.loads(run.stdout)
-    assert told["finished"] < 10
-    assert len(set(told["blocks"])) > 5  # most kills left something to go on from
+    assert told["finished"] < 5
+    assert len(set(told["blocks"])) > 3  # most kills left something to go on from
     assert (tmp_path / "whole.cap").read_bytes() == (tmp_path / "killed.cap").read_bytes()
 
 
