@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable
 from typing import Any
@@ -20,58 +19,40 @@ PROBES = 2048
 """Random states whose solutions, bit by bit, tell whether two machines compute the same."""
 
 
-@dataclasses.dataclass(frozen=True)
-class LabelJob:
-    """A controller's question: which symbols could be best.
+def label_job(
+    model: Model,
+    domain: Box,
+    values: np.ndarray,
+    default: np.ndarray,
+    horizon: float,
+    settings: SsacSettings,
+    method: str,
+    backend: str,
+) -> Job:
+    """Return the job of labelling batches of ``(states (B, n), states of each chunk)``.
 
     Parameters
     ----------
-    model : Model
-        The system.
-    domain : Box
-        Where the probe is taken.
-    values, default : (N, m), (m,)
-        The symbols' control vectors and that of the prediction [input units].
-    horizon : float
-        Prediction horizon T [s].
-    settings : SsacSettings
-        Options, with `steps` given.
+    model, domain, values, default, horizon, settings, backend
+        As for `batch_controller`; `settings` with `steps`, `backend` "c" or "numpy".
     method : str
         The method of `BatchController` that answers.
-    backend : "c" or "numpy"
-        How to solve.
     """
-
-    model: Model
-    domain: Box
-    values: np.ndarray
-    default: np.ndarray
-    horizon: float
-    settings: SsacSettings
-    method: str
-    backend: str
-
-    def plain(self) -> str:
-        """Return this as JSON, the programs as a policy's file holds them."""
-        data = {
-            "model": self.model.to_json(),
-            "domain": self.domain.to_json(),
-            "values": self.values.tolist(),
-            "default": self.default.tolist(),
-            "horizon": self.horizon,
-            "settings": self.settings.to_json(),
-            "method": self.method,
-            "backend": self.backend,
-        }
-        return json.dumps(data, sort_keys=True)
-
-    def job(self) -> Job:
-        """Return the job for workers, on batches of ``(states (B, n), rows of each chunk)``."""
-        return Job(build, self.plain())
+    plain = {
+        "model": model.to_json(),  # the programs as a policy's file holds them
+        "domain": domain.to_json(),
+        "values": values.tolist(),
+        "default": default.tolist(),
+        "horizon": horizon,
+        "settings": settings.to_json(),
+        "method": method,
+        "backend": backend,
+    }
+    return Job(build, json.dumps(plain, sort_keys=True))
 
 
 def build(plain: str) -> tuple[Callable[[tuple[np.ndarray, list[int]]], Packed], Callable[[], Any]]:
-    """Return what answers and what probes, of a `LabelJob` as JSON; kernels are built here."""
+    """Return what answers and what probes, of a `label_job`; kernels are built here."""
     data = json.loads(plain)
     domain, values = Box(**data["domain"]), np.array(data["values"])
     controller = batch_controller(

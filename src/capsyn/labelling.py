@@ -15,7 +15,7 @@ from capsyn import __version__
 from capsyn.answers import Labelling, digest
 from capsyn.checkpoint import Checkpoint
 from capsyn.cluster import Workers
-from capsyn.label_job import LabelJob, probe
+from capsyn.label_job import label_job, probe
 from capsyn.model import Model
 from capsyn.problem import Problem
 from capsyn.remote_labels import IN_FLIGHT, RemoteLabels
@@ -79,7 +79,7 @@ def answerer(
         if executor is not None:
             workers = Workers(
                 executor,
-                lambda used: LabelJob(*given, method, used).job(),
+                lambda used: label_job(*given, method, used),
                 backend,
                 controller.backend,
             )
