@@ -21,8 +21,8 @@ from capsyn import monte_carlo, problems, synthesize
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))
-ROUNDS = 2
-STEPS = 1200
+ROUNDS = 3
+STEPS = 800
 """Integration steps that make the solves of cart-pole level 4 a job of some 30 s."""
 
 
@@ -58,7 +58,7 @@ def compare(what, run, same):
                 assert same(local) == same(remote)
                 rounds.append((own[0], theirs[0], theirs[0] / own[0], theirs[1] / own[1]))
                 print(what, [round(x, 3) for x in rounds[-1]], file=sys.stderr)
-    local, remote, wall, processor = min(rounds, key=lambda row: row[2])
+    local, remote, wall, processor = sorted(rounds, key=lambda row: row[2])[ROUNDS // 2]
     return [
         {"what": f"{what}: 2 threads", "value": local, "unit": "s"},
         {"what": f"{what}: 2 workers", "value": remote, "unit": "s"},
@@ -109,12 +109,12 @@ def main():
         return lambda client: synthesize(chosen, max_level=4, threads=2, executor=client)
 
     def trials(client):
-        return monte_carlo(policy, 100_000, threads=2, executor=client)
+        return monte_carlo(policy, 30_000, threads=2, executor=client)
 
     rows = [
         *compare(f"cart-pole level 4 in {STEPS} steps", synthesis(fine), content),
         *compare("cart-pole level 4 in 20 steps", synthesis(problem), content),
-        *compare("100,000 trials", trials, lambda found: found.final.tobytes()),
+        *compare("30,000 trials", trials, lambda found: found.final.tobytes()),
         killed(),
     ]
     print(json.dumps(rows))

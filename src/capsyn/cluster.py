@@ -6,7 +6,6 @@ worker solves a probe, and is refused where a single bit differs from what this 
 
 from __future__ import annotations
 
-import asyncio
 import collections
 import contextlib
 import functools
@@ -81,6 +80,8 @@ def connect(address: str) -> Iterator[Any]:
     ProblemError
         The address is none, or nobody answers there within `CONNECT_SECONDS`.
     """
+    import asyncio
+
     distributed = _distributed()
     start, _, count = address.partition(":")
     if start == "local":
@@ -132,6 +133,8 @@ def _distributed() -> Any:
 
 def check_client(executor: Any) -> None:
     """Raise `ProblemError` unless `executor` is a connected Dask client with workers."""
+    import asyncio
+
     distributed = _distributed()
     if not isinstance(executor, distributed.Client) or executor.asynchronous:
         raise ProblemError(
@@ -312,6 +315,8 @@ def _ready(build: Build, key: str, plain: Any) -> tuple[Work, str]:
 
 async def _report(build: Build, key: str, plain: Any, version: str) -> dict[str, Any]:
     """Return, on a worker, how it does with a job."""
+    import asyncio
+
     if __version__ != version:
         return {"capsyn": __version__}
     try:
