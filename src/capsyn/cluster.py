@@ -99,7 +99,14 @@ def connect(address: str) -> Iterator[Any]:
         with cluster, distributed.Client(cluster) as client:
             yield client
         return
+
+    async def knock() -> None:  # a client that fails would keep the process for long when it ends
+        security = distributed.Security().get_connection_args("client")
+        comm = await distributed.core.connect(address, timeout=CONNECT_SECONDS, **security)
+        await comm.close()
+
     try:
+        asyncio.run(knock())
         client = distributed.Client(address, timeout=CONNECT_SECONDS)
     except (OSError, ValueError, TypeError, asyncio.TimeoutError) as error:
         reason = one_line(str(error) or type(error).__name__)
