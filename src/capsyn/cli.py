@@ -14,6 +14,7 @@ from capsyn.cli_explore import explore
 from capsyn.cli_export import export
 from capsyn.cli_options import (
     Backend,
+    Dask,
     File,
     Json,
     MinDwell,
@@ -21,6 +22,7 @@ from capsyn.cli_options import (
     Seed,
     Threads,
     assignments,
+    executor,
     number,
     whole_number_list,
 )
@@ -129,6 +131,13 @@ def synth(
     ] = None,
     backend: Backend = "auto",
     threads: Threads = None,
+    dask: Dask = None,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Keep what is solved there; a run that was killed goes on from it."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make the control alphabet policy of a problem."""
@@ -160,7 +169,7 @@ def synth(
         "tolerance": tolerance,
         "precision": precision,
     }
-    with progress_bars() as progress:
+    with executor(dask) as client, progress_bars() as progress:
         policy = synthesize(
             chosen,
             partitions=whole_number_list("--partitions", partitions),
@@ -176,6 +185,8 @@ def synth(
             max_solves=max_solves,
             backend=backend,
             threads=threads,
+            executor=client,
+            checkpoint=checkpoint,
             progress=progress,
         )
     policy.save(path)
