@@ -67,6 +67,16 @@ def test_a_second_run_solves_nothing(tmp_path, labelled, backend):
     assert plain == first == second
 
 
+def test_affine_leaves_go_on(tmp_path):
+    options = {"max_level": 3, "leaves": "affine"}
+    plain = file_of(capsyn.synthesize(PROBLEM, **options), tmp_path)
+    few = capsyn.synthesize(PROBLEM, max_solves=1000, checkpoint=tmp_path / "kept", **options)
+    assert few.statistics["solves"] <= 1000
+    whole = capsyn.synthesize(PROBLEM, checkpoint=tmp_path / "kept", **options)
+    again = capsyn.synthesize(PROBLEM, checkpoint=tmp_path / "kept", **options)
+    assert plain == file_of(whole, tmp_path) == file_of(again, tmp_path)
+
+
 def test_an_error_keeps_what_was_solved(tmp_path, labelled):
     def stop(progress):
         if progress.level == 2:
@@ -93,6 +103,7 @@ def test_max_solves_may_be_raised(tmp_path, labelled):
     "other, named",
     [
         ({"seed": 1}, "`seed` is 0 there, 1 here"),
+        ({"leaves": "affine"}, "run: `leaves` is 'constant' there, 'affine' here"),
         ({"max_level": 3}, "run: `max_level` is 2 there, 3 here"),
         ({"partitions": [8, 9]}, "run: `partitions` is [9, 9] there, [8, 9] here"),
         (

@@ -70,10 +70,17 @@ def file_of(policy, directory):
 
 
 @pytest.mark.parametrize("backend", ["c", "numpy"])
-@pytest.mark.parametrize("name, level", [("cart-pendulum-4", 4), ("double-tank-a", 3)])
-def test_the_same_bytes_as_without_a_cluster(client, tmp_path, name, level, backend):
+@pytest.mark.parametrize(
+    "name, level, leaves",
+    [
+        ("cart-pendulum-4", 4, "constant"),
+        ("double-tank-a", 3, "constant"),
+        ("cart-pole", 1, "affine"),
+    ],
+)
+def test_the_same_bytes_as_without_a_cluster(client, tmp_path, name, level, leaves, backend):
     seen = []
-    options = {"max_level": level, "backend": backend}
+    options = {"max_level": level, "leaves": leaves, "backend": backend}
     local = capsyn.synthesize(problems.get(name), **options)
     remote = capsyn.synthesize(problems.get(name), executor=client, progress=seen.append, **options)
     assert file_of(remote, tmp_path) == file_of(local, tmp_path)
