@@ -83,7 +83,7 @@ def test_an_error_keeps_what_was_solved(tmp_path, labelled):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        capsyn.synthesize(PROBLEM, checkpoint=tmp_path / "kept", progress=stop)
+        capsyn.synthesize(PROBLEM, checkpoint=tmp_path / "kept", progress=stop, threads=1)
     solved = sum(map(len, labelled))
     labelled.clear()
     policy = capsyn.synthesize(PROBLEM, checkpoint=tmp_path / "kept")
@@ -103,7 +103,7 @@ def test_max_solves_may_be_raised(tmp_path, labelled):
     "other, named",
     [
         ({"seed": 1}, "`seed` is 0 there, 1 here"),
-        ({"leaves": "affine"}, "run: `leaves` is 'constant' there, 'affine' here"),
+        ({"leaves": "affine"}, "`leaves` is 'constant' there, 'affine' here"),
         ({"max_level": 3}, "run: `max_level` is 2 there, 3 here"),
         ({"partitions": [8, 9]}, "run: `partitions` is [9, 9] there, [8, 9] here"),
         (
