@@ -15,6 +15,7 @@ from capsyn.cli_export import export
 from capsyn.cli_import import import_table
 from capsyn.cli_options import (
     Backend,
+    Dask,
     File,
     Json,
     MinDwell,
@@ -22,6 +23,7 @@ from capsyn.cli_options import (
     Seed,
     Threads,
     assignments,
+    executor,
     number,
     whole_number_list,
 )
@@ -130,6 +132,13 @@ def synth(
     ] = None,
     backend: Backend = "auto",
     threads: Threads = None,
+    dask: Dask = None,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Keep what is solved there; a run that was killed goes on from it."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make the control alphabet policy of a problem."""
@@ -161,7 +170,7 @@ def synth(
         "tolerance": tolerance,
         "precision": precision,
     }
-    with progress_bars() as progress:
+    with executor(dask) as client, progress_bars() as progress:
         policy = synthesize(
             chosen,
             partitions=whole_number_list("--partitions", partitions),
@@ -177,6 +186,8 @@ def synth(
             max_solves=max_solves,
             backend=backend,
             threads=threads,
+            executor=client,
+            checkpoint=checkpoint,
             progress=progress,
         )
     policy.save(path)

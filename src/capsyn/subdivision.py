@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -36,6 +35,7 @@ from capsyn.masks import (
     several,
 )
 from capsyn.policy import Outside, Policy, check_outside
+from capsyn.processors import pool_of
 from capsyn.propositions import check_memory, worst_case_solves
 from capsyn.validation import describe, finite_number, is_list, one_of, whole_number
 
@@ -151,7 +151,7 @@ def subdivide(
     affine = leaves == "affine"
     labels = _scored(label, returns, n_symbols) if affine else _masks(label, returns, n_symbols)
     started = time.perf_counter()
-    with ThreadPoolExecutor(threads) as pool:
+    with pool_of(threads) as pool:
         store = LatticePoints(
             labels,
             domain,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 import warnings
 from collections.abc import Callable
@@ -10,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cluster import check_client
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.labelling import answerer
 from capsyn.lattice_points import Progress
 from capsyn.masks import several
 from capsyn.model import Model
@@ -44,6 +47,8 @@ def synthesize(
     max_solves: int | None = None,
     backend: str = "auto",
     threads: int | None = None,
+    executor: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Policy:
     """Return the control alphabet policy of a problem: sSAC at every test point, Algorithm 1.
@@ -71,6 +76,13 @@ def synthesize(
         How to solve: compiled where there is a compiler, or as told.
     threads : int, optional
         Threads that solve; default: one per processor. The policy does not depend on it.
+    executor : dask.distributed.Client, optional
+        A cluster whose workers solve, with the same results; workers that would give others are
+        refused.
+    checkpoint : path, optional
+        A directory that keeps what is solved. A run that was killed goes on from there when it is
+        started again, to the same policy; one of another problem or other settings is refused.
+        Threads, executor and `max_solves` may change.
     progress : callable, optional
         Called with a `Progress` now and then.
 
@@ -104,6 +116,8 @@ def synthesize(
     threads = processors(threads)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, ["auto", "c", "numpy"])
+    if executor is not None:
+        check_client(executor)
     domain = problem.domain
     check_size(
         domain,
@@ -120,25 +134,31 @@ def synthesize(
     controller = problem_controller(problem, model, backend, seed)
     ready = time.perf_counter()
     affine = leaves == "affine"
-    policy = subdivide(
-        controller.scored if affine else controller.masks,
-        domain,
-        problem.alphabet,
-        partitions=problem.partitions,
-        refinement=problem.refinement,
-        max_level=problem.max_level,
-        leaves=leaves,
-        leaf_error=leaf_error,
-        test_points=test_points,
-        seed=seed,
-        returns="masks+scores" if affine else "masks",
-        preference=controller.preference,
-        outside=problem.outside,
-        name=problem.name,
-        max_solves=max_solves,
-        threads=threads,
-        progress=progress,
-    )
+    asked = {"leaves": leaves, "leaf_error": leaf_error, "test_points": test_points, "seed": seed}
+    method = "scored" if affine else "masks"
+    with answerer(
+        controller, problem, model, method, threads, backend, executor, checkpoint, asked
+    ) as answers:
+        controller = answers.controller
+        policy = subdivide(
+            answers.label,
+            domain,
+            problem.alphabet,
+            partitions=problem.partitions,
+            refinement=problem.refinement,
+            max_level=problem.max_level,
+            leaves=leaves,
+            leaf_error=leaf_error,
+            test_points=test_points,
+            seed=seed,
+            returns="masks+scores" if affine else "masks",
+            preference=controller.preference,
+            outside=problem.outside,
+            name=problem.name,
+            max_solves=max_solves,
+            threads=answers.threads,
+            progress=progress,
+        )
     _warn_not_finite(policy)
     return dataclasses.replace(
         policy,
