@@ -25,7 +25,8 @@ function parts(color) {
   return [1, 3, 5].map(k => parseInt(color.slice(k, k + 2), 16));
 }
 
-function blend(one, other, share) {
+/** Return a colour with a share of another mixed in. */
+export function blend(one, other, share) {
   const [a, b] = [parts(one), parts(other)];
   const mixed = a.map((v, i) => Math.round(v * (1 - share) + b[i] * share));
   return "#" + mixed.map(v => v.toString(16).padStart(2, "0")).join("");
