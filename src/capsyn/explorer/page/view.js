@@ -77,6 +77,10 @@ export function makeView(data, levels) {
     return value - turns * width(axis);
   };
 
+  /** Return a component within its bounds: the nearest where it does not go round. */
+  view.held = (value, axis) =>
+    periodic[axis] ? view.wrapped(value, axis) : Math.min(Math.max(value, lower[axis]), upper[axis]);
+
   /** The period of a side of the plane in its shares; infinite where there is none. */
   view.period = side => {
     const axis = view.axes[side], [low, high] = view.bounds.slice(2 * side, 2 * side + 2);
