@@ -60,8 +60,8 @@ export function loop([x, y], radius, kind) {
 /** Return the arrow between two vertices, clear of the others: {d, at, anchor}. */
 export function curve([ax, ay], [bx, by], radius, kind) {
   const [dx, dy] = [bx - ax, by - ay], length = Math.hypot(dx, dy);
-  const bow = { pair: 44, corners: 16 }[kind] ?? Math.min(16, 0.14 * length);
-  const inward = kind === "ring" || kind === "crowd" ? 0.2 : 0;
+  const bow = { pair: 44, corners: 16 }[kind] ?? Math.min(9, 0.1 * length);
+  const inward = kind === "ring" || kind === "crowd" ? 0.3 : 0;
   const [mx, my] = [(ax + bx) / 2, (ay + by) / 2];
   const mid = [
     mx + (CENTER[0] - mx) * inward + (dy / length) * bow,

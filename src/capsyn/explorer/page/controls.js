@@ -15,7 +15,7 @@ function pace(data) {
 }
 
 function labelled(text, control, ...more) {
-  return element("label", {}, element("span", {}, text), control, ...more);
+  return element("label", {}, element("span", { title: text }, text), control, ...more);
 }
 
 /** The tools over the map, and sliders for the states that are not in its plane. */
@@ -176,7 +176,7 @@ export function makeSettings(app) {
   box.append(...[
     field("duration", "duration", "s", usual, 0, "How long each trajectory is"),
     field("rate", "sample rate", "1/s", data.rate, 0, "How often the policy is asked"),
-    field("noise", "noise", "% of width", 0, 0, "Standard deviation of the measured states"),
+    field("noise", "noise", "%", 0, 0, "Standard deviation of the measured states, in % of their widths"),
     field("delay", "delay", "ms", 0, 0, "From a sample until its control acts"),
     field("dwell", "least dwell", "s", data.min_dwell, 0, "Least time between switches"),
     labelled("outside", outside),

@@ -163,7 +163,7 @@ export function makeMap(app) {
   function trace(track, first, last) {
     const { states } = track, lines = new Path2D();
     const period = [view.period(0) * frame.width, view.period(1) * frame.height];
-    let [px, py] = toPixels(view.place(states[first]));
+    let [px, py] = toPixels(view.place(states[first])), pieces = 1;
     lines.moveTo(px, py);
     for (let k = first + 1; k <= last; k++) {
       const [x, y] = toPixels(view.place(states[k]));
@@ -174,11 +174,12 @@ export function makeMap(app) {
       if (right || down) {
         lines.lineTo(x - right, y - down);
         lines.moveTo(px + right, py + down);
+        pieces += 1;
       }
       lines.lineTo(x, y);
       [px, py] = [x, y];
     }
-    return lines;
+    return Object.assign(lines, { pieces });
   }
 
   /** The whole line of a track, made anew when the view or the frame has changed. */
@@ -349,6 +350,9 @@ export function makeMap(app) {
 
   return {
     draw, sweep, redraw, zoomed,
-    shown: () => ({ frame: { ...frame }, ticks: labels, target: goal ? goal.points : [] }),
+    shown: () => ({
+      frame: { ...frame }, ticks: labels, target: goal ? goal.points : [],
+      pieces: app.tracks.map(track => whole(track).pieces),
+    }),
   };
 }
