@@ -148,8 +148,8 @@ def test_levels_replay_the_algorithm(show):
         assert known.all() == (level == 2)
     shown.page.keyboard.press("[")
     assert shown.state["level"] == 1
-    shown.page.click("#replay")
-    assert shown.state["level"] == 0
+    replay = "() => (document.getElementById('replay').click(), capsyn.state().level)"
+    assert shown.page.evaluate(replay) == 0
     shown.wait_for(lambda state: state["level"] == 2)
 
 
@@ -203,6 +203,18 @@ def test_settings_of_the_loop(show):
     assert shown.text("#problem") == "" and not shown.page.locator("[aria-invalid]").count()
 
 
+def test_stop_at_the_target(show):
+    policy = made("double-tank-a", max_level=3)
+    shown = show(policy)
+    shown.page.check("#set-stop")
+    known = simulate(policy, shown.active["start"], 5, stop_at_target=True)
+    assert shown.active["ended"] == "target" and 0 < shown.active["samples"] < 5000
+    k = shown.active["samples"]
+    assert k == np.round(known.arrived * 1000)
+    np.testing.assert_allclose(shown.active["end"], known.states[k], atol=1e-9)
+    assert "reached the target at" in shown.text("#status")
+
+
 def test_rules_outside_the_domain(show):
     policy = dataclasses.replace(pendulum(2), outside="error")
     shown = show(policy)
@@ -229,13 +241,18 @@ def test_trajectories_are_kept_and_compared(show):
     tracks = shown.state["tracks"]
     assert len(tracks) == 4 and tracks[3]["start"] == tracks[2]["start"]
     assert tracks[3]["end"] != tracks[2]["end"] and tracks[3]["active"]
-    shown.page.click(".chip[data-number='2'] .choose")
+    shown.page.focus(".chip[data-number='2'] .choose")
+    shown.page.keyboard.press("Enter")
     assert shown.active["number"] == 2
+    focused = "document.activeElement.closest('.chip').dataset.number"
+    assert shown.page.evaluate(focused) == "2"
+    assert shown.page.get_attribute(".chip[data-number='2'] .choose", "aria-pressed") == "true"
     shown.page.click(".chip[data-number='2'] .drop")
     assert [track["number"] for track in shown.state["tracks"]] == [1, 3, 4]
-    for _ in range(5):
+    for _ in range(4):
         shown.click([2.0, 2.0])
     assert len(shown.state["tracks"]) == 6
+    assert "trajectory 1 made room" in shown.text("#status")
     shown.page.uncheck("#keep")
     shown.click([1.0, 1.0])
     assert len(shown.state["tracks"]) == 1
@@ -274,6 +291,9 @@ def test_play_pause_speed_reset_and_seek(show):
     assert shown.text("#play").endswith("Play") and shown.text("#time") == "10.00 s"
     shown.slide("#scrub", 0.25)
     assert shown.state["time"] == pytest.approx(2.5)
+    line = "a => parseFloat(getComputedStyle(a).left) / a.parentNode.clientWidth"
+    assert shown.page.locator(".now").first.evaluate(line) == pytest.approx(0.25, abs=0.01)
+    assert shown.page.get_attribute("#scrub", "aria-valuetext") == "2.50 s of 10 s"
     box = shown.page.locator(".plot .u-over").first.bounding_box()
     shown.page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 10)
     assert shown.state["time"] == pytest.approx(6.0, abs=0.05)
@@ -672,6 +692,8 @@ def test_the_command(tmp_path, monkeypatch):
     out, _ = run_capsyn("explore", tmp_path / "p.cap", "-o", page)
     assert f"wrote {page} ({page.stat().st_size:,} bytes)" in out
     assert page.read_text().startswith("<!doctype html>")
+    _, error = run_capsyn("explore", tmp_path / "p.cap", "-o", tmp_path / "p.cap", code=2)
+    assert "another file" in error
     monkeypatch.setenv("BROWSER", f"sh -c 'echo $0 > {seen}' %s")
     run_capsyn("explore", tmp_path / "p.cap", "-o", page, "--open", "--drawing", "none")
     assert seen.read_text().strip() == page.as_uri()

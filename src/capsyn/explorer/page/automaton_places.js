@@ -60,7 +60,7 @@ export function loop([x, y], radius, kind) {
 /** Return the arrow between two vertices, clear of the others: {d, at, anchor}. */
 export function curve([ax, ay], [bx, by], radius, kind) {
   const [dx, dy] = [bx - ax, by - ay], length = Math.hypot(dx, dy);
-  const bow = { pair: 44, corners: 16 }[kind] ?? Math.min(9, 0.1 * length);
+  const bow = { pair: 44, corners: 16 }[kind] ?? Math.min(12, 0.12 * length);
   const inward = kind === "ring" || kind === "crowd" ? 0.3 : 0;
   const [mx, my] = [(ax + bx) / 2, (ay + by) / 2];
   const mid = [
@@ -77,7 +77,7 @@ export function curve([ax, ay], [bx, by], radius, kind) {
     const apex = (p[1] + 2 * mid[1] + q[1]) / 4;
     return { d, at: [mid[0], apex + (dx > 0 ? -19 : 15)], anchor: "middle" };
   }
-  const share = [0.1444, 0.4712, 0.3844]; // the curve at 0.62
+  const share = [0.09, 0.42, 0.49]; // the curve at 0.7
   const [x, y] = [0, 1].map(k => share[0] * p[k] + share[1] * mid[k] + share[2] * q[k]);
   return { d, at: [x, y + 3], anchor: "middle" };
 }

@@ -83,9 +83,9 @@ function valve(context, theme, x, y, open, name) {
 }
 
 function doubleTank(context, size, theme, { state, control, data }) {
-  const unit = (size.height - 62) / (1 + UPPER), wide = Math.min(92, size.width * 0.27);
+  const unit = (size.height - 62) / (1 + UPPER), wide = Math.min(92, size.width * 0.24);
   const floor = size.height - 24, upper = floor - UPPER * unit;
-  const [left, right] = [size.width * 0.24 - wide / 2 + 8, size.width * 0.62 - wide / 2];
+  const [left, right] = [size.width * 0.24 - wide / 2 + 8, size.width * 0.64 - wide / 2];
   const water = WATER[theme.mode], names = data.alphabet.inputs;
   const goal = [null, null], { ball, axes } = data.target ?? {};
   if (ball) axes.forEach((axis, k) => (goal[axis] = ball.center[k]));

@@ -125,7 +125,7 @@ export function makeSeries(app) {
       const { row, note } = plot;
       const chatters = row.of && app.tracks.some(track => strips.pieces(track, plot).found.some(
         ({ changes, shares }) => changes > 1 && new Set([...shares.keys()].map(row.of)).size > 1));
-      note.textContent = chatters ? "chatters: mean, and band of its range" : "";
+      note.textContent = chatters ? "chatters: mean and range" : "";
     }
     sweep();
   }
@@ -146,9 +146,8 @@ export function makeSeries(app) {
   }
 
   function sweep() {
-    for (const plot of plots) {
-      plot.now.style.transform = `translateX(${plot.valToPos(app.player.time, "x")}px)`;
-    }
+    const share = app.player.time / (app.longest() || 1);
+    for (const plot of plots) plot.now.style.left = `${100 * share}%`;
   }
 
   let width = 0;

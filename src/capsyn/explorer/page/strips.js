@@ -19,7 +19,7 @@ export function makeStrips(app) {
     return made;
   }
 
-  const time = (plot, k, rate) => plot.valToPos(k / rate, "x", true);
+  const time = (plot, k, rate) => Math.round(plot.valToPos(k / rate, "x", true));
 
   /** An input of each track: its steps, and where it chatters its mean in the band that it spans. */
   const inputs = i => plot => {
@@ -45,7 +45,7 @@ export function makeStrips(app) {
         const seen = [...shares.keys()].map(values), [low, high] = [Math.min(...seen), Math.max(...seen)];
         if (changes >= 2 && high > low) {
           const mean = [...shares].reduce((sum, [symbol, share]) => sum + share * values(symbol), 0);
-          ctx.globalAlpha = 0.25;
+          ctx.globalAlpha = track === app.active ? 0.25 : 0.08;
           ctx.fillRect(x0, place(high), x1 - x0, place(low) - place(high));
           ctx.globalAlpha = 1;
           to(x0, place(mean));
@@ -72,10 +72,10 @@ export function makeStrips(app) {
       const top = bbox.top + place * row + scale, height = row - 2 * scale;
       found.forEach(({ shares, changes, from, to }, k) => {
         const end = Math.min((k + 1) * each, track.symbols.length);
-        const [x0, x1] = [k * each, end].map(sample => Math.round(time(plot, sample, rate)));
+        const [x0, x1] = [k * each, end].map(sample => time(plot, sample, rate));
         if (changes < 2) {
           for (let sample = from; sample < to; sample++) {
-            const left = Math.max(x0, Math.round(time(plot, sample, rate)));
+            const left = Math.max(x0, time(plot, sample, rate));
             ctx.fillStyle = app.theme.color(track.symbols[sample]);
             ctx.fillRect(left, top, x1 - left, height);
           }

@@ -13,7 +13,7 @@ const THEMES = {
     tracks: ["#15181d", "#b3005e", "#00518a", "#6b3a00", "#37500a", "#5b2a86"],
   },
   dark: {
-    paper: "#171b21", ink: "#e6eaef", quiet: "#98a2ae", faint: "#323943", halo: "#0c0f13", hatch: "#0c0f1390",
+    paper: "#171b21", ink: "#e6eaef", quiet: "#98a2ae", faint: "#323943", halo: "#0c0f13", hatch: "#0c0f13c0",
     mixed: "#171b21", stripe: "#485261", none: "#20262e", fallback: "#39414c",
     tracks: ["#ffffff", "#ff9acb", "#9bd8ff", "#ffc58a", "#d3ea8d", "#d9bfff"],
   },
