@@ -718,6 +718,8 @@ def test_errors_say_what_is_wrong(tmp_path):
 def test_notebooks_show_a_small_map(name):
     policy = made(name, max_level=2)
     html = policy._repr_html_()
+    wide = {"cart-pendulum": "theta (0 to 6.283 rad)", "double-tank-a": "x2 (0 to 1 m) against x1"}
+    assert wide[name] in html
     assert html == policy._repr_html_() and len(html) < 20_000
     svg = ElementTree.fromstring(html)[0]
     space = "{http://www.w3.org/2000/svg}"
