@@ -607,6 +607,12 @@ def test_evidence_of_another_content_is_not_shown():
     assert "9 of 10 trials" not in page(dataclasses.replace(policy, min_dwell=0.5))
 
 
+def test_statistics_of_any_size_are_only_told():
+    policy = pendulum(1)
+    huge = {**policy.statistics, "solves": 10**400}
+    assert f"{10**400:,}" in page(dataclasses.replace(policy, statistics=huge))
+
+
 def test_without_dynamics_there_are_map_automaton_and_facts(show):
     box = Box([0, 0], [1, 2], names=["a", "b"])
     alphabet = Alphabet([[0.0], [1.0], [2.0]], names=["low", "middle", "high"])
