@@ -665,6 +665,14 @@ def test_decision_trees(show, mode):
     assert shown.active["switches"] == simulate(tree, start, 10).switches
 
 
+def test_affine_leaves_are_shown_by_their_exact_tree(show):
+    policy = made("cart-pole", leaves="affine", max_level=0)
+    shown = show(policy)
+    shown.page.uncheck("#outlines")
+    shown.assert_map()
+    assert "equal to the policy" in shown.text("#facts")
+
+
 def test_symbols_that_are_the_default_or_many(show):
     policy = random_policy(6, periodic=True)
     shown = show(policy)
