@@ -673,6 +673,15 @@ def test_affine_leaves_are_shown_by_their_exact_tree(show):
     assert "equal to the policy" in shown.text("#facts")
 
 
+def test_cells_without_a_symbol_are_outside(show):
+    policy = random_policy(3)
+    assert policy.volume_shares[-1] > 0
+    shown = show(dataclasses.replace(policy, gaps=True, outside=-1))
+    shown.page.uncheck("#outlines")
+    shown.assert_map()
+    assert "outside" in shown.text("#legend") and "default" not in shown.text("#legend")
+
+
 def test_symbols_that_are_the_default_or_many(show):
     policy = random_policy(6, periodic=True)
     shown = show(policy)

@@ -25,7 +25,8 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     It is what the policy's file holds (see docs/policy-format.md) but for the programs, which go to
     the page as JavaScript (`model_javascript`), with
 
-    - ``symbols``, ``controls``: names (N + 1) and control vectors (N + 1, m), the default last;
+    - ``symbols``, ``controls``: names (N + 1) and control vectors (N + 1, m), the default last; its
+      name is "outside" where cells of it are gaps;
     - ``counts``: steps of the lattice along each axis;
     - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
     - ``tree``: arrays of a decision tree, else None;
@@ -47,7 +48,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     if isinstance(data["target"], dict) and "program" in data["target"]:
         data["target"] = {"program": None}
     return data | {
-        "symbols": [*policy.alphabet.names, "default"],
+        "symbols": [*policy.alphabet.names, "outside" if policy.gaps else "default"],
         "controls": policy.controls.tolist(),
         "counts": list(policy.cells.counts),
         "cells": structure | packed if is_cells else None,
