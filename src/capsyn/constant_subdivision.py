@@ -257,13 +257,18 @@ class ConstantSubdivision:
     def _count_new(self, keys: Iterable[np.ndarray], level: int) -> int:
         """Return how many of all the keys are new; below the root grid, at least if too many."""
         allowed = self._limits.max_solves
-        new: list[np.ndarray] = []
+        left = 0 if allowed is None or not level else allowed - self._points.count
+        new = np.empty(0, dtype=np.int64)
+        parts: list[np.ndarray] = []
         for some in keys:
             question = self._points.ask(some)
-            new = [np.unique(np.concatenate([*new, question.distinct[question.new]]))]
-            if level and allowed is not None and self._points.count + len(new[0]) > allowed:
-                break
-        return len(new[0]) if new else 0
+            parts.append(question.distinct[question.new])
+            if sum(map(len, parts)) > max(left, 2 * len(new)):
+                new = np.unique(np.concatenate(parts))
+                parts = [new]
+                if level and len(new) > left:
+                    break
+        return len(np.unique(np.concatenate(parts))) if parts else 0
 
     def _solve(self, block: _Block, question: Question, level: int, cells: int) -> np.ndarray:
         """Return the masks (U, M) of a block's test points."""

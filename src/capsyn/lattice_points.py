@@ -17,6 +17,8 @@ from capsyn.masks import several
 
 CHUNK = 8192
 """Most states that are labelled in one call."""
+WORD = 2**63 - 1
+"""Most values of a word of a key."""
 MERGED = 2**18
 """Solved points that are moved at a time to make room for new ones."""
 NOT_FINITE_LIMIT = 0.01
@@ -149,7 +151,7 @@ class LatticePoints:
     def _sort(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the keys in ascending order, and the places that they came from."""
         bits = len(keys).bit_length()
-        if self._size >> max(0, 63 - bits):  # key and place do not fit one word
+        if self._type != np.int64 or self._size >> (63 - bits):  # key and place do not fit 63 bits
             order = np.argsort(keys, kind="stable")
             return keys[order], order
         packed = keys << bits
@@ -271,12 +273,12 @@ class LatticePoints:
 def key_strides(extents: Sequence[int]) -> tuple[np.ndarray, list[int]]:
     """Return what a step along each axis adds to each word of a key, (n, W), and the axes' words.
 
-    Consecutive axes share a word as long as it has less than 2^63 values.
+    Consecutive axes share a word as long as it has no more than `WORD` values.
     """
     word, product = [0], extents[-1]
     strides = [1]
     for extent in reversed(extents[:-1]):
-        fits = product * extent < 2**63
+        fits = product * extent <= WORD
         strides.append(product if fits else 1)
         word.append(word[-1] if fits else word[-1] + 1)
         product = product * extent if fits else extent

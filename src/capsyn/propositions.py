@@ -16,8 +16,8 @@ from capsyn.errors import ProblemError
 from capsyn.limits import Limits
 from capsyn.validation import describe
 
-BYTES_PER_SOLVE = 30
-BYTES_PER_KEY = 70
+BYTES_PER_SOLVE = 34
+BYTES_PER_KEY = 80
 BYTES_PER_MASK = 4
 """Peak memory of a subdivision: per solved point, per test point of a block of cells, and per
 byte of the masks of a cell's test points; measured and rounded up."""
@@ -232,14 +232,15 @@ def check_memory(
         return
     fits = max((k for k in range(max_level) if need(k) <= limit), default=None)
     advice = fewer(limit) if fits is None else f"max_level <= {fits} fits"
-    most = limit * 10**6 // need(max_level, most=10**6)
-    most -= most % 10 ** (len(str(most)) - 1)  # its first digit
     solves = worst_case_solves(
         partitions, refinement, max_level, test_points.interior(len(partitions))
     )
+    choices = range(1, min(solves, 2**40))
+    most = bisect.bisect_right(choices, limit, key=lambda k: need(max_level, most=k))
+    most -= most % 10 ** (len(str(most)) - 1)  # its first digit
+    bound = f"`max_solves` (at most {most:,}) or " if most else ""
     allowed = "available" if limits.memory_limit is None else "allowed by `memory_limit`"
     raise ProblemError(
         f"`max_level` {max_level} may take {worst / 1e9:.3g} GB at worst ({solves:.3g} solves); "
-        f"{limit / 1e9:.3g} GB is {allowed}: {advice}, or bound it with `max_solves` "
-        f"(at most {most:,}) or `max_memory`"
+        f"{limit / 1e9:.3g} GB is {allowed}: {advice}, or bound it with {bound}`max_memory`"
     )
