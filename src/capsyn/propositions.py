@@ -114,9 +114,9 @@ def worst_case_memory(
     children = math.prod(split)
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
     solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
-    if max_solves is not None:  # every block of cells has at least one point of its own
+    if max_solves is not None:
         solves = min(solves, max_solves)
-        cells = min(cells, max(root, max_solves * children))
+        cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
     need = block_bytes(test_points, split, mask_bytes(n_symbols))
     step = -(-cells // children) * need
     whole = BYTES_PER_SOLVE * solves + step
@@ -126,6 +126,15 @@ def worst_case_memory(
     words = 1 + (lattice * children**max_level).bit_length() // 56
     kept = (8 * words + mask_bytes(n_symbols)) * solves + BYTES_PER_BLOCK_CELL * cells
     return min(whole, kept + max(need, min(step, room)))
+
+
+def _cells_per_solve(test_points: CellPoints, children: int) -> int:
+    """Return a bound of the cells that one solve makes.
+
+    Every block has a point of its own. So has every cell with a centre, but for the middle one of
+    a block whose axes are all cut into odd numbers.
+    """
+    return 2 if test_points.center else children
 
 
 def mask_bytes(n_symbols: int) -> int:
@@ -164,9 +173,9 @@ def worst_case_affine_memory(
     n, children, root = len(partitions), math.prod(refinement), math.prod(partitions)
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
     solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
-    if max_solves is not None:  # every block of cells has at least one point of its own
+    if max_solves is not None:
         solves = min(solves, max_solves)
-        cells = min(cells, max(root, max_solves * children))
+        cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
     first = root * test_points.in_block((1,) * n) * (BYTES_PER_KEY + 24 * (n_symbols + 1))
     return affine_memory(solves, min(cells, 4 * solves), n_symbols, n) + max(ROUND_BYTES, first)
 
