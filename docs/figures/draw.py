@@ -1,5 +1,6 @@
-"""Draw the figures of the README."""
+"""Draw the figures of the README and of the guides."""
 
+import runpy
 import shutil
 import tempfile
 from pathlib import Path
@@ -44,4 +45,6 @@ if __name__ == "__main__":
         save_policy_plot(synthesize(problems.get(name)), HERE / f"{name}.png")
     pendulum = synthesize(problems.get("cart-pendulum"))
     save_curve_plot(size_curve(pendulum), pendulum.name, HERE / "curve.png")
+    dimensions = runpy.run_path(str(HERE.parents[1] / "benchmarks" / "dimensions.py"))
+    dimensions["save_growth_plot"](HERE / "growth.png")
     save_screenshot(pendulum, HERE / "explorer.png")

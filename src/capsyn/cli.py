@@ -130,6 +130,19 @@ def synth(
     max_solves: Annotated[
         int | None, typer.Option(help="Most solves; affine leaves spend them.")
     ] = None,
+    max_seconds: Annotated[
+        float | None, typer.Option(help="Stop after so long; the result depends on the machine.")
+    ] = None,
+    max_memory: Annotated[
+        str | None, typer.Option(metavar="BYTES", help="Stop before so much, as 2GB.")
+    ] = None,
+    memory_limit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BYTES",
+            help="Refuse what may take more at worst [default: what is available].",
+        ),
+    ] = None,
     backend: Backend = "auto",
     threads: Threads = None,
     dask: Dask = None,
@@ -184,6 +197,9 @@ def synth(
             leaf_error=leaf_error,
             seed=seed,
             max_solves=max_solves,
+            max_seconds=max_seconds,
+            max_memory=max_memory,
+            memory_limit=memory_limit,
             backend=backend,
             threads=threads,
             executor=client,

@@ -113,8 +113,9 @@ def hints(policy: Policy) -> list[str]:
             f"{count} of {solves} solves gave no finite result and take the default control, for "
             f"instance at {policy.statistics.get('not_finite_example')}: check the model there"
         )
-    if policy.statistics.get("stopped_by_max_solves"):
-        found.append("max_solves stopped the subdivision before max_level")
+    budget = policy.statistics.get("stopped_by")
+    if budget or policy.statistics.get("stopped_by_max_solves"):
+        found.append(f"{budget or 'max_solves'} stopped the subdivision before max_level")
     sample = policy.statistics.get("sample")
     if not sample:
         return found

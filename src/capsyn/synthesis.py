@@ -16,6 +16,7 @@ from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.labelling import answerer
 from capsyn.lattice_points import Progress
+from capsyn.limits import Limits
 from capsyn.masks import several
 from capsyn.model import Model
 from capsyn.policy import Outside, Policy
@@ -45,6 +46,9 @@ def synthesize(
     test_points: str = "vertices+center",
     seed: int = 0,
     max_solves: int | None = None,
+    max_seconds: float | None = None,
+    max_memory: int | str | None = None,
+    memory_limit: int | str | None = None,
     backend: str = "auto",
     threads: int | None = None,
     executor: Any = None,
@@ -72,6 +76,14 @@ def synthesize(
     max_solves : int, optional
         Of constant leaves: stop before a level that would exceed so many solves, with a valid
         coarser policy. Of affine ones: spend them where the estimated error is largest.
+    max_seconds : float, optional
+        Stop after so long [s], with a valid policy that is coarser in what was not reached: the
+        only setting by which results depend on the machine; see `subdivide`.
+    max_memory : int or str, optional
+        Stop likewise before so much memory is taken [bytes, or text as ``"2GB"``].
+    memory_limit : int or str, optional
+        Refuse, before any work, what may take more memory at worst [bytes, or text]; default: what
+        is available. The result does not depend on it.
     backend : "auto", "c" or "numpy"
         How to solve: compiled where there is a compiler, or as told.
     threads : int, optional
@@ -126,7 +138,7 @@ def synthesize(
         problem.refinement,
         problem.max_level,
         test_points,
-        max_solves,
+        Limits.of(max_solves, max_seconds, max_memory, memory_limit),
         leaves,
     )
     started = time.perf_counter()
@@ -156,6 +168,9 @@ def synthesize(
             outside=problem.outside,
             name=problem.name,
             max_solves=max_solves,
+            max_seconds=max_seconds,
+            max_memory=max_memory,
+            memory_limit=memory_limit,
             threads=answers.threads,
             progress=progress,
         )
