@@ -1,6 +1,7 @@
 """What affine leaves save where there are many states, and how solves grow with agreement."""
 
 import dataclasses
+import itertools
 import json
 import resource
 import subprocess
@@ -150,50 +151,128 @@ def constant_leaves():
     ]
 
 
-def growth():
-    """Return the slopes of solves and leaves against disagreement, on a ball in the unit cube.
+def bounded_memory():
+    """Return the rows of the same in blocks, beside whole levels."""
+    problem, found = problems.get("cart-pole"), []
+    synthesize(problem, max_level=0)
+    start = peak()
+    what = "cart-pole level 4, constant"
+    policies = []
+    for limit in ("100MB", "500MB", "20GB"):  # a process's peak does not fall
+        started = time.perf_counter()
+        policies.append(synthesize(problem, max_level=4, max_memory=limit))
+        seconds = time.perf_counter() - started
+        row = f"{what}, max_memory {limit}"
+        found.append({"what": f"{row}: memory taken", "value": peak() - start, "unit": "MB"})
+        found.append({"what": f"{row}: seconds", "value": seconds, "unit": "s"})
+    same = all(
+        policy.statistics == policies[0].statistics
+        and np.array_equal(policy.cells.entries, policies[0].cells.entries)
+        for policy in policies
+    )
+    return [
+        *found,
+        {"what": f"{what}: the same cells", "value": float(same), "unit": "", "wanted": ">= 1"},
+    ]
 
-    The ball's radius is 0.4: its surface has the same curvature whatever the number of axes. Slopes
-    are those of ``log(solves)`` over ``-log(share that disagrees)``, fitted to the levels.
+
+def ball_curves():
+    """Return by (n, leaves) the share that disagrees [%], solves and leaves, (levels, 3).
+
+    Of a ball of radius 0.4 in the unit cube: its surface has the same curvature whatever the number
+    of axes. A share is at least that of one state.
     """
-    found = []
     levels = {2: (1, 2, 3, 4, 5), 3: (0, 1, 2, 3), 4: (0, 1, 2, 3), 5: (0, 1, 2), 6: (0, 1)}
 
     def scores(states):
         inside = 0.16 - ((states - 0.5) ** 2).sum(axis=1)
         return np.stack([inside, np.zeros(len(states))], axis=1)
 
-    for n in levels:
+    options = {"partitions": 4, "returns": "scores", "leaf_error": 0.0}
+    curves = {}
+    for n, leaves in itertools.product(levels, ("constant", "affine")):
         box = Box([0.0] * n, [1.0] * n)
         states = box.sample(STATES, 1)
         right = scores(states).argmax(axis=1)
-        for leaves in ("constant", "affine"):
-            points = []
-            for level in levels[n]:
-                policy = subdivide(
-                    scores,
-                    box,
-                    2,
-                    partitions=4,
-                    max_level=level,
-                    returns="scores",
-                    leaves=leaves,
-                    leaf_error=0.0,
-                )
-                wrong = 100 * float((policy(states) != right).mean())
-                solves, cells = policy.statistics["solves"], policy.cells.leaf_count
-                points.append((max(wrong, 100 / STATES), solves, cells))
-                what = f"ball, n = {n}, {leaves}, {solves:,} solves, {cells:,} leaves: agreement"
-                found.append({"what": what, "value": 100 - wrong, "unit": "%"})
-            wrong, *counts = np.log(np.array(points)).T
-            for name, count in zip(("solves", "leaves"), counts):
-                slope = -float(np.polyfit(wrong, count, 1)[0])
-                what = f"ball, n = {n}, {leaves}: {name}, growth exponent"
-                found.append({"what": what, "value": slope, "unit": ""})
+        points = []
+        for level in levels[n]:
+            policy = subdivide(scores, box, 2, max_level=level, leaves=leaves, **options)
+            wrong = max(float((policy(states) != right).mean()), 1 / STATES)
+            points.append((100 * wrong, policy.statistics["solves"], policy.cells.leaf_count))
+        curves[n, leaves] = np.array(points)
+    return curves
+
+
+def exponents(points):
+    """Return the slopes of log(solves) and log(leaves) over -log(share that disagrees)."""
+    wrong, *counts = np.log(points).T
+    return [-float(np.polyfit(wrong, count, 1)[0]) for count in counts]
+
+
+def growth():
+    """Return the rows of solves and leaves against agreement on a ball, and their exponents."""
+    found = []
+    for (n, leaves), points in ball_curves().items():
+        what = f"ball, n = {n}, {leaves}"
+        for wrong, solves, cells in points.tolist():
+            row = f"{what}, {solves:,.0f} solves, {cells:,.0f} leaves: agreement"
+            found.append({"what": row, "value": 100 - wrong, "unit": "%"})
+        for name, slope in zip(("solves", "leaves"), exponents(points)):
+            found.append({"what": f"{what}: {name}, growth exponent", "value": slope, "unit": ""})
     return found
 
 
-PARTS = (cart_pole, planar_quadrotor, spacecraft, double_pendulum, constant_leaves, growth)
+def save_growth_plot(path):
+    """Write the picture of solves and leaves against disagreement on a ball."""
+    from matplotlib.figure import Figure
+
+    from capsyn.plots import PALETTE, reproducible, save_figure
+
+    styles = {"constant": ("--", "s", "white"), "affine": ("-", "o", None)}
+    with reproducible():
+        figure = Figure(figsize=(8.5, 5.4), layout="constrained")
+        axes = figure.subplots(1, 2, sharex=True)
+        for (n, leaves), points in ball_curves().items():
+            line, marker, face = styles[leaves]
+            color = PALETTE[n - 2]
+            slopes = exponents(points)
+            for k, ax in enumerate(axes):
+                ax.plot(
+                    points[:, 0],
+                    points[:, 1 + k],
+                    line,
+                    marker=marker,
+                    markersize=4,
+                    color=color,
+                    markerfacecolor=face or color,
+                    label=f"{n}, {leaves}: {slopes[k]:.1f}",
+                )
+        for ax, name in zip(axes, ("solves", "leaves")):
+            ax.set(xscale="log", yscale="log", xlabel="disagrees [% of the volume]", ylabel=name)
+            ax.xaxis.set_major_formatter("{x:g}")
+            ax.grid(True, which="major", linewidth=0.3)
+            ax.legend(
+                frameon=False,
+                fontsize=7,
+                title="n, leaves: exponent",
+                title_fontsize=7,
+                ncols=2,
+                loc="upper center",
+                bbox_to_anchor=(0.5, -0.14),
+            )
+        axes[0].invert_xaxis()
+        save_figure(figure, path)
+
+
+PARTS = (
+    cart_pole,
+    planar_quadrotor,
+    spacecraft,
+    double_pendulum,
+    constant_leaves,
+    bounded_memory,
+    growth,
+)
 
 
 def measure():

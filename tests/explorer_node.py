@@ -39,6 +39,6 @@ def node(directory, code, policy, **given):
     (directory / "run.js").write_text(code)
     (directory / "input.json").write_text(json.dumps({"policy": policy_data(policy), **given}))
     command = [NODE, directory / "run.js", directory / "input.json"]
-    run = subprocess.run(command, capture_output=True, text=True)
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)

@@ -25,6 +25,7 @@ from capsyn.compression.curve import size_curve
 from capsyn.compression.proof import prove
 from capsyn.errors import ProblemError
 from capsyn.exports.c import files
+from capsyn.exports.export import TARGETS, all_targets
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.packing import packed_bytes
@@ -175,3 +176,8 @@ def test_targets_travel_with_the_problems():
     for name in ("planar-quadrotor", "spacecraft"):
         policy = synthesize(problems.get(name), leaves="affine", max_level=0)
         assert isinstance(policy.target, Ball) and policy.outside == "nearest"
+
+
+def test_all_targets_but_dot():
+    policy = synthesize(problems.get("cart-pendulum"), leaves="affine", max_level=2)
+    assert set(TARGETS) - set(all_targets(policy)) == {"dot"}

@@ -12,6 +12,7 @@ import pytest
 import capsyn.explorer
 from capsyn import Alphabet, Box, Policy, compress, explore, simulate, subdivide
 from capsyn.errors import ProblemError
+from capsyn.explorer.explore import page
 from explorer_page import OUTPUT, Shown, chromium, hex_color, made
 from test_cli import capsyn as run_capsyn
 from trees import random_policy
@@ -36,10 +37,10 @@ def show(browser, tmp_path):
         return shown[-1]
 
     yield open_page
-    for page in shown:
-        assert page.messages == []
-        assert page.requests == [page.file.as_uri()]  # itself, and nothing else
-        page.context.close()
+    for one in shown:
+        assert one.messages == []
+        assert one.requests == [one.file.as_uri()]  # itself, and nothing else
+        one.context.close()
 
 
 def pendulum(level=3):
@@ -147,8 +148,8 @@ def test_levels_replay_the_algorithm(show):
         assert known.all() == (level == 2)
     shown.page.keyboard.press("[")
     assert shown.state["level"] == 1
-    shown.page.click("#replay")
-    assert shown.state["level"] == 0
+    replay = "() => (document.getElementById('replay').click(), capsyn.state().level)"
+    assert shown.page.evaluate(replay) == 0
     shown.wait_for(lambda state: state["level"] == 2)
 
 
@@ -172,7 +173,7 @@ def test_a_click_runs_the_closed_loop_as_simulate_does(show, name):
     plots = shown.page.locator("#series .title").all_inner_texts()
     named = {
         "cart-pendulum": "theta [rad]|omega [rad/s]|acceleration [m/s²]|symbol",
-        "double-tank-a": "x1 [m]|x2 [m]|V1|V2|V3|symbol|cost so far",
+        "double-tank-a": "x1 [m]|x2 [m]|V1|V2|V3|symbol|running cost so far",
     }
     assert "|".join(plots) == named[name]
 
@@ -190,9 +191,28 @@ def test_settings_of_the_loop(show):
     shown.set("noise", 2)
     assert shown.active["end"] != track["end"] and "noise 2 %" in shown.text(".chip.active")
     shown.set("rate", -1)
-    assert shown.text("#status") == "rate must be a number above 0"
+    assert shown.text("#problem") == "sample rate must be a number above 0"
+    assert shown.page.locator("[aria-invalid]").get_attribute("id") == "set-rate"
+    before = shown.active
+    assert shown.click([1.0, 2.0]) == before  # a click says why nothing happens
+    assert shown.text("#note") == "No trajectory: sample rate must be a number above 0"
+    assert shown.page.evaluate("getComputedStyle(document.querySelector('#series')).opacity") < "1"
     shown.set("rate", 1e9)
-    assert "samples" in shown.text("#status")
+    assert "samples" in shown.text("#problem")
+    shown.set("rate", 200)
+    assert shown.text("#problem") == "" and not shown.page.locator("[aria-invalid]").count()
+
+
+def test_stop_at_the_target(show):
+    policy = made("double-tank-a", max_level=3)
+    shown = show(policy)
+    shown.page.check("#set-stop")
+    known = simulate(policy, shown.active["start"], 5, stop_at_target=True)
+    assert shown.active["ended"] == "target" and 0 < shown.active["samples"] < 5000
+    k = shown.active["samples"]
+    assert k == np.round(known.arrived * 1000)
+    np.testing.assert_allclose(shown.active["end"], known.states[k], atol=1e-9)
+    assert "reached the target at" in shown.text("#status")
 
 
 def test_rules_outside_the_domain(show):
@@ -221,13 +241,18 @@ def test_trajectories_are_kept_and_compared(show):
     tracks = shown.state["tracks"]
     assert len(tracks) == 4 and tracks[3]["start"] == tracks[2]["start"]
     assert tracks[3]["end"] != tracks[2]["end"] and tracks[3]["active"]
-    shown.page.click(".chip[data-number='2'] .choose")
+    shown.page.focus(".chip[data-number='2'] .choose")
+    shown.page.keyboard.press("Enter")
     assert shown.active["number"] == 2
+    focused = "document.activeElement.closest('.chip').dataset.number"
+    assert shown.page.evaluate(focused) == "2"
+    assert shown.page.get_attribute(".chip[data-number='2'] .choose", "aria-pressed") == "true"
     shown.page.click(".chip[data-number='2'] .drop")
     assert [track["number"] for track in shown.state["tracks"]] == [1, 3, 4]
-    for _ in range(5):
+    for _ in range(4):
         shown.click([2.0, 2.0])
     assert len(shown.state["tracks"]) == 6
+    assert "trajectory 1 made room" in shown.text("#status")
     shown.page.uncheck("#keep")
     shown.click([1.0, 1.0])
     assert len(shown.state["tracks"]) == 1
@@ -266,6 +291,9 @@ def test_play_pause_speed_reset_and_seek(show):
     assert shown.text("#play").endswith("Play") and shown.text("#time") == "10.00 s"
     shown.slide("#scrub", 0.25)
     assert shown.state["time"] == pytest.approx(2.5)
+    line = "a => parseFloat(getComputedStyle(a).left) / a.parentNode.clientWidth"
+    assert shown.page.locator(".now").first.evaluate(line) == pytest.approx(0.25, abs=0.01)
+    assert shown.page.get_attribute("#scrub", "aria-valuetext") == "2.50 s of 10 s"
     box = shown.page.locator(".plot .u-over").first.bounding_box()
     shown.page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 10)
     assert shown.state["time"] == pytest.approx(6.0, abs=0.05)
@@ -445,6 +473,146 @@ def test_hostile_names_are_only_text(show):
     ElementTree.fromstring(html)
 
 
+def test_the_view_goes_round_a_periodic_axis(show):
+    policy = pendulum(2)
+    shown = show(policy)
+    shown.page.uncheck("#outlines")
+    x, y = shown.place([2.0, 1.0])
+    shown.page.mouse.move(x, y)
+    shown.page.mouse.down()
+    for far in (100, 200):
+        shown.page.mouse.move(x + far, y)
+    shown.page.mouse.up()
+    x0, x1, *_ = shown.state["bounds"]
+    assert x0 < -1 and x1 - x0 == pytest.approx(2 * np.pi)
+    assert any(text.startswith("−") for text in shown.page.evaluate("capsyn.map().ticks.x"))
+    shown.assert_map()
+    pointed = shown.hover([-0.7, 1.3])
+    assert pointed["state"] == pytest.approx([-0.7, 1.3], abs=0.02)
+    assert pointed["symbol"] == policy(pointed["state"])
+    low, high = re.search(r": \[(\S+), (\S+)\] ×", shown.text("#readout")).groups()
+    assert float(low.replace("−", "-")) < -0.7 < float(high.replace("−", "-"))
+    assert shown.click([-0.7, 1.3])["start"] == pytest.approx([-0.7, 1.3], abs=0.02)
+
+
+def test_paths_stay_when_zoomed_and_cross_seams(show):
+    shown = show(pendulum(2))
+    shown.set("duration", 3)
+    shown.set("rate", 10)  # steps are longer than what is seen in the end
+    shown.click([6.0, 2.5])  # over the seam
+    known = simulate(shown.policy, shown.active["start"], 3, rate=10).states[:, 0]
+    turns = np.floor(known / (2 * np.pi))
+    assert turns.max() > 0
+    pieces = shown.page.evaluate("capsyn.map().pieces")
+    assert pieces == [1 + np.count_nonzero(np.diff(turns))]
+    shown.page.focus("#map")
+    shown.page.keyboard.press("0")
+    for _ in range(14):
+        shown.page.keyboard.press("+")
+    middle = sum(shown.state["bounds"][:2]) / 2
+    turns = np.floor((known - middle) / (2 * np.pi) + 0.5)  # the seam is opposite of what is seen
+    pieces = shown.page.evaluate("capsyn.map().pieces")
+    assert pieces == [1 + np.count_nonzero(np.diff(turns))]
+
+
+def test_series_show_what_simulate_gives(show):
+    policy = made("double-tank-a", max_level=3)
+    shown = show(policy)
+    shown.set("duration", 2)
+    track = shown.click([0.3, 0.6])
+    known = simulate(policy, track["start"], 2)
+    plots = {plot["name"]: plot for plot in shown.page.evaluate("capsyn.series()")}
+    for i, name in enumerate(("x1 [m]", "x2 [m]")):
+        times, values = map(np.array, plots[name]["points"])
+        k = np.round(times * 1000).astype(int)
+        np.testing.assert_allclose(values, known.states[k, i], atol=1e-9)
+        assert values.min() == pytest.approx(known.states[:, i].min(), abs=1e-9)  # none is missed
+        assert values.max() == pytest.approx(known.states[:, i].max(), abs=1e-9)
+    shares = plots["symbol"]["shares"]
+    total = {symbol: sum(piece.get(symbol, 0) for piece in shares) / len(shares)
+             for symbol in set().union(*shares)}  # fmt: skip
+    wanted = {str(k): np.mean(known.symbols == k) for k in np.unique(known.symbols)}
+    assert total == pytest.approx(wanted, abs=1e-6)
+    assert len(total) > 2 and max(len(piece) for piece in shares) > 1
+    cost = plots["running cost so far"]["points"][1]
+    assert cost[0] == 0 and (np.diff(cost) >= 0).all()
+    assert cost[-1] == pytest.approx(float(known.cost - known.terminal_cost), abs=1e-9)
+
+
+def test_the_target_is_outlined_where_it_ends(show):
+    policy = made("double-tank-a", max_level=1)
+    shown = show(policy)
+    drawn = shown.page.evaluate("capsyn.map()")
+    points = np.array(drawn["target"])
+    ball = policy.target
+    away = np.linalg.norm(policy.domain.lower + points * policy.domain.widths - ball.center, axis=1)
+    assert len(points) > 50 and away == pytest.approx(ball.radius, abs=2e-3)
+    assert drawn["ticks"]["x"] == ["0", "0.2", "0.4", "0.6", "0.8", "1"]
+
+
+def test_ticks_tell_near_values_apart(show):
+    shown = show(pendulum(3))
+    shown.page.focus("#map")
+    shown.hover([2.0, 1.0])
+    for _ in range(20):
+        shown.page.keyboard.press("+")
+    ticks = shown.page.evaluate("capsyn.map().ticks")
+    assert len(set(ticks["x"])) == len(ticks["x"]) > 1 < len(set(ticks["y"])) == len(ticks["y"])
+
+
+def test_a_symbol_of_the_legend_or_the_automaton_stands_out(show):
+    shown = show(pendulum(2))
+    shown.page.uncheck("#outlines")
+    shares = np.random.default_rng(4).uniform(0.01, 0.99, (200, 2))
+    before, states = shown.colors(shares)
+    shown.page.focus("#legend .key[data-symbol='1']")
+    assert shown.state["only"] == 1
+    after, _ = shown.colors(shares)
+    same = (before == after).all(axis=1)
+    assert (same == (shown.policy(states) == 1)).mean() > 0.99
+    shown.page.focus(".vertex[data-symbol='0']")
+    assert shown.state["only"] is None
+    assert "5 → -5: " in shown.text("#automaton .caption")
+    assert "taken" in shown.page.locator(".vertex").first.get_attribute("aria-label")
+
+
+def test_the_readout_is_of_the_level_and_of_the_slice(show):
+    policy = made("cart-pole", max_level=1)
+    shown = show(policy)
+    shown.slide("#slice-2", 0.3)
+    assert not shown.page.is_checked("#follow")  # who moves the slice has it
+    state = shown.hover([0.1, 0.2])["state"]
+    shown.slide("#slice-2", -0.2)
+    assert shown.state["pointed"]["state"][2] == pytest.approx(-0.2, abs=0.01)
+    assert "theta = −0.198" in shown.text("#readout") and state[2] > 0.25
+    shown = show(pendulum(2))
+    shown.slide("#level", 0)
+    shown.hover([3.0, 4.4])
+    assert "still to split at level 0" in shown.text("#readout")
+    assert "final" in shown.text("#readout")
+
+
+def test_the_wheel_says_how_to_zoom(show):
+    shown = show(pendulum(1))
+    shown.page.mouse.move(*shown.place([2.0, 1.0]))
+    shown.page.mouse.wheel(0, -100)
+    assert "Ctrl" in shown.text("#note")
+    assert shown.state["bounds"] == pytest.approx([0, 2 * np.pi, -5, 5])
+
+
+def test_evidence_of_another_content_is_not_shown():
+    found = {"trials": 10, "successes": 9, "low": 0.5, "high": 1.0, "confidence": 0.95}
+    policy = pendulum(1).with_evidence(monte_carlo=found)
+    assert "9 of 10 trials" in page(policy)
+    assert "9 of 10 trials" not in page(dataclasses.replace(policy, min_dwell=0.5))
+
+
+def test_statistics_of_any_size_are_only_told():
+    policy = pendulum(1)
+    huge = {**policy.statistics, "solves": 10**400}
+    assert f"{10**400:,}" in page(dataclasses.replace(policy, statistics=huge))
+
+
 def test_without_dynamics_there_are_map_automaton_and_facts(show):
     box = Box([0, 0], [1, 2], names=["a", "b"])
     alphabet = Alphabet([[0.0], [1.0], [2.0]], names=["low", "middle", "high"])
@@ -497,6 +665,21 @@ def test_decision_trees(show, mode):
     assert shown.active["switches"] == simulate(tree, start, 10).switches
 
 
+def test_affine_leaves_are_shown_by_their_exact_tree(show):
+    policy = made("cart-pole", leaves="affine", max_level=0)
+    shown = show(policy)
+    shown.page.uncheck("#outlines")
+    shown.assert_map()
+    assert "equal to the policy" in shown.text("#facts")
+
+
+def test_cells_without_a_symbol_are_outside(show):
+    policy = random_policy(3)
+    assert policy.volume_shares[-1] > 0
+    shown = show(dataclasses.replace(policy, gaps=True))
+    assert "outside" in shown.text("#legend") and "default" not in shown.text("#legend")
+
+
 def test_symbols_that_are_the_default_or_many(show):
     policy = random_policy(6, periodic=True)
     shown = show(policy)
@@ -530,6 +713,8 @@ def test_the_command(tmp_path, monkeypatch):
     out, _ = run_capsyn("explore", tmp_path / "p.cap", "-o", page)
     assert f"wrote {page} ({page.stat().st_size:,} bytes)" in out
     assert page.read_text().startswith("<!doctype html>")
+    _, error = run_capsyn("explore", tmp_path / "p.cap", "-o", tmp_path / "p.cap", code=2)
+    assert "another file" in error
     monkeypatch.setenv("BROWSER", f"sh -c 'echo $0 > {seen}' %s")
     run_capsyn("explore", tmp_path / "p.cap", "-o", page, "--open", "--drawing", "none")
     assert seen.read_text().strip() == page.as_uri()
@@ -545,6 +730,8 @@ def test_errors_say_what_is_wrong(tmp_path):
         explore(pendulum(1), tmp_path / "p.html", drawing="cart-pole")
     with pytest.raises(ProblemError, match="cannot write"):
         explore(pendulum(1), tmp_path / "nowhere" / "p.html")
+    with pytest.raises(ProblemError, match="shows 3 inputs; the policy has 1"):
+        explore(pendulum(1), tmp_path / "p.html", drawing="double-tank")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -552,6 +739,8 @@ def test_errors_say_what_is_wrong(tmp_path):
 def test_notebooks_show_a_small_map(name):
     policy = made(name, max_level=2)
     html = policy._repr_html_()
+    wide = {"cart-pendulum": "theta (0 to 6.283 rad)", "double-tank-a": "x2 (0 to 1 m) against x1"}
+    assert wide[name] in html
     assert html == policy._repr_html_() and len(html) < 20_000
     svg = ElementTree.fromstring(html)[0]
     space = "{http://www.w3.org/2000/svg}"

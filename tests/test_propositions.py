@@ -1,5 +1,6 @@
 """Propositions 1 and 2, and what a subdivision may take of the memory."""
 
+import dataclasses
 import itertools
 import math
 import re
@@ -14,6 +15,7 @@ from capsyn import Box, subdivide
 from capsyn import propositions as props
 from capsyn.cell_points import CellPoints
 from capsyn.errors import ProblemError
+from capsyn.limits import Limits
 from reference_subdivision import noise
 
 PAPER = ((9, 9), (2, 2))
@@ -105,16 +107,39 @@ def test_level_for_precision_refuses_what_is_no_precision(precision):
 
 @pytest.mark.parametrize("max_solves", [None, 10**6])
 def test_too_large_max_level_says_how_much_and_what_would_fit(monkeypatch, max_solves):
-    free = props.worst_case_memory(*PAPER, 5, CENTER, 1, max_solves) + 10
+    free = 20_000_000
     monkeypatch.setattr(props, "available_memory", lambda: free)
-    need = props.worst_case_memory(*PAPER, 6, CENTER, 1, max_solves)
+    need = [
+        props.worst_case_memory(*PAPER, k, CENTER, 1, max_solves, free // props.ROOM)
+        for k in range(8)
+    ]
+    fits = max(k for k in range(8) if need[k] <= free)
+    assert fits < 7 and need == sorted(need)
     with pytest.raises(ProblemError) as caught:
-        props.check_memory(*PAPER, 6, CENTER, 1, max_solves)
+        props.check_memory(*PAPER, fits + 1, CENTER, 1, Limits(max_solves))
     message = str(caught.value)
-    assert "\n" not in message and message.startswith("`max_level` 6 ")
-    assert f"{need / 1e9:.3g} GB" in message and f"{free / 1e9:.3g} GB" in message
-    assert re.search(r"max_level <= 5 fits", message) and "`max_solves`" in message
-    props.check_memory(*PAPER, 5, CENTER, 1, max_solves)
+    assert "\n" not in message and message.startswith(f"`max_level` {fits + 1} ")
+    assert f"{need[fits + 1] / 1e9:.3g} GB" in message and "0.02 GB is available" in message
+    assert f"max_level <= {fits} fits" in message and "or `max_memory`" in message
+    props.check_memory(*PAPER, fits, CENTER, 1, Limits(max_solves))
+    props.check_memory(*PAPER, fits + 1, CENTER, 1, Limits(max_solves, memory_limit=need[-1]))
+    props.check_memory(*PAPER, fits + 1, CENTER, 1, Limits(max_solves, max_memory=free))
+    with pytest.raises(ProblemError, match=r"0\.001 GB is allowed by `memory_limit`"):
+        props.check_memory(*PAPER, fits, CENTER, 1, Limits(max_solves, memory_limit=10**6))
+
+
+def test_solves_that_are_said_to_fit_do(monkeypatch):
+    monkeypatch.setattr(props, "available_memory", lambda: 10**7)
+    for affine in (False, True):
+        with pytest.raises(ProblemError, match="with `max_solves`") as caught:
+            props.check_memory(*PAPER, 9, CENTER, 1, Limits(memory_limit=4 * 10**8), affine)
+        found = re.search(r"at most ([\d,]+)\)", str(caught.value))
+        most = int(found[1].replace(",", ""))
+        limits = Limits(most, memory_limit=4 * 10**8)
+        props.check_memory(*PAPER, 9, CENTER, 1, limits, affine)
+        with pytest.raises(ProblemError):
+            limits = dataclasses.replace(limits, max_solves=3 * most)
+            props.check_memory(*PAPER, 9, CENTER, 1, limits, affine)
 
 
 def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
@@ -125,7 +150,7 @@ def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
         return np.zeros(len(states), dtype=int)
 
     monkeypatch.setattr(props, "available_memory", lambda: 10**6)
-    with pytest.raises(ProblemError, match=r"`max_level` 9 .* max_level <= 2 fits"):
+    with pytest.raises(ProblemError, match=r"`max_level` 9 .* max_level <= 3 fits"):
         subdivide(label, unit_box(2), 2, max_level=9)
     assert not calls
     policy = subdivide(label, unit_box(2), 2, max_level=9, max_solves=900)
@@ -133,14 +158,28 @@ def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
 
 
 def test_root_grid_that_does_not_fit_asks_for_fewer_partitions(monkeypatch):
-    monkeypatch.setattr(props, "available_memory", lambda: 10_000)
-    with pytest.raises(ProblemError, match="use fewer partitions"):
-        props.check_memory(*PAPER, 3, CENTER, 1, None)
+    free = 4000
+    monkeypatch.setattr(props, "available_memory", lambda: free)
+    fits = max(
+        k
+        for k in range(1, 9)
+        if props.worst_case_memory((k, k), (2, 2), 0, CENTER, 1, None, free // props.ROOM) <= free
+    )
+    advice = f"use fewer partitions: {fits} per axis fit at level 0"
+    for level in (0, 3):
+        with pytest.raises(ProblemError, match=advice):
+            props.check_memory((9, 9), (2, 2), level, CENTER, 1, Limits())
+    with pytest.raises(ProblemError, match=f"`max_memory` must be at least .*{fits} per axis fit"):
+        props.check_memory(*PAPER, 3, CENTER, 1, Limits(max_memory=free))
+    props.check_memory((fits, fits), (2, 2), 0, CENTER, 1, Limits())
+    monkeypatch.setattr(props, "available_memory", lambda: 100)
+    with pytest.raises(ProblemError, match="no root grid fits, or bound it with `max_memory`"):
+        props.check_memory(*PAPER, 3, CENTER, 1, Limits())
 
 
 def test_unknown_memory_refuses_nothing(monkeypatch):
     monkeypatch.setattr(props, "available_memory", lambda: None)
-    props.check_memory((9,) * 6, (2,) * 6, 20, CENTER, 8, None)
+    props.check_memory((9,) * 6, (2,) * 6, 20, CENTER, 8, Limits())
 
 
 def test_available_memory_is_read_or_unknown(monkeypatch, tmp_path):

@@ -194,7 +194,7 @@ def test_threads_are_those_asked_for(monkeypatch):
             pools.append(threads)
             super().__init__(threads)
 
-    monkeypatch.setattr("capsyn.subdivision.ThreadPoolExecutor", Pool)
+    monkeypatch.setattr("capsyn.processors.ThreadPoolExecutor", Pool)
     synthesize(own(), threads=3)
     synthesize(own())
     assert pools == [3, module.processors()]

@@ -59,6 +59,8 @@ if __name__ == "__main__":
         save_policy_plot(synthesize(problems.get(name)), HERE / f"{name}.png")
     pendulum = synthesize(problems.get("cart-pendulum"))
     save_curve_plot(size_curve(pendulum), pendulum.name, HERE / "curve.png")
+    dimensions = runpy.run_path(str(HERE.parents[1] / "benchmarks" / "dimensions.py"))
+    dimensions["save_growth_plot"](HERE / "growth.png")
     save_screenshot(pendulum, HERE / "explorer.png")
     satellite = of_page("own-system.md", "satellite.py")["problem"]
     settings = dataclasses.replace(satellite.settings, control_weight=100.0)  # as on the page

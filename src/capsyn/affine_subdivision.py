@@ -7,6 +7,7 @@ a round's test points are in memory beside the solved points.
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,10 @@ from capsyn.cell_points import CellPoints
 from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
 from capsyn.errors import ProblemError, SynthesisError
 from capsyn.growing_cells import GrowingCells, Rows, lattice_level
-from capsyn.lattice_points import LatticePoints, Question
+from capsyn.lattice_points import MANY, LatticePoints, Question
+from capsyn.limits import Limits
 from capsyn.masks import most_voted, preferred, several
-from capsyn.propositions import worst_case_solves
+from capsyn.propositions import ROUND_BYTES, affine_memory, worst_case_solves
 
 ROUND_POINTS = 2**19
 """Test points of the blocks that are split in one round, at most."""
@@ -43,7 +45,7 @@ class AffineSubdivision:
         seed: int,
         order: list[int],
         points: LatticePoints,
-        max_solves: int | None,
+        limits: Limits,
         leaf_error: float,
         plain: bool,
     ) -> None:
@@ -52,7 +54,8 @@ class AffineSubdivision:
         self._order, self._points = order, points
         self._blocks = CellBlocks(points, test_points, self._n, seed)
         self._offsets = test_points.offsets(self._n)
-        self._max_solves, self._leaf_error, self._plain = max_solves, leaf_error, plain
+        self._limits, self._started = limits, time.perf_counter()
+        self._max_solves, self._leaf_error, self._plain = limits.max_solves, leaf_error, plain
         # without vertices, cells whose test points agree may have others in their corners
         self._everywhere = not (plain or test_points.vertices)
         self._lattice_level = lattice_level(partitions, refinement, max_level)
@@ -61,7 +64,7 @@ class AffineSubdivision:
         self._solves = np.zeros(max_level + 1, dtype=np.int64)
         self._streams = 0
         self._needed = 0
-        self._stopped = False
+        self._stopped = ""
         self._rows: list[Rows] = []
         self._row_count = 0
         self._summary: dict[str, Any] = {}
@@ -76,7 +79,7 @@ class AffineSubdivision:
                 f"got {self._max_solves}"
             )
         cells, spent = made, 0
-        while (chosen := self._next(cells, spent)).size:
+        while not self._used_up(cells) and (chosen := self._next(cells, spent)).size:
             before = self._points.count
             new = self._split(cells, chosen)
             if new is None:
@@ -85,7 +88,10 @@ class AffineSubdivision:
             cells = GrowingCells.joined([cells, new])
             if len(cells.level) > MAX_COUNT:
                 raise SynthesisError("there are more cells than 32-bit entries can number")
-        self._stopped = self._max_solves is not None and bool(self._open(cells).any())
+        if not self._open(cells).any():
+            self._stopped = ""
+        elif self._max_solves is not None and not self._stopped:
+            self._stopped = "max_solves"
         self._points.check_finite(self._points.count)
         tree = cells.tree(self._q, self._r, self._lattice_level, max(self._order) + 1, self._rows)
         self._summary = self._counts_of(cells) | {
@@ -93,6 +99,16 @@ class AffineSubdivision:
             "mixed_cells": len(tree.mixed_cells),
         }
         return tree
+
+    def _used_up(self, cells: GrowingCells) -> bool:
+        """Return whether there is no time or memory for another round."""
+        seconds, memory = self._limits.max_seconds, self._limits.max_memory
+        if seconds is not None and time.perf_counter() - self._started > seconds:
+            self._stopped = "max_seconds"
+        taken = affine_memory(self._points.count, len(cells.level), max(self._order), self._n)
+        if memory is not None and taken + ROUND_BYTES > memory:
+            self._stopped = "max_memory"
+        return bool(self._stopped)
 
     @property
     def _children(self) -> int:
@@ -152,7 +168,7 @@ class AffineSubdivision:
         for level, parents in groups:
             split = np.array(self._r if level else (1,) * self._n)
             found, table, role = self._blocks.keys(
-                parents, split, self._size(level), self._streams + len(tests)
+                parents, split, self._size(level), self._blocks.stream(self._streams + len(tests))
             )
             tests.append((level, parents, split, found.shape, table))
             keys.append(found.ravel())
@@ -171,6 +187,7 @@ class AffineSubdivision:
         masks, scores = self._points.answer_with_scores(
             question, deepest, self._max_level, sum(len(p) for _, p in groups)
         )
+        self._points.check_finite(self._points.count, MANY)
         made: list[GrowingCells] = []
         start = 0
         for (level, parents, split, shape, table), found in zip(tests, keys):
@@ -263,7 +280,7 @@ class AffineSubdivision:
         fixed = len(self._offsets)
         places[:fixed] = (self._offsets * (fine // 2))[:, None, :]
         for p in range(fixed, len(masks)):  # random points, which lie inside
-            places[p] = self._points.offsets(keys[p, cells], corners)
+            places[p] = self._points.places(keys[p, cells]) - corners
         # below 2^63: cells have at most 2^31 steps, and no more lattice units than that
         places = np.minimum(places * steps // fine, steps - 1)
         corners = corners // fine * steps
@@ -313,18 +330,23 @@ class AffineSubdivision:
     def statistics(self) -> dict[str, Any]:
         """Return the counts of the subdivision as plain data."""
         points = self._points
-        return self._summary | {
-            "leaves": "affine",
-            "leaf_error": self._leaf_error,
-            "solves": points.count,
-            "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
-            "stopped_by_max_solves": self._stopped,
-            "indifferent_points": points.indifferent,
-            "not_finite_points": points.not_finite,
-            "not_finite_example": points.example,
-            "test_points": str(self._test_points),
-            "seed": self._seed,
-            "worst_case_solves": worst_case_solves(
-                self._q, self._r, self._max_level, self._test_points.interior(self._n)
-            ),
-        }
+        stopped = {"stopped_by": self._stopped} if self._stopped not in ("", "max_solves") else {}
+        return (
+            self._summary
+            | stopped
+            | {
+                "leaves": "affine",
+                "leaf_error": self._leaf_error,
+                "solves": points.count,
+                "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
+                "stopped_by_max_solves": self._stopped == "max_solves",
+                "indifferent_points": points.indifferent,
+                "not_finite_points": points.not_finite,
+                "not_finite_example": points.example,
+                "test_points": str(self._test_points),
+                "seed": self._seed,
+                "worst_case_solves": worst_case_solves(
+                    self._q, self._r, self._max_level, self._test_points.interior(self._n)
+                ),
+            }
+        )

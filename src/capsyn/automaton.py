@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -158,11 +158,7 @@ class Automaton:
             names=tuple(names[label] for label in vertices),
             controls=policy.controls[list(vertices)],
             regions=found,
-            edges=tuple(
-                _edge(source, target, place, analysis)
-                for source in vertices
-                for place, target in enumerate(vertices)
-            ),
+            edges=_edges(vertices, analysis),
             partitions=partitions,
             switching=analysis,
         )
@@ -336,6 +332,22 @@ class Automaton:
             f"Automaton('{self.name}', {len(self.vertices)} vertices, {len(self.edges)} edges "
             f"({possible} possible), {len(self.partitions)} partitions, {boxes} boxes)"
         )
+
+
+def edges_between(policy: Policy, vertices: Sequence[int]) -> tuple[Edge, ...]:
+    """Return all edges between symbols, by source and then by target, without their regions.
+
+    The policy is as in `Automaton.of`; N is the default control.
+    """
+    return _edges(vertices, None if policy.model is None else switching(policy))
+
+
+def _edges(vertices: Sequence[int], found: Switching | None) -> tuple[Edge, ...]:
+    return tuple(
+        _edge(source, target, place, found)
+        for source in vertices
+        for place, target in enumerate(vertices)
+    )
 
 
 def _edge(source: int, target: int, region: int, found: Switching | None) -> Edge:

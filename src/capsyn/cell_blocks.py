@@ -45,8 +45,16 @@ class CellBlocks:
     n: int
     seed: int
 
+    def stream(self, number: int) -> np.random.Generator:
+        """Return a stream of random test points."""
+        return np.random.default_rng([self.seed, number])
+
     def keys(
-        self, parents: np.ndarray, split: np.ndarray, size: np.ndarray, stream: int
+        self,
+        parents: np.ndarray,
+        split: np.ndarray,
+        size: np.ndarray,
+        rng: np.random.Generator,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the keys of the test points of blocks.
 
@@ -56,8 +64,9 @@ class CellBlocks:
             Lower corners of the blocks [lattice units].
         split, size : (n,)
             Children along each axis, and their edge lengths [lattice units].
-        stream : int
-            Number of the stream of random test points.
+        rng : numpy.random.Generator
+            Where random test points come from. Blocks that are asked for one after the other get
+            the points that they get together.
 
         Returns
         -------
@@ -80,13 +89,10 @@ class CellBlocks:
         keys = self.points.encode(halves * (size // 2), parents)
         count = self.test_points.random
         if count:
-            rng = np.random.default_rng([self.seed, stream])
             shape = (len(parents), len(grid), count, self.n)
             inner = grid[:, None, :] * size + rng.integers(1, size, size=shape)
             inner = np.moveaxis(inner, 0, 2).reshape(-1, len(parents), self.n)
-            strides = self.points.encode(inner.reshape(-1, self.n), np.zeros((1, self.n), int))
-            corners = self.points.encode(np.zeros((1, self.n), int), parents)
-            keys = np.vstack([keys, strides.reshape(-1, len(parents)) + corners])
+            keys = np.vstack([keys, self.points.encode(inner, parents)])
             rows = len(distinct) + np.arange(len(grid) * count).reshape(len(grid), count)
             table = np.hstack([table, rows])
             roles = np.append(roles, np.full(len(grid) * count, 2))

@@ -16,6 +16,7 @@ from capsyn.cli_export import export
 from capsyn.cli_import import import_table
 from capsyn.cli_options import (
     Backend,
+    Dask,
     File,
     Json,
     MinDwell,
@@ -23,6 +24,7 @@ from capsyn.cli_options import (
     Seed,
     Threads,
     assignments,
+    executor,
     number,
     whole_number_list,
 )
@@ -129,8 +131,28 @@ def synth(
     max_solves: Annotated[
         int | None, typer.Option(help="Most solves; affine leaves spend them.")
     ] = None,
+    max_seconds: Annotated[
+        float | None, typer.Option(help="Stop after so long; the result depends on the machine.")
+    ] = None,
+    max_memory: Annotated[
+        str | None, typer.Option(metavar="BYTES", help="Stop before so much, as 2GB.")
+    ] = None,
+    memory_limit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BYTES",
+            help="Refuse what may take more at worst [default: what is available].",
+        ),
+    ] = None,
     backend: Backend = "auto",
     threads: Threads = None,
+    dask: Dask = None,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Keep what is solved there; a run that was killed goes on from it."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Make the control alphabet policy of a problem."""
@@ -162,7 +184,7 @@ def synth(
         "tolerance": tolerance,
         "precision": precision,
     }
-    with progress_bars() as progress:
+    with executor(dask) as client, progress_bars() as progress:
         policy = synthesize(
             chosen,
             partitions=whole_number_list("--partitions", partitions),
@@ -176,8 +198,13 @@ def synth(
             leaf_error=leaf_error,
             seed=seed,
             max_solves=max_solves,
+            max_seconds=max_seconds,
+            max_memory=max_memory,
+            memory_limit=memory_limit,
             backend=backend,
             threads=threads,
+            executor=client,
+            checkpoint=checkpoint,
             progress=progress,
         )
     policy.save(path)

@@ -10,6 +10,7 @@ import typer
 from capsyn.cli_options import (
     Backend,
     Background,
+    Dask,
     Delay,
     Disturbance,
     File,
@@ -25,6 +26,7 @@ from capsyn.cli_options import (
     Target,
     Threads,
     assignments,
+    executor,
     number,
     number_list,
     one_or_list,
@@ -194,6 +196,7 @@ def verify(
     seed: Seed = 0,
     backend: Backend = "auto",
     threads: Threads = None,
+    dask: Dask = None,
     as_json: Json = False,
 ) -> None:
     """Give evidence for a policy.
@@ -239,13 +242,14 @@ def verify(
         "--outside": outside,
         "--online": online,
         "--background": background,
+        "--dask": dask,
     }
     _needs("--monte-carlo", monte_carlo, for_trials)
     _needs("--lyapunov", lyapunov, {"--depth": depth, "--grid": grid})
     if save and online is not None:
         raise ProblemError("--save keeps evidence of the policy itself: not with --online")
     found: dict[str, Any] = {}
-    with working("loading") as tell:
+    with executor(dask) as client, working("loading") as tell:
         if monte_carlo is not None:
             from capsyn.verification.monte_carlo import monte_carlo as try_out
 
@@ -275,6 +279,7 @@ def verify(
                 confidence=confidence,
                 backend=backend,
                 threads=threads,
+                executor=client,
             ).to_json()
         if lyapunov is not None:
             tell("proving dV/dt <= 0")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from typing import Annotated
 
 import typer
 
 from capsyn.cli_options import File
 from capsyn.console import working
+from capsyn.errors import ProblemError
 
 
 def explore(
@@ -27,6 +29,8 @@ def explore(
     from capsyn.policy import Policy
 
     check_writable(output)
+    if os.path.exists(output) and os.path.samefile(file, output):
+        raise ProblemError(f"`--output` must be another file than the policy's; got '{output}'")
     policy = Policy.load(file)
     with working("drawing the page"):
         path = explore(policy, output, drawing)

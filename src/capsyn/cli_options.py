@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -80,6 +81,25 @@ Background = Annotated[
 Seed = Annotated[int, typer.Option(help="Of everything that is random.")]
 Backend = Annotated[str, typer.Option(help="auto, c or numpy.")]
 Threads = Annotated[int | None, typer.Option(help="Default: one per processor.")]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Work on the workers of a Dask scheduler, or on local:N worker processes.",
+    ),
+]
+
+
+@contextlib.contextmanager
+def executor(address: str | None) -> Iterator[Any]:
+    """Yield the Dask client of an address; None for None."""
+    if address is None:
+        yield None
+        return
+    from capsyn.cluster import connect
+
+    with connect(address) as client:
+        yield client
 
 
 def number(name: str, text: str) -> float:

@@ -22,6 +22,7 @@ from capsyn.closed_loop import (
     new_trials,
     run,
 )
+from capsyn.cluster import check_client
 from capsyn.errors import ProblemError
 from capsyn.online import OnlineController
 from capsyn.plant import MOST_SUBSTEPS, Plant, choose_substeps
@@ -32,6 +33,7 @@ from capsyn.program import Program
 from capsyn.propositions import available_memory
 from capsyn.targets import Target, check_target, target_program
 from capsyn.transcription import target_condition
+from capsyn.trial_job import run_on_workers
 from capsyn.validation import (
     describe,
     finite_number,
@@ -104,6 +106,7 @@ def set_up(
     substeps: int | None = None,
     backend: str = "auto",
     threads: int | None = None,
+    executor: Any = None,
 ) -> Experiment:
     """Return the experiment on a plant that the arguments of `simulate` describe.
 
@@ -111,6 +114,8 @@ def set_up(
     ----------
     typical : (P, K), optional
         Parameters for choosing the steps of the integration.
+    executor : dask.distributed.Client, optional
+        A cluster whose workers run the trials of a policy, without a record.
     """
     duration = finite_number("duration", duration, above=0.0)
     own = controller if isinstance(controller, (Policy, OnlineController)) else None
@@ -127,6 +132,13 @@ def set_up(
         )
     one_of("backend", backend, ["auto", "c", "numpy"])
     threads = processors(threads)
+    if executor is not None:
+        if not isinstance(controller, Policy):
+            raise ProblemError(
+                "`executor` needs a Policy as controller: functions and online controllers are "
+                f"not sent; got {describe(controller)}"
+            )
+        check_client(executor)
     n, m = plant.n, plant.m
     if min_dwell is None:
         min_dwell = own.min_dwell if own else 0.0
@@ -166,7 +178,10 @@ def set_up(
     )
 
     def start(trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
-        if isinstance(controller, Policy):
+        if executor is not None:
+            assert isinstance(controller, Policy) and outside is not None and record is None
+            run_on_workers(executor, controller, outside, plant, loop, trials, noise, backend)
+        elif isinstance(controller, Policy):
             assert outside is not None
             run_policy(controller, outside, plant, loop, trials, noise, record, backend, threads)
         else:

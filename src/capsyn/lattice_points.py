@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -12,11 +12,15 @@ from typing import Any
 import numpy as np
 
 from capsyn.domain import Box
-from capsyn.errors import ProblemError, SynthesisError
+from capsyn.errors import SynthesisError
 from capsyn.masks import several
 
 CHUNK = 8192
 """Most states that are labelled in one call."""
+WORD = 2**63 - 1
+"""Most values of a word of a key."""
+MERGED = 2**18
+"""Solved points that are moved at a time to make room for new ones."""
 NOT_FINITE_LIMIT = 0.01
 """Share of solves without a finite result that stops a synthesis."""
 MANY = 1000
@@ -34,9 +38,9 @@ class Progress:
     cells : int
         Cells of this level.
     solved, solves : int
-        Points that are solved, and all of them, of this level's test points; later, of those of
-        the quarter rule. Of a budget that is spent on cells of any level, all solves since the
-        start, and the budget.
+        Points that are solved, and all of them, of this level's test points, or of those of a
+        block of its cells; later, of those of the quarter rule. Of a budget that is spent on cells
+        of any level, all solves since the start, and the budget.
     total : int
         Points solved since the start.
     """
@@ -56,6 +60,10 @@ class LatticePoints:
     smallest unsigned type that holds N + 1 bits. Where `scored`, the labelling function gives
     scores (B, V, S) in V variants beside its masks (B,), and they are
     kept, too. With a `goal`, progress is reported as all solves so far of so many.
+
+    A key numbers the points of the lattice in C order. Where 63 bits are too few, the axes are cut
+    into runs whose points they do number; the key is then the bytes of these numbers, the first
+    one first and each with its highest byte first, so that keys compare as tuples of numbers do.
     """
 
     def __init__(
@@ -77,14 +85,13 @@ class LatticePoints:
         extents = [
             count if periodic else count + 1 for count, periodic in zip(lattice, domain.periodic)
         ]
+        self._strides, self._word = key_strides(extents)
         self._size = math.prod(extents)
-        if self._size >= 2**63:
-            raise ProblemError(
-                f"`max_level` needs a lattice of {' x '.join(map(str, extents))} points, "
-                "more than 64-bit keys can tell apart"
-            )
-        self._strides = [math.prod(extents[i + 1 :]) for i in range(domain.n)]
-        self._keys = np.array([2**63 - 1])  # larger than any key, so that a search ends within
+        words = self._strides.shape[1]
+        wide = f"S{8 * words}"
+        self._type = np.dtype(np.int64 if words == 1 else wide)
+        largest: Any = 2**63 - 1 if words == 1 else b"\xff" * 8 * words
+        self._keys = np.array([largest], dtype=self._type)  # so that a search ends within
         self._masks = np.zeros(1, dtype=self.dtype)
         self._scored, self._scores = scored, np.zeros((1, 0, 0))
         self._pending: tuple[np.ndarray, ...] | None = None
@@ -92,19 +99,43 @@ class LatticePoints:
         self.indifferent = 0
         self.not_finite = 0
         self.example: list[float] | None = None
+        self._first: tuple[Any, ...] | None = None  # question and key of the example
         self.seconds = 0.0
+
+    @property
+    def point_bytes(self) -> int:
+        """Bytes of a solved point that is kept."""
+        return self._type.itemsize + np.dtype(self.dtype).itemsize
 
     def encode(self, offsets: np.ndarray, corners: np.ndarray) -> np.ndarray:
         """Return the keys (U, M) of lattice points ``offsets (U, n) + corners (M, n)``.
 
-        Periodic axes wrap.
+        Or of ``offsets (U, M, n) + corners (M, n)``. Periodic axes wrap.
         """
-        strides = np.array(self._strides, dtype=np.int64)
-        keys = (offsets @ strides)[:, None] + (corners @ strides)[None, :]
+        if offsets.ndim == 2:
+            offsets = offsets[:, None, :]
+        words = [offsets @ column + corners @ column for column in self._strides.T]
         for i in np.flatnonzero(self._domain.periodic):
-            seam = np.add.outer(offsets[:, i], corners[:, i]) == self._lattice[i]
-            keys[seam] -= self._lattice[i] * self._strides[i]
-        return keys
+            seam = offsets[:, :, i] + corners[:, i] == self._lattice[i]
+            word = self._word[i]
+            words[word][seam] -= self._lattice[i] * self._strides[i, word]
+        if len(words) == 1:
+            return words[0]
+        return np.stack(words, axis=-1).astype(">i8").view(self._type)[..., 0]
+
+    def places(self, keys: np.ndarray) -> np.ndarray:
+        """Return the lattice points (K, n) of keys (K,)."""
+        if self._strides.shape[1] == 1:
+            words = [keys]
+        else:
+            parts = np.ascontiguousarray(keys).view(">i8").reshape(len(keys), -1)
+            words = list(parts.T.astype(np.int64))
+        found = np.empty((len(keys), self._domain.n), dtype=np.int64)
+        for i, word in enumerate(self._word):
+            stride = self._strides[i, word]
+            found[:, i] = words[word] // stride
+            words[word] = words[word] - found[:, i] * stride
+        return found
 
     def ask(self, keys: np.ndarray) -> Question:
         """Return which of the keys (K,) are new, and how to spread the answers."""
@@ -120,7 +151,7 @@ class LatticePoints:
     def _sort(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the keys in ascending order, and the places that they came from."""
         bits = len(keys).bit_length()
-        if self._size >> (63 - bits):  # key and place do not fit one word
+        if self._type != np.int64 or self._size >> (63 - bits):  # key and place do not fit 63 bits
             order = np.argsort(keys, kind="stable")
             return keys[order], order
         packed = keys << bits
@@ -130,16 +161,18 @@ class LatticePoints:
         packed &= (1 << bits) - 1
         return ordered, packed
 
-    def answer(self, question: Question, level: int, max_level: int, cells: int) -> np.ndarray:
+    def answer(
+        self, question: Question, level: int, max_level: int, cells: int, quarter: bool = False
+    ) -> np.ndarray:
         """Return the masks (K,) of a question's keys, solving those that are new."""
-        return self.answer_with_scores(question, level, max_level, cells)[0]
+        return self.answer_with_scores(question, level, max_level, cells, quarter)[0]
 
     def answer_with_scores(
-        self, question: Question, level: int, max_level: int, cells: int
+        self, question: Question, level: int, max_level: int, cells: int, quarter: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the masks (K,) and scores (K, V, S) of a question's keys; NaN where unknown."""
         keys = question.distinct[question.new]
-        found = self._solve(keys, level, max_level, cells)
+        found = self._solve(keys, level, max_level, cells, quarter)
         self._pending = (question.places[question.new], keys, *found)
         self.count += len(keys)
         rows = np.cumsum(question.first, dtype=np.int32) - 1
@@ -157,14 +190,14 @@ class LatticePoints:
         """Put the points of the last answer among the sorted ones."""
         if self._pending is not None:
             places, keys, masks, scores = self._pending
-            self._keys = np.insert(self._keys, places, keys)
-            self._masks = np.insert(self._masks, places, masks)
+            inserted(self._keys, places, keys)
+            inserted(self._masks, places, masks)
             if scores.size:
-                self._scores = np.insert(self._scores, places, scores, axis=0)
+                inserted(self._scores, places, scores)
             self._pending = None
 
     def _solve(
-        self, keys: np.ndarray, level: int, max_level: int, cells: int
+        self, keys: np.ndarray, level: int, max_level: int, cells: int, quarter: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         started = time.perf_counter()
         masks = np.empty(len(keys), dtype=self.dtype)
@@ -189,7 +222,7 @@ class LatticePoints:
                 solved, solves = (done, len(keys)) if self._goal is None else (total, self._goal)
                 self._progress(Progress(level, max_level, cells, solved, solves, total))
         self.seconds += time.perf_counter() - started
-        self._count_missing(keys, masks, missing)
+        self._count_missing(keys, masks, missing, (level, quarter))
         self.indifferent += int(np.count_nonzero(several(masks)))
         return masks, self._joined(scores, missing)
 
@@ -206,15 +239,18 @@ class LatticePoints:
     def _map(self, work: Callable[[slice], int], parts: Iterable[slice]) -> Iterator[int]:
         return self._pool.map(work, parts) if self._pool else map(work, parts)
 
-    def _count_missing(self, keys: np.ndarray, masks: np.ndarray, missing: np.ndarray) -> None:
-        """Give points without a finite result the default, and stop where they are many."""
+    def _count_missing(
+        self, keys: np.ndarray, masks: np.ndarray, missing: np.ndarray, rank: tuple[int, bool]
+    ) -> None:
+        """Give points without a finite result the default; the first by rank is the example."""
         if not missing.any():
             return
         masks[missing] = self._default
         self.not_finite += int(missing.sum())
-        if self.example is None:
-            self.example = self._states(keys[missing][:1])[0].tolist()
-        self.check_finite(self.count + len(keys), MANY)
+        first = keys[missing][0]
+        if self._first is None or (*rank, first) < self._first:
+            self._first = (*rank, first)
+            self.example = self._states(np.array([first], dtype=keys.dtype))[0].tolist()
 
     def check_finite(self, solves: int, least: int = 0) -> None:
         """Raise `SynthesisError` where too many of `solves`, or of `least`, were not finite."""
@@ -225,25 +261,48 @@ class LatticePoints:
                 "fit it"
             )
 
-    def offsets(self, keys: np.ndarray, corners: np.ndarray) -> np.ndarray:
-        """Return keys (K,) as lattice points (K, n) relative to corners of the same cells."""
-        found = np.empty(corners.shape, dtype=np.int64)
-        rest = keys
-        for i, stride in enumerate(self._strides):
-            k = rest // stride
-            rest = rest - k * stride
-            found[:, i] = k - corners[:, i]
-        return found
-
     def _states(self, keys: np.ndarray) -> np.ndarray:
         """Return the states (K, n) of keys (K,)."""
-        states = np.empty((len(keys), self._domain.n))
-        rest = keys
-        for i, stride in enumerate(self._strides):
-            k = rest // stride
-            rest = rest - k * stride
-            states[:, i] = self._domain.faces(i, k, self._lattice[i])
+        places = self.places(keys)
+        states = np.empty(places.shape)
+        for i, count in enumerate(self._lattice):
+            states[:, i] = self._domain.faces(i, places[:, i], count)
         return states
+
+
+def key_strides(extents: Sequence[int]) -> tuple[np.ndarray, list[int]]:
+    """Return what a step along each axis adds to each word of a key, (n, W), and the axes' words.
+
+    Consecutive axes share a word as long as it has no more than `WORD` values.
+    """
+    word, product = [0], extents[-1]
+    strides = [1]
+    for extent in reversed(extents[:-1]):
+        fits = product * extent <= WORD
+        strides.append(product if fits else 1)
+        word.append(word[-1] if fits else word[-1] + 1)
+        product = product * extent if fits else extent
+    words = [word[-1] - w for w in reversed(word)]
+    found = np.zeros((len(extents), words[-1] + 1), dtype=np.int64)
+    found[np.arange(len(extents)), words] = strides[::-1]
+    return found, words
+
+
+def inserted(array: np.ndarray, places: np.ndarray, values: np.ndarray) -> None:
+    """Insert values (K, ...) before ascending places (K,) of an array, which grows where it is.
+
+    Its last part goes first, so that no second array is needed; what is before the first place
+    stays. Places are those of entries.
+    """
+    end, top = len(array), len(values)
+    array.resize((end + top, *array.shape[1:]), refcheck=False)
+    while top:
+        start = max(0, end - MERGED)
+        low = int(np.searchsorted(places[:top], start))
+        array[start + low : end + top] = np.insert(
+            array[start:end], places[low:top] - start, values[low:top], axis=0
+        )
+        end, top = start, low
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,7 @@ STATISTICS: dict[str, tuple[type, ...]] = {
     "not_finite_points": (int,),
     "not_finite_example": (list, type(None)),
     "stopped_by_max_solves": (bool,),
+    "stopped_by": (str,),
     "sample": (dict,),
     "table": (dict,),
 }

@@ -47,8 +47,7 @@ def run_policy(
     """Run trials under a policy, in place, compiled where there is a compiler."""
     if backend != "numpy":
         try:
-            queue = trials.dtype["queue"].shape[0]
-            kernel = SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue)
+            kernel = simulation_kernel(plant, loop, trials)
         except KernelBuildError as error:
             if backend == "c":
                 raise
@@ -57,6 +56,12 @@ def run_policy(
             _run_compiled(kernel, policy, outside, loop, trials, noise, record, threads)
             return
     run(policy_decide(policy, outside), plant, loop, trials, noise, record)
+
+
+def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> SimulationKernel:
+    """Return the kernel that runs trials of this kind; `KernelBuildError` if it fails."""
+    queue = trials.dtype["queue"].shape[0]
+    return SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue)
 
 
 def policy_decide(policy: Policy, outside: Outside) -> Decide:

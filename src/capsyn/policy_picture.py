@@ -6,6 +6,7 @@ import html
 
 import numpy as np
 
+from capsyn.domain import Box
 from capsyn.plots import symbol_colors
 from capsyn.policy import Policy
 
@@ -31,7 +32,7 @@ def policy_html(policy: Policy) -> str:
     used = [k for k in np.unique(symbols).tolist() if k >= 0] + [-1] * bool((symbols < 0).any())
     paths = [f'<path fill="{colors[symbol]}" d="{_runs(symbols == symbol)}"/>' for symbol in used]
     width, height = WIDE * SCALE, rows * SCALE
-    axes = " against ".join(html.escape(name) for name in domain.names[1::-1])
+    axes = " against ".join(_axis(domain, i) for i in range(min(domain.n, 2))[::-1])
     named = [(symbol, policy.symbol_name(symbol)) for symbol in used[:MOST_NAMED]]
     entries = [
         f'<rect x="{width + 14}" y="{16 * row + 2}" width="10" height="10" '
@@ -47,6 +48,13 @@ def policy_html(policy: Policy) -> str:
         f'<g transform="scale({SCALE})" shape-rendering="crispEdges">{"".join(paths)}</g>'
         f"{''.join(entries)}</svg><div>{caption}</div></div>"
     )
+
+
+def _axis(domain: Box, axis: int) -> str:
+    """Return the name of a state with its bounds and unit, escaped."""
+    unit = f" {domain.units[axis]}" if domain.units[axis] else ""
+    bounds = f"{domain.lower[axis]:.4g} to {domain.upper[axis]:.4g}{unit}"
+    return html.escape(f"{domain.names[axis]} ({bounds})")
 
 
 def _symbols(policy: Policy, rows: int) -> np.ndarray:

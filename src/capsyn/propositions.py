@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -12,16 +13,22 @@ from capsyn.cell_points import CellPoints
 from capsyn.cells import grid_settings, lattice_counts
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
+from capsyn.limits import Limits
 from capsyn.validation import describe
 
-BYTES_PER_SOLVE = 30
-BYTES_PER_KEY = 70
+BYTES_PER_SOLVE = 34
+BYTES_PER_KEY = 80
 BYTES_PER_MASK = 4
 """Peak memory of a subdivision: per solved point, per test point of a block of cells, and per
 byte of the masks of a cell's test points; measured and rounded up."""
+BYTES_PER_MIXED = 40
+BYTES_PER_BLOCK_CELL = 48
+"""Of constant leaves in blocks: what is kept of a mixed cell beside its entry, and of any cell."""
 BYTES_PER_CELL = 120
 ROUND_BYTES = 300_000_000
-"""The same of affine leaves: per cell beside its rows, and for one round."""
+ROOM = 4
+"""Of affine leaves: per cell beside its rows, and for one round.
+One in so many bytes is for a block of cells."""
 
 
 def level_for_precision(
@@ -83,6 +90,7 @@ def worst_case_memory(
     test_points: CellPoints,
     n_symbols: int,
     max_solves: int | None = None,
+    room: int | None = None,
 ) -> int:
     """Return a bound of the bytes that a subdivision takes, from measurements.
 
@@ -98,20 +106,55 @@ def worst_case_memory(
         Number of symbols N.
     max_solves : int, optional
         Bound of the solves.
+    room : int, optional
+        What a block of cells may take [bytes], where levels are labelled block by block.
     """
     n, root = len(partitions), math.prod(partitions)
     split = tuple(refinement) if max_level else (1,) * n
     children = math.prod(split)
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
     solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
-    if max_solves is not None:  # every block of cells has at least one point of its own
+    if max_solves is not None:
         solves = min(solves, max_solves)
-        cells = min(cells, max(root, max_solves * children))
-    keys = -(-cells // children) * test_points.in_block(split)
-    mask_bytes = 2 ** (n_symbols // 8).bit_length()  # of N + 1 bits
+        cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
+    need = block_bytes(test_points, split, mask_bytes(n_symbols))
+    step = -(-cells // children) * need
+    whole = BYTES_PER_SOLVE * solves + step
+    if room is None:
+        return whole
+    lattice = math.prod(8 * k for k in lattice_counts(tuple(partitions), tuple(refinement), 0))
+    words = 1 + (lattice * children**max_level).bit_length() // 56
+    kept = (8 * words + mask_bytes(n_symbols)) * solves + BYTES_PER_BLOCK_CELL * cells
+    return min(whole, kept + max(need, min(step, room)))
+
+
+def _cells_per_solve(test_points: CellPoints, children: int) -> int:
+    """Return a bound of the cells that one solve makes.
+
+    Every block has a point of its own. So has every cell with a centre, but for the middle one of
+    a block whose axes are all cut into odd numbers.
+    """
+    return 2 if test_points.center else children
+
+
+def mask_bytes(n_symbols: int) -> int:
+    """Return the bytes of a mask of N + 1 bits."""
+    return int(2 ** (n_symbols // 8).bit_length())
+
+
+def block_bytes(test_points: CellPoints, split: Sequence[int], mask: int) -> int:
+    """Return what labelling the children of one cell takes, whose masks take `mask` bytes each."""
+    n = len(split)
     tests = 2**n * test_points.vertices + test_points.interior(n)
-    masks = cells * tests * mask_bytes
-    return BYTES_PER_SOLVE * solves + BYTES_PER_KEY * keys + BYTES_PER_MASK * masks
+    masks = math.prod(split) * tests * mask
+    return BYTES_PER_KEY * test_points.in_block(split) + BYTES_PER_MASK * masks
+
+
+def block_room(limits: Limits) -> int | None:
+    """Return what a block of cells may take [bytes]; None where memory is unknown."""
+    given = (limits.max_memory, limits.memory_limit, available_memory())
+    limit = next((x for x in given if x is not None), None)
+    return None if limit is None else limit // ROOM
 
 
 def worst_case_affine_memory(
@@ -127,18 +170,22 @@ def worst_case_affine_memory(
     Solved points keep their scores, cells their rows; test points are those of a round, the root
     grid being one.
     """
-    n, children = len(partitions), math.prod(refinement)
+    n, children, root = len(partitions), math.prod(refinement), math.prod(partitions)
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
     solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
-    if max_solves is not None:  # every block of cells has at least one point of its own
+    if max_solves is not None:
         solves = min(solves, max_solves)
-        cells = min(cells, max(math.prod(partitions), max_solves * children))
+        cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
+    first = root * test_points.in_block((1,) * n) * (BYTES_PER_KEY + 24 * (n_symbols + 1))
+    return affine_memory(solves, min(cells, 4 * solves), n_symbols, n) + max(ROUND_BYTES, first)
+
+
+def affine_memory(solves: int, cells: int, n_symbols: int, n: int) -> int:
+    """Return the bytes that solved points and cells with affine rows take."""
     labels = n_symbols + 1
     solved = solves * (BYTES_PER_SOLVE + 24 * labels)
     # of the cells of all levels, twice: while they are put in order
-    rows = 2 * min(cells, 4 * solves) * (BYTES_PER_CELL + labels * (8 + 2 * n))
-    root = math.prod(partitions) * test_points.in_block((1,) * n)
-    return solved + rows + max(ROUND_BYTES, root * (BYTES_PER_KEY + 24 * labels))
+    return solved + 2 * cells * (BYTES_PER_CELL + labels * (8 + 2 * n))
 
 
 def available_memory() -> int | None:
@@ -159,26 +206,50 @@ def check_memory(
     max_level: int,
     test_points: CellPoints,
     n_symbols: int,
-    max_solves: int | None,
+    limits: Limits,
     affine: bool = False,
 ) -> None:
-    """Raise `ProblemError` where the worst case exceeds the memory that is available."""
+    """Raise `ProblemError` where the worst case exceeds `memory_limit`, or what is available.
+
+    A budget of solves or of memory bounds the worst case; that of memory must do for the root grid.
+    """
     available = available_memory()
-    estimate = worst_case_affine_memory if affine else worst_case_memory
+    limit = available if limits.memory_limit is None else limits.memory_limit
+    room = block_room(limits)
 
-    def need(level: int, solves: int | None = max_solves) -> int:
-        return estimate(partitions, refinement, level, test_points, n_symbols, solves)
+    def need(level: int, q: Sequence[int] = partitions, most: int | None = None) -> int:
+        solves = limits.max_solves if most is None else most
+        if affine:
+            return worst_case_affine_memory(q, refinement, level, test_points, n_symbols, solves)
+        return worst_case_memory(q, refinement, level, test_points, n_symbols, solves, room)
 
-    if available is None or need(max_level) <= available:
+    def fewer(bound: int) -> str:
+        """Return the advice of the largest root grid that fits."""
+        k = bisect.bisect_right(
+            range(1, max(partitions)), bound, key=lambda k: need(0, [min(q, k) for q in partitions])
+        )
+        return f"use fewer partitions: {k} per axis fit at level 0" if k else "no root grid fits"
+
+    budget = limits.max_memory
+    if budget is not None and need(0) > budget:
+        raise ProblemError(
+            f"`max_memory` must be at least the {need(0):,} bytes that level 0 may take; "
+            f"got {budget:,}: {fewer(budget)}"
+        )
+    worst = need(max_level) if budget is None else min(need(max_level), budget)
+    if limit is None or worst <= limit:
         return
-    fits = max((k for k in range(max_level) if need(k) <= available), default=None)
-    advice = "use fewer partitions" if fits is None else f"max_level <= {fits} fits"
-    most = available * 10**6 // need(max_level, 10**6)
+    fits = max((k for k in range(max_level) if need(k) <= limit), default=None)
+    advice = fewer(limit) if fits is None else f"max_level <= {fits} fits"
+    solves = worst_case_solves(
+        partitions, refinement, max_level, test_points.interior(len(partitions))
+    )
+    choices = range(1, min(solves, 2**40))
+    most = bisect.bisect_right(choices, limit, key=lambda k: need(max_level, most=k))
     most -= most % 10 ** (len(str(most)) - 1)  # its first digit
-    interior = test_points.interior(len(partitions))
-    solves = worst_case_solves(partitions, refinement, max_level, interior)
+    bound = f"`max_solves` (at most {most:,}) or " if most else ""
+    allowed = "available" if limits.memory_limit is None else "allowed by `memory_limit`"
     raise ProblemError(
-        f"`max_level` {max_level} may take {need(max_level) / 1e9:.3g} GB at worst "
-        f"({solves:.3g} solves); {available / 1e9:.3g} GB is available: {advice}, or bound it "
-        f"with `max_solves` (at most {most:,})"
+        f"`max_level` {max_level} may take {worst / 1e9:.3g} GB at worst ({solves:.3g} solves); "
+        f"{limit / 1e9:.3g} GB is {allowed}: {advice}, or bound it with {bound}`max_memory`"
     )

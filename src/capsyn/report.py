@@ -15,7 +15,7 @@ from capsyn.targets import describe_target
 def report(policy: Policy) -> dict[str, Any]:
     """Return the figures of a policy, or of a decision tree, as plain data."""
     cells, domain, alphabet = policy.cells, policy.domain, policy.alphabet
-    shares = policy.volume_shares.tolist()
+    shares, digest = policy.volume_shares.tolist(), content_hash(policy)
     names = [*alphabet.names, "default"]
     return {
         "name": policy.name,
@@ -49,8 +49,8 @@ def report(policy: Policy) -> dict[str, Any]:
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "statistics": policy.statistics,
-        "evidence": policy.evidence,
-        "sha256": content_hash(policy),
+        "evidence": policy.evidence if policy.evidence.get("sha256") == digest else {},
+        "sha256": digest,
         "hints": hints(policy),
     }
 
@@ -113,8 +113,9 @@ def hints(policy: Policy) -> list[str]:
             f"{count} of {solves} solves gave no finite result and take the default control, for "
             f"instance at {policy.statistics.get('not_finite_example')}: check the model there"
         )
-    if policy.statistics.get("stopped_by_max_solves"):
-        found.append("max_solves stopped the subdivision before max_level")
+    budget = policy.statistics.get("stopped_by")
+    if budget or policy.statistics.get("stopped_by_max_solves"):
+        found.append(f"{budget or 'max_solves'} stopped the subdivision before max_level")
     sample = policy.statistics.get("sample")
     if not sample:
         return found

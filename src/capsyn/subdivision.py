@@ -9,20 +9,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from capsyn.affine_subdivision import AffineSubdivision
 from capsyn.alphabet import Alphabet
-from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
+from capsyn.cell_blocks import FINE
 from capsyn.cell_points import CellPoints
-from capsyn.cells import CellTree, grid_settings, lattice_counts
+from capsyn.cells import grid_settings, lattice_counts
+from capsyn.constant_subdivision import ConstantSubdivision
 from capsyn.domain import Box
-from capsyn.errors import ProblemError, SynthesisError
+from capsyn.errors import ProblemError
 from capsyn.growing_cells import lattice_level
-from capsyn.lattice_points import LatticePoints, Progress, Question
+from capsyn.lattice_points import LatticePoints, Progress
+from capsyn.limits import Limits
 from capsyn.masks import (
     Label,
     Scored,
@@ -31,12 +32,10 @@ from capsyn.masks import (
     indicators,
     masks_of_scores,
     masks_of_symbols,
-    most_voted,
-    preferred,
-    several,
 )
 from capsyn.policy import Outside, Policy, check_outside
-from capsyn.propositions import check_memory, worst_case_solves
+from capsyn.processors import pool_of
+from capsyn.propositions import check_memory
 from capsyn.validation import describe, finite_number, is_list, one_of, whole_number
 
 RETURNS = ("symbols", "masks", "scores", "masks+scores")
@@ -60,6 +59,9 @@ def subdivide(
     outside: Outside = "error",
     name: str = "policy",
     max_solves: int | None = None,
+    max_seconds: float | None = None,
+    max_memory: int | str | None = None,
+    memory_limit: int | str | None = None,
     threads: int = 1,
     progress: Callable[[Progress], None] | None = None,
 ) -> Policy:
@@ -103,6 +105,16 @@ def subdivide(
         Of constant leaves: stop before a level that would exceed so many solves, with a valid
         coarser policy. Of affine ones: spend them on the cells where the estimated error is
         largest, until they are used up or no cell can be split.
+    max_seconds : float, optional
+        Stop after a block of cells, or a round of affine leaves, that ends later [s], with a valid
+        policy that is coarser in what was not reached. The only setting by which results depend
+        on the machine. The root grid is always labelled.
+    max_memory : int or str, optional
+        Stop likewise before a block that may exceed so much memory [bytes, or text as ``"2GB"``].
+    memory_limit : int or str, optional
+        Refuse, before any work, what may take more memory at worst [bytes, or text]; default: what
+        is available. A budget of solves or memory bounds the worst case. Levels that would take
+        more than a quarter are labelled in blocks, with the same result.
     threads : int
         Threads that call `label`; the result does not depend on it.
     progress : callable, optional
@@ -137,9 +149,8 @@ def subdivide(
     alphabet = symbols if isinstance(symbols, Alphabet) else Alphabet(range(_count(symbols)))
     n_symbols = len(alphabet)
     q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
-    points, lattice = check_size(
-        domain, n_symbols, q, r, max_level, test_points, max_solves, leaves
-    )
+    limits = Limits.of(max_solves, max_seconds, max_memory, memory_limit)
+    points, lattice = check_size(domain, n_symbols, q, r, max_level, test_points, limits, leaves)
     leaf_error = finite_number("leaf_error", leaf_error, least=0.0)
     if leaf_error > 1:
         raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
@@ -151,7 +162,7 @@ def subdivide(
     affine = leaves == "affine"
     labels = _scored(label, returns, n_symbols) if affine else _masks(label, returns, n_symbols)
     started = time.perf_counter()
-    with ThreadPoolExecutor(threads) as pool:
+    with pool_of(threads) as pool:
         store = LatticePoints(
             labels,
             domain,
@@ -160,10 +171,10 @@ def subdivide(
             pool if threads > 1 else None,
             progress,
             affine,
-            max_solves if affine else None,
+            limits.max_solves if affine else None,
         )
-        given = (q, r, max_level, points, seed, order, store, max_solves)
-        work: _Subdivision | AffineSubdivision = _Subdivision(*given)
+        given = (q, r, max_level, points, seed, order, store, limits)
+        work: ConstantSubdivision | AffineSubdivision = ConstantSubdivision(*given)
         if affine:
             plain = not returns.endswith("scores")
             work = AffineSubdivision(*given, leaf_error, plain)
@@ -190,22 +201,18 @@ def check_size(
     refinement: tuple[int, ...],
     max_level: int,
     test_points: str,
-    max_solves: int | None,
+    limits: Limits,
     leaves: str = "constant",
 ) -> tuple[CellPoints, tuple[int, ...]]:
     """Return the test points, and the lattice (n,), that floating point and memory can hold."""
     one_of("leaves", leaves, list(LEAVES))
     points = CellPoints.parse(test_points)
-    if max_solves is not None:
-        max_solves = whole_number("max_solves", max_solves, least=1)
     lattice = tuple(FINE * k for k in lattice_counts(partitions, refinement, max_level))
     domain.check_resolution(lattice)
     if leaves == "affine":
         level = lattice_level(partitions, refinement, max_level)
         domain.check_resolution(lattice_counts(partitions, refinement, level))
-    check_memory(
-        partitions, refinement, max_level, points, n_symbols, max_solves, leaves == "affine"
-    )
+    check_memory(partitions, refinement, max_level, points, n_symbols, limits, leaves == "affine")
     return points, lattice
 
 
@@ -239,157 +246,3 @@ def _order(preference: Sequence[int], n_symbols: int) -> list[int]:
             f"`preference` must name each of 0..{n_symbols} once; got {describe(preference)}"
         )
     return [int(s) for s in preference]
-
-
-class _Subdivision:
-    """Algorithm 1, level by level, all cells of a level at once.
-
-    Arrays over the test points of a level have the point first and the parent cell last, so that
-    all work on masks runs along contiguous memory.
-    """
-
-    def __init__(
-        self,
-        partitions: tuple[int, ...],
-        refinement: tuple[int, ...],
-        max_level: int,
-        test_points: CellPoints,
-        seed: int,
-        order: list[int],
-        points: LatticePoints,
-        max_solves: int | None,
-    ) -> None:
-        self._n, self._q, self._r = len(partitions), partitions, refinement
-        self._max_level, self._test_points, self._seed = max_level, test_points, seed
-        self._order, self._points = order, points
-        self._blocks = CellBlocks(points, test_points, self._n, seed)
-        self._offsets = test_points.offsets(self._n)
-        self._roles = np.zeros(len(ROLES), dtype=np.int64)
-        self._levels: list[dict[str, int]] = []
-        self._max_solves = max_solves
-        self._stopped = False
-
-    def run(self) -> CellTree:
-        """Return the cells."""
-        blocks: list[np.ndarray] = []  # entries, level by level
-        size = FINE * np.array([r**self._max_level for r in self._r])
-        parents = grid_places(self._q) * size  # lower corners in lattice units
-        start = last = 0
-        mixed = np.empty(0, dtype=np.int64)  # within the last level
-        seen = np.empty(0, dtype=np.uint64)
-        for level in range(self._max_level + 1):
-            split = self._split(level)
-            size = FINE * np.array([r ** (self._max_level - level) for r in self._r])
-            children = int(np.prod(split))
-            cells = children * len(parents)
-            if start + cells > 2**31 - 1:
-                raise SynthesisError(f"level {level} has more cells than 32-bit entries can number")
-            keys, table, roles = self._blocks.keys(parents, split, size, level)
-            question = self._points.ask(keys.ravel())
-            new = int(question.new.sum())
-            if self._exceeds(question):
-                if level == 0:
-                    raise ProblemError(
-                        f"`max_solves` must be at least the {new} solves of level 0; "
-                        f"got {self._max_solves}"
-                    )
-                break
-            self._count_roles(roles[question.samples // len(parents)])
-            masks = self._points.answer(question, level, self._max_level, cells)
-            masks = masks.reshape(keys.shape)[table.T]  # (points, children, parents)
-            common = np.bitwise_and.reduce(masks, axis=0)
-            if level < self._max_level:
-                common = self._quarter_rule(common, masks, parents, size, level)
-            entries = -1 - preferred(common, self._order).T.ravel()  # in the order of the blocks
-            if level:  # the mixed cells of the level above are split after all
-                blocks[-1][mixed] = start + children * np.arange(len(parents))
-            mixed = np.flatnonzero(common.T == 0)
-            parent, child = np.divmod(mixed, children)
-            points = masks.reshape(len(masks), cells).take(child * len(parents) + parent, axis=1)
-            labels, seen = most_voted(points, self._order)
-            entries[mixed] = -1 - labels
-            self._levels.append({"cells": cells, "mixed": len(mixed), "solves": new})
-            blocks.append(entries)
-            last, start = start, start + cells
-            if level == self._max_level or not mixed.size:
-                break
-            parents = parents[parent] + grid_places(split)[child] * size
-        self._points.check_finite(self._points.count)
-        return CellTree(
-            self._q,
-            self._r,
-            self._max_level,
-            np.concatenate(blocks),
-            (mixed + last).astype(np.int32),
-            seen.astype(np.uint64),
-        )
-
-    def statistics(self) -> dict[str, Any]:
-        """Return the counts of the subdivision as plain data."""
-        points = self._points
-        leaves = [x["cells"] - x["mixed"] for x in self._levels]
-        leaves[-1] = self._levels[-1]["cells"]
-        return {
-            "solves": points.count,
-            "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
-            "cells": sum(leaves),
-            "leaves_by_level": leaves,
-            "mixed_cells": self._levels[-1]["mixed"],
-            "levels": list(self._levels),
-            "stopped_by_max_solves": self._stopped,
-            "indifferent_points": points.indifferent,
-            "not_finite_points": points.not_finite,
-            "not_finite_example": points.example,
-            "test_points": str(self._test_points),
-            "seed": self._seed,
-            "worst_case_solves": worst_case_solves(
-                self._q, self._r, self._max_level, self._test_points.interior(self._n)
-            ),
-        }
-
-    def _split(self, level: int) -> np.ndarray:
-        """Return into how many children, per axis, the parents of a level's cells are split.
-
-        The cells of the root grid are their own parents.
-        """
-        return np.array(self._r if level else (1,) * self._n)
-
-    def _exceeds(self, question: Question) -> bool:
-        """Return whether a question, or one before, would take more solves than are allowed."""
-        allowed = self._max_solves
-        if allowed is not None and self._points.count + int(question.new.sum()) > allowed:
-            self._stopped = True
-        return self._stopped
-
-    def _count_roles(self, roles: np.ndarray) -> None:
-        self._roles += np.bincount(roles, minlength=len(ROLES))
-
-    def _quarter_rule(
-        self,
-        common: np.ndarray,
-        masks: np.ndarray,
-        parents: np.ndarray,
-        size: np.ndarray,
-        level: int,
-    ) -> np.ndarray:
-        """Return `common` (children, parents) after a second look at tied points.
-
-        Only fixed points are looked at again; the centre stays where it is. Where that would
-        exceed the solves that are allowed, this level is the last and goes without.
-        """
-        movable = np.flatnonzero((self._offsets != 1).any(axis=1))
-        tied = several(masks[movable]) & (common != 0)
-        point, child, parent = np.nonzero(tied)
-        if not child.size:
-            return common
-        corners = parents[parent] + grid_places(self._split(level))[child] * size
-        question = self._points.ask(
-            self._blocks.quarter_keys(corners, size, self._offsets[movable[point]])
-        )
-        if self._exceeds(question):
-            return common
-        self._count_roles(np.full(question.new.sum(), ROLES.index("quarter")))
-        moved = self._points.answer(question, level, self._max_level, common.size)
-        common = common.copy()
-        np.bitwise_and.at(common, (child, parent), moved)
-        return common

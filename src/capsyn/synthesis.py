@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import time
 import warnings
 from collections.abc import Callable
@@ -10,9 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cluster import check_client
 from capsyn.domain import Box
 from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.labelling import answerer
 from capsyn.lattice_points import Progress
+from capsyn.limits import Limits
 from capsyn.masks import several
 from capsyn.model import Model
 from capsyn.policy import Outside, Policy
@@ -42,8 +46,13 @@ def synthesize(
     test_points: str = "vertices+center",
     seed: int = 0,
     max_solves: int | None = None,
+    max_seconds: float | None = None,
+    max_memory: int | str | None = None,
+    memory_limit: int | str | None = None,
     backend: str = "auto",
     threads: int | None = None,
+    executor: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Policy:
     """Return the control alphabet policy of a problem: sSAC at every test point, Algorithm 1.
@@ -67,10 +76,25 @@ def synthesize(
     max_solves : int, optional
         Of constant leaves: stop before a level that would exceed so many solves, with a valid
         coarser policy. Of affine ones: spend them where the estimated error is largest.
+    max_seconds : float, optional
+        Stop after so long [s], with a valid policy that is coarser in what was not reached: the
+        only setting by which results depend on the machine; see `subdivide`.
+    max_memory : int or str, optional
+        Stop likewise before so much memory is taken [bytes, or text as ``"2GB"``].
+    memory_limit : int or str, optional
+        Refuse, before any work, what may take more memory at worst [bytes, or text]; default: what
+        is available. The result does not depend on it.
     backend : "auto", "c" or "numpy"
         How to solve: compiled where there is a compiler, or as told.
     threads : int, optional
         Threads that solve; default: one per processor. The policy does not depend on it.
+    executor : dask.distributed.Client, optional
+        A cluster whose workers solve, with the same results; workers that would give others are
+        refused.
+    checkpoint : path, optional
+        A directory that keeps what is solved. A run that was killed goes on from there when it is
+        started again, to the same policy; one of another problem or other settings is refused.
+        Threads, executor and `max_solves` may change.
     progress : callable, optional
         Called with a `Progress` now and then.
 
@@ -104,6 +128,8 @@ def synthesize(
     threads = processors(threads)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, ["auto", "c", "numpy"])
+    if executor is not None:
+        check_client(executor)
     domain = problem.domain
     check_size(
         domain,
@@ -112,7 +138,7 @@ def synthesize(
         problem.refinement,
         problem.max_level,
         test_points,
-        max_solves,
+        Limits.of(max_solves, max_seconds, max_memory, memory_limit),
         leaves,
     )
     started = time.perf_counter()
@@ -120,25 +146,34 @@ def synthesize(
     controller = problem_controller(problem, model, backend, seed)
     ready = time.perf_counter()
     affine = leaves == "affine"
-    policy = subdivide(
-        controller.scored if affine else controller.masks,
-        domain,
-        problem.alphabet,
-        partitions=problem.partitions,
-        refinement=problem.refinement,
-        max_level=problem.max_level,
-        leaves=leaves,
-        leaf_error=leaf_error,
-        test_points=test_points,
-        seed=seed,
-        returns="masks+scores" if affine else "masks",
-        preference=controller.preference,
-        outside=problem.outside,
-        name=problem.name,
-        max_solves=max_solves,
-        threads=threads,
-        progress=progress,
-    )
+    asked = {"leaves": leaves, "leaf_error": leaf_error, "test_points": test_points, "seed": seed}
+    method = "scored" if affine else "masks"
+    with answerer(
+        controller, problem, model, method, threads, backend, executor, checkpoint, asked
+    ) as answers:
+        controller = answers.controller
+        policy = subdivide(
+            answers.label,
+            domain,
+            problem.alphabet,
+            partitions=problem.partitions,
+            refinement=problem.refinement,
+            max_level=problem.max_level,
+            leaves=leaves,
+            leaf_error=leaf_error,
+            test_points=test_points,
+            seed=seed,
+            returns="masks+scores" if affine else "masks",
+            preference=controller.preference,
+            outside=problem.outside,
+            name=problem.name,
+            max_solves=max_solves,
+            max_seconds=max_seconds,
+            max_memory=max_memory,
+            memory_limit=memory_limit,
+            threads=answers.threads,
+            progress=progress,
+        )
     _warn_not_finite(policy)
     return dataclasses.replace(
         policy,

@@ -12,6 +12,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from capsyn.compression.compress import exact_tree
+from capsyn.decision_tree import DecisionTree
 from capsyn.errors import ProblemError
 from capsyn.explorer.formulas import formulas
 from capsyn.explorer.page_data import page_data
@@ -33,7 +35,8 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
     Parameters
     ----------
     policy : Policy
-        The policy, or decision tree. Without a model the page has no closed loop.
+        The policy, or decision tree. Without a model the page has no closed loop. Of affine leaves
+        the page shows the exact tree, which has no levels to replay.
     path : path
         Where; what was there is replaced only by a whole page.
     drawing : "pendulum", "cart-pole", "double-tank" or "none", optional
@@ -61,7 +64,9 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
 
 
 def page(policy: Policy, drawing: str | None = None) -> str:
-    """Return the page of a policy as HTML."""
+    """Return the page of a policy as HTML; that of affine leaves shows their exact tree."""
+    if policy.has_planes and not isinstance(policy, DecisionTree):
+        policy = exact_tree(policy)
     style = _resource("page.css").strip()
     model = model_javascript(policy).removeprefix("export ").strip()
     notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"

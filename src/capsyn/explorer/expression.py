@@ -20,6 +20,10 @@ from capsyn.program import Program
 Expression = tuple[Any, ...]
 LARGE = 8
 """Leaves from which an expression gets a name where it is used more than once."""
+DEEP = 30
+"""Levels from which an expression gets a name in any case."""
+EXPONENTS = 2**31
+"""Whole exponents below this are added where powers are multiplied."""
 RELATIONS = ("lt", "le", "eq", "ne")
 FLIPPED = {"lt": "gt", "le": "ge", "eq": "eq", "ne": "ne"}
 
@@ -76,7 +80,8 @@ def expressions(
         else:
             value = _apply(operation, [values[j] for j in operands], settled)
             inner = uses[k] - list(results).count(k)
-            if inner and (value[0] == "cases" or (uses[k] > 1 and _size(value) >= LARGE)):
+            large = uses[k] > 1 and _size(value) >= LARGE
+            if inner and (value[0] == "cases" or large or _depth(value) >= DEEP):
                 value = name_of(value)
             values.append(value)
     return [_whole(values[k]) for k in results], [(name, value) for value, name in named.items()]
@@ -91,7 +96,7 @@ def _uses(program: Program, results: Sequence[int]) -> list[int]:
     for k in range(len(uses) - 1, first - 1, -1):
         operation, *operands = program.instructions[k - first]
         if uses[k] and operation != "const":
-            for operand in set(operands):
+            for operand in operands:
                 uses[operand] += 1
     return uses
 
@@ -135,6 +140,13 @@ def _size(expression: Expression) -> int:
         parts = expression[2]
     parts = [part[1] for part in parts] if expression[0] == "sum" else parts
     return sum(_size(part) for part in parts if isinstance(part, tuple))
+
+
+def _depth(expression: Any) -> int:
+    """Return how far tuples are nested."""
+    if not isinstance(expression, tuple):
+        return 0
+    return 1 + max(map(_depth, expression), default=0)
 
 
 def signed(expression: Expression) -> tuple[int, Expression]:
@@ -195,12 +207,15 @@ def _gathered(factors: Sequence[Expression]) -> Expression:
             coefficient *= factor[1]
             continue
         base, exponent = factor, 1
-        if factor[0] == "power" and factor[2][0] == "number" and factor[2][1].is_integer():
-            base, exponent = factor[1], int(factor[2][1])
+        if factor[0] == "power" and factor[2][0] == "number":
+            raised = factor[2][1]
+            if raised.is_integer() and abs(raised) < EXPONENTS:
+                base, exponent = factor[1], int(raised)
         powers[base] = powers.get(base, 0) + exponent
     parts = [
         base if exponent == 1 else ("power", base, number(float(exponent)))
         for base, exponent in powers.items()
+        if exponent
     ]
     if coefficient != 1 or not parts:
         parts.insert(0, number(coefficient))

@@ -59,20 +59,26 @@ def _solves(statistics: dict[str, Any]) -> list[Row]:
     solves, worst = statistics["solves"], statistics.get("worst_case_solves")
     rows = [("solves", f"{solves:,}")]
     if worst:
-        rows.append(("Proposition 2", f"{worst:,} at worst: {solves / worst:.1%} were needed"))
+        needed = f": {solves / worst:.1%} were needed" if solves <= worst else ""
+        rows.append(("Proposition 2", f"{worst:,} at worst{needed}"))
     roles = statistics.get("solves_by_role", {})
     rows += [(text, f"{roles[role]:,}") for role, text in ROLES.items() if roles.get(role)]
     for key, text in (("indifferent_points", "ties"), ("not_finite_points", "not finite")):
         if statistics.get(key):
-            rows.append((text, f"{statistics[key]:,} test points"))
+            rows.append((text, _counted(statistics[key], "test point")))
     return rows
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 def _evidence(evidence: dict[str, Any]) -> list[Row]:
     rows = [(name, sentence) for name, sentence in headlines(evidence).items()]
     conditions = evidence.get("monte_carlo", {}).get("conditions", {})
     told = [
-        *(f"{key} {conditions[key]}" for key in ("target", "within") if key in conditions),
+        f"target {conditions['target']}" if "target" in conditions else "",
+        f"within {conditions['within']} s" if "within" in conditions else "",
         circumstances(conditions),
     ]
     if any(told):
@@ -92,13 +98,17 @@ def _controller(data: dict[str, Any]) -> list[Row]:
             rows.append((wanted, f"{settings[wanted]:g}"))
         rows += [
             ("control weight", _weight(settings["control_weight"])),
-            ("steps", f"{settings['steps']} over the horizon, {settings['precision']} precision"),
+            ("integration", f"{_steps(settings['steps'])}, {settings['precision']} precision"),
             ("sample time", f"{settings['sample_time']:g} s"),
         ]
     if data["target"]:
         rows.append(("target", data["target"]))
     rows += [("outside", str(data["outside"])), ("least dwell", f"{data['min_dwell']:g} s")]
     return rows
+
+
+def _steps(steps: int | None) -> str:
+    return "steps chosen by accuracy" if steps is None else f"{steps} steps over the horizon"
 
 
 def _weight(weight: Any) -> str:

@@ -17,6 +17,8 @@ from capsyn.program import Program
 
 LONGEST = 250
 """Most operations of a program that is shown as a formula."""
+MOST_CHARACTERS = 100_000
+"""Most characters of MathML of a program that is shown."""
 CONDITION, SUM, PRODUCT, CALL, ATOM = range(5)
 """How tightly a formula holds together."""
 SMALL = (
@@ -33,7 +35,6 @@ FUNCTIONS = {
 RELATIONS = {"lt": "&lt;", "le": "≤", "eq": "=", "ne": "≠", "gt": "&gt;", "ge": "≥"}
 FENCES = {"fabs": "||", "floor": "⌊⌋", "ceil": "⌈⌉"}
 THIN = "<mspace width='0.17em'/>"
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def formulas(policy: Policy) -> dict[str, list[str]]:
@@ -41,7 +42,7 @@ def formulas(policy: Policy) -> dict[str, list[str]]:
 
     The topics are ``dynamics``, ``cost``, and ``target`` where it is a condition of its own;
     without a model there are none. In each, what abbreviations stand for comes last. A program of
-    more than `LONGEST` operations is left out.
+    more than `LONGEST` operations, or `MOST_CHARACTERS` of MathML, is told to be too long.
     """
     if policy.model is None:
         return {}
@@ -54,11 +55,6 @@ def formulas(policy: Policy) -> dict[str, list[str]]:
     if isinstance(policy.target, Program):
         found["target"] = _equations(policy.target, [""], states)
     return {topic: lines for topic, lines in found.items() if lines}
-
-
-def unit_text(unit: str) -> str:
-    """Return a unit with its powers raised, as plain text: ``m/s^2`` becomes ``m/s²``."""
-    return re.sub(r"\^(-?\d+)", lambda found: found[1].translate(SUPERSCRIPTS), unit)
 
 
 def name_mathml(name: str) -> str:
@@ -100,12 +96,18 @@ def _math(*parts: str) -> str:
 def _equations(program: Program, left: Sequence[str], inputs: Sequence[str]) -> list[str]:
     """Return an equation for each left side, of the first results, and then the abbreviations."""
     if len(program.instructions) > LONGEST:
-        return []
+        return [_too_long(program)]
     wanted, abbreviations = _read(program, len(left), inputs)
     pairs = [*zip(left, wanted), *((name[1], part) for name, part in abbreviations)]
-    return [
+    lines = [
         _math(side, "<mo>=</mo>" if side else "", render(expression)) for side, expression in pairs
     ]
+    return lines if sum(map(len, lines)) <= MOST_CHARACTERS else [_too_long(program)]
+
+
+def _too_long(program: Program) -> str:
+    operations = f"{len(program.instructions):,} operations"
+    return f"<p class='note'>{operations}: too long to be shown as a formula</p>"
 
 
 def _read(

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.automaton import Automaton
+from capsyn.automaton import edges_between
 from capsyn.cells import CellTree
-from capsyn.domain import Ball, Box
+from capsyn.domain import Ball
 from capsyn.errors import ProblemError
 from capsyn.explorer.facts import facts
 from capsyn.explorer.policy_data import policy_data
@@ -23,6 +23,8 @@ DRAWINGS = {
     "double-tank": ("x1", "x2"),
 }
 """Drawings that the page has, and the states that they are of."""
+DRAWN_INPUTS = {"pendulum": 1, "cart-pole": 1, "double-tank": 3}
+"""How many inputs they show."""
 DRAWN = {
     "cart-pendulum": "pendulum",
     "cart-pendulum-4": "pendulum",
@@ -60,50 +62,33 @@ def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
 
 
 def _target(policy: Policy) -> dict[str, Any] | None:
-    """Return a target in words, and as a shape where it is one."""
+    """Return a target in words, and as a ball where it is one."""
     target, domain = policy.target, policy.domain
     if target is None:
         return None
     told: dict[str, Any] = {"text": describe_target(target, domain)}
     if isinstance(target, Ball):
         told["ball"] = {"center": target.center.tolist(), "radius": target.radius}
-    if isinstance(target, Box):
-        told["box"] = {"lower": target.lower.tolist(), "upper": target.upper.tolist()}
-    if isinstance(target, (Ball, Box)):
         told["axes"] = target_axes(target, domain)
     return told
 
 
 def _automaton(policy: Policy) -> dict[str, Any]:
     """Return the finite state machine; of oblique splits only which symbols there are."""
-    if isinstance(policy.cells, SplitTree) and len(policy.cells.planes):
-        used = np.unique(policy.cells.labels_at(policy.cells.mixed_cells)).tolist()
+    cells = policy.cells
+    oblique = isinstance(cells, SplitTree) and len(cells.planes) > 0
+    labels = cells.labels_at(cells.mixed_cells) if oblique else cells.boxes().labels
+    counts = np.bincount(labels, minlength=len(policy.controls))
+    used = np.flatnonzero(counts).tolist()
+    if oblique:
         edges: list[Any] = [(source, target, None, None) for source in used for target in used]
-        cells = np.bincount(
-            policy.cells.labels_at(policy.cells.mixed_cells), minlength=len(policy.controls)
-        )
-        what = "leaves"
-        vertices = [
-            {"symbol": k, "region": f"A{(k + 1) % len(policy.controls)}", "cells": int(cells[k])}
-            for k in used
-        ]
     else:
-        machine = Automaton.of(policy)
-        what = "cells" if isinstance(policy.cells, CellTree) else "leaves"
-        vertices = [
-            {
-                "symbol": region.label,
-                "region": machine.region_name(region.label),
-                "cells": region.cells,
-            }
-            for region in machine.regions
-        ]
-        edges = [(e.source, e.target, e.possible, e.sliding) for e in machine.edges]
+        edges = [(e.source, e.target, e.possible, e.sliding) for e in edges_between(policy, used)]
     keys = ("source", "target", "possible", "sliding")
     return {
-        "vertices": vertices,
+        "vertices": [{"symbol": k, "cells": int(counts[k])} for k in used],
         "edges": [dict(zip(keys, edge)) for edge in edges],
-        "what": what,
+        "what": "cells" if isinstance(cells, CellTree) else "leaves",
     }
 
 
@@ -123,5 +108,10 @@ def _drawing(policy: Policy, wanted: str | None) -> str | None:
         raise ProblemError(
             f"`drawing` '{wanted}' is of {len(DRAWINGS[wanted])} states "
             f"({', '.join(DRAWINGS[wanted])}); the policy has {policy.domain.n}"
+        )
+    if DRAWN_INPUTS[wanted] != len(policy.alphabet.inputs):
+        raise ProblemError(
+            f"`drawing` '{wanted}' shows {DRAWN_INPUTS[wanted]} inputs; "
+            f"the policy has {len(policy.alphabet.inputs)}"
         )
     return wanted

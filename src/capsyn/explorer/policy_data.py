@@ -11,7 +11,7 @@ from capsyn.cells import CellTree
 from capsyn.packing import smallest_type
 from capsyn.plant import ACCURACY, MOST_SUBSTEPS, SAMPLES
 from capsyn.policy import Policy
-from capsyn.policy_file import arrays_of, content_hash, content_of
+from capsyn.policy_file import arrays_of, content_of
 from capsyn.ssac import UNRESOLVED
 
 RATE = 1000.0
@@ -25,8 +25,8 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     It is what the policy's file holds (see docs/policy-format.md) but for the programs, which go to
     the page as JavaScript (`model_javascript`), with
 
-    - ``sha256``: its content's hash; ``evidence``: as in the file, without the hash;
-    - ``symbols``, ``controls``: names (N + 1) and control vectors (N + 1, m), the default last;
+    - ``symbols``, ``controls``: names (N + 1) and control vectors (N + 1, m), the default last; its
+      name is "outside" where cells of it are gaps;
     - ``counts``: steps of the lattice along each axis;
     - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
     - ``tree``: arrays of a decision tree, else None;
@@ -48,9 +48,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     if isinstance(data["target"], dict) and "program" in data["target"]:
         data["target"] = {"program": None}
     return data | {
-        "sha256": content_hash(policy),
-        "evidence": {kind: found for kind, found in policy.evidence.items() if kind != "sha256"},
-        "symbols": [*policy.alphabet.names, "default"],
+        "symbols": [*policy.alphabet.names, "outside" if policy.gaps else "default"],
         "controls": policy.controls.tolist(),
         "counts": list(policy.cells.counts),
         "cells": structure | packed if is_cells else None,

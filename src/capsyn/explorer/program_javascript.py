@@ -81,6 +81,8 @@ def _expression(operation: str, operands: list[float], names: list[str]) -> str:
 
 
 def _number(number: float) -> str:
+    if math.isnan(number):
+        return "NaN"
     if math.isinf(number):
         return "Infinity" if number > 0 else "-Infinity"
     return repr(number)

@@ -20,8 +20,8 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
     """
     if len(plan.tree.cells.planes):
         raise ProblemError(
-            "target dot draws the regions of symbols as boxes, and this tree has oblique splits; "
-            "compress in mode exact or freedom"
+            "target dot draws the regions of symbols as boxes, and this policy has oblique splits "
+            "or affine leaves"
         )
     header = "".join(f"// {line}\n" for line in plan.header)
     file = f"{file_name(name, plan.policy.name)}.dot"

@@ -14,7 +14,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from capsyn.decision_tree import DecisionTree
 from capsyn.errors import ProblemError
 from capsyn.exports.c_sizes import sizes
 from capsyn.exports.certificate import certificate
@@ -41,8 +40,7 @@ GOLDEN, CERTIFICATE, MEASURED = "golden.csv", "certificate.json", "measured.json
 
 def all_targets(policy: Policy) -> tuple[str, ...]:
     """Return the targets that a policy can be exported to: ``dot`` draws no oblique splits."""
-    oblique = isinstance(policy, DecisionTree) and len(policy.cells.planes) > 0
-    return tuple(target for target in TARGETS if target != "dot" or not oblique)
+    return tuple(target for target in TARGETS if target != "dot" or not policy.has_planes)
 
 
 def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:

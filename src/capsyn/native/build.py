@@ -112,6 +112,12 @@ def _cpu() -> str:
         return platform.machine() + platform.processor()
 
 
+def processor_name() -> str:
+    """Return what the processor calls itself."""
+    names = [line for line in _cpu().splitlines() if "model name" in line]
+    return names[0].partition(":")[2].strip() if names else platform.processor() or "unknown"
+
+
 def cache_directory() -> Path:
     """Return the directory of the kernel cache: ``CAPSYN_CACHE_DIR``, or the user's own."""
     chosen = os.environ.get("CAPSYN_CACHE_DIR")

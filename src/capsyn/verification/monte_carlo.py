@@ -168,6 +168,7 @@ def monte_carlo(
     confidence: float = 0.95,
     backend: str = "auto",
     threads: int | None = None,
+    executor: Any = None,
 ) -> MonteCarlo:
     """Return how often a controller reaches the target from random initial states.
 
@@ -203,6 +204,8 @@ def monte_carlo(
         Of everything that is drawn. The first trials do not depend on how many there are.
     confidence : float
         Of the interval of the success rate.
+    executor : dask.distributed.Client, optional
+        A cluster whose workers run the trials of a policy, with the same results.
 
     Raises
     ------
@@ -257,6 +260,7 @@ def monte_carlo(
         substeps=substeps,
         backend=backend,
         threads=threads,
+        executor=executor,
     )
     target = experiment.target
     assert target is not None

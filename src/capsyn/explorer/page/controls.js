@@ -1,11 +1,21 @@
-import { byId, element, short, withUnit } from "./dom.js";
+import { byId, element, short, whole, withUnit } from "./dom.js";
 
-/** Speeds of the player, in seconds of the system per second. */
+/** Speeds of the player, in seconds of the system per second where runs take about ten. */
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
-const MOST_SAMPLES = 400_000, USUAL_SAMPLES = 60_000;
+const MOST_SAMPLES = 400_000, USUAL_SAMPLES = 60_000, MOST_STEPS = 10_000_000;
+
+/** Usual duration [s] of a closed loop. */
+const usualDuration = data =>
+  Number(Math.min((data.horizon ?? 1) * 10, USUAL_SAMPLES / data.rate).toPrecision(1));
+
+/** The power of ten by which runs are played faster, so that none takes hours. */
+function pace(data) {
+  const tens = Math.log10(usualDuration(data) / 10);
+  return Math.abs(tens) <= 1 ? 1 : 10 ** Math.round(tens);
+}
 
 function labelled(text, control, ...more) {
-  return element("label", {}, element("span", {}, text), control, ...more);
+  return element("label", {}, element("span", { title: text }, text), control, ...more);
 }
 
 /** The tools over the map, and sliders for the states that are not in its plane. */
@@ -34,7 +44,7 @@ export function makeMapTools(app) {
     },
   });
   const follow = element("input", {
-    id: "follow", type: "checkbox", onchange: () => app.moved(),
+    id: "follow", type: "checkbox", checked: n > 2, onchange: () => app.moved(),
   });
   const replay = element("button", { id: "replay", type: "button", onclick: () => play(0),
     title: "Algorithm 1, level by level" }, "Replay");
@@ -75,6 +85,7 @@ export function makeMapTools(app) {
       step: (upper[i] - lower[i]) / 200,
       oninput: () => {
         view.fixed[i] = Number(input.value);
+        follow.checked = false;
         app.changed();
       },
     });
@@ -104,12 +115,13 @@ export function makeMapTools(app) {
 
 /** The bar of the player: play, reset, speed, and where it is. */
 export function makePlayerBar(app) {
-  const { player } = app, bar = byId("player");
+  const { player } = app, bar = byId("player"), unit = pace(app.data);
+  player.speed = unit;
   const play = element("button", { id: "play", type: "button", class: "main", onclick: () => toggle() });
   const reset = element("button", { id: "reset", type: "button", onclick: () => rewind() }, "Reset");
   const speed = element("select", {
     id: "speed", onchange: () => (player.speed = Number(speed.value)),
-  }, SPEEDS.map(v => element("option", { value: v, selected: v === 1 }, `${v}×`)));
+  }, SPEEDS.map(v => element("option", { value: v * unit, selected: v === 1 }, `${short(v * unit)}×`)));
   const scrub = element("input", {
     id: "scrub", type: "range", min: 0, max: 1, step: 0.001, value: 0, "aria-label": "Time",
     oninput: () => player.seek(Number(scrub.value) * app.longest()),
@@ -128,7 +140,9 @@ export function makePlayerBar(app) {
     play.textContent = player.playing ? "❚❚ Pause" : "▶ Play";
     for (const control of [play, reset, scrub]) control.disabled = !length;
     scrub.value = String(length ? player.time / length : 0);
-    time.textContent = `${player.time.toFixed(2)} s`;
+    const digits = length ? Math.min(Math.max(3 - Math.ceil(Math.log10(length)), 0), 12) : 2;
+    time.textContent = `${player.time.toFixed(digits)} s`;
+    scrub.setAttribute("aria-valuetext", `${time.textContent} of ${short(length)} s`);
   }
   return { sync, toggle, rewind };
 }
@@ -137,13 +151,13 @@ export function makePlayerBar(app) {
 export function makeSettings(app) {
   const { data } = app, box = byId("settings");
   const { lower, upper } = data.domain;
-  const usual = Number(Math.min((data.horizon ?? 1) * 10, USUAL_SAMPLES / data.rate).toPrecision(1));
+  const usual = usualDuration(data), problem = element("p", { id: "problem", role: "alert" });
   const fields = {};
 
   function field(name, text, unit, value, least, title) {
     fields[name] = element("input", {
       id: `set-${name}`, type: "number", value, min: least, step: "any", required: true, title,
-      onchange: () => app.rerun(),
+      oninput: () => options(), onchange: () => app.rerun(), "data-name": text, "aria-describedby": "problem",
     });
     return labelled(text, fields[name], element("span", { class: "unit" }, unit));
   }
@@ -162,29 +176,46 @@ export function makeSettings(app) {
   box.append(...[
     field("duration", "duration", "s", usual, 0, "How long each trajectory is"),
     field("rate", "sample rate", "1/s", data.rate, 0, "How often the policy is asked"),
-    field("noise", "noise", "% of width", 0, 0, "Standard deviation of the measured states"),
+    field("noise", "noise", "%", 0, 0, "Standard deviation of the measured states, in % of their widths"),
     field("delay", "delay", "ms", 0, 0, "From a sample until its control acts"),
     field("dwell", "least dwell", "s", data.min_dwell, 0, "Least time between switches"),
     labelled("outside", outside),
     data.target && labelled("stop at target", stop),
     labelled("keep earlier", keep),
+    problem,
   ].filter(Boolean));
+
+  /** Mark the fields that are wrong, and say why. */
+  function told(text, ...wrong) {
+    for (const input of Object.values(fields)) {
+      if (wrong.includes(input)) input.setAttribute("aria-invalid", "true");
+      else input.removeAttribute("aria-invalid");
+    }
+    problem.textContent = text;
+    document.body.classList.toggle("invalid", Boolean(text));
+    return text;
+  }
 
   /** Return options of the closed loop, or text that says what is wrong. */
   function options() {
-    const given = {};
+    const given = {}, { duration, rate } = fields;
     for (const [name, input] of Object.entries(fields)) {
-      const value = input.valueAsNumber;
-      const positive = name === "duration" || name === "rate";
+      const value = input.valueAsNumber, positive = input === duration || input === rate;
       if (!(positive ? value > 0 : value >= 0) || !Number.isFinite(value)) {
-        return `${input.id.slice(4)} must be a number ${positive ? "above 0" : "from 0"}`;
+        return told(`${input.dataset.name} must be a number ${positive ? "above 0" : "from 0"}`, input);
       }
       given[name] = value;
     }
     const samples = given.duration * given.rate;
     if (samples < 1 || samples > MOST_SAMPLES) {
-      return `duration × sample rate must be 1 to ${MOST_SAMPLES.toLocaleString("en-US")} samples`;
+      return told(`duration × sample rate must be 1 to ${whole(MOST_SAMPLES)} samples`, duration, rate);
     }
+    const { steps } = app.loop.substeps(given.rate);
+    if (samples * steps > MOST_STEPS) {
+      return told(`${whole(Math.round(samples))} samples of ${steps} integration steps would take too long`,
+        duration, rate);
+    }
+    told("");
     const rule = outside.value;
     return {
       duration: given.duration,

@@ -27,13 +27,16 @@ export function short(value, digits = 4) {
   if (!Number.isFinite(value)) return value > 0 ? "∞" : "−∞";
   const size = Math.abs(value);
   const text = size !== 0 && (size >= 1e6 || size < 1e-4)
-    ? value.toExponential(Math.max(0, digits - 2)).replace(/\.?0+e/, "e").replace("e+", "e")
+    ? value.toExponential(digits - 1).replace(/\.?0+e/, "e").replace("e+", "e")
     : String(Number(value.toPrecision(digits)));
   return text.replace("-", "−");
 }
 
 /** Return a whole number with separators. */
 export const whole = value => value.toLocaleString("en-US");
+
+/** Return a number of things in words. */
+export const counted = (count, one, many = `${one}s`) => `${whole(count)} ${count === 1 ? one : many}`;
 
 const RAISED = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
 
@@ -53,6 +56,15 @@ export function ticks(low, high, count) {
     found.push(Number((k * step).toPrecision(12)));
   }
   return found;
+}
+
+/** Return a function that writes ticks, with the digits that tell them apart. */
+export function tickText(found) {
+  const step = Math.min(...found.slice(1).map((value, k) => Math.abs(value - found[k])));
+  const most = Math.max(...found.map(Math.abs));
+  const digits = Number.isFinite(step) && step > 0 && most > 0
+    ? Math.floor(Math.log10(most)) - Math.floor(Math.log10(step) + 1e-9) + 2 : 4;
+  return value => short(value, Math.min(Math.max(digits, 4), 15));
 }
 
 /** Give a canvas the pixels of its box on the screen; return its size in CSS pixels and the scale. */

@@ -83,11 +83,12 @@ function valve(context, theme, x, y, open, name) {
 }
 
 function doubleTank(context, size, theme, { state, control, data }) {
-  const unit = (size.height - 62) / (1 + UPPER), wide = Math.min(92, size.width * 0.27);
+  const unit = (size.height - 62) / (1 + UPPER), wide = Math.min(92, size.width * 0.24);
   const floor = size.height - 24, upper = floor - UPPER * unit;
-  const [left, right] = [size.width * 0.24 - wide / 2 + 8, size.width * 0.66 - wide / 2];
+  const [left, right] = [size.width * 0.24 - wide / 2 + 8, size.width * 0.64 - wide / 2];
   const water = WATER[theme.mode], names = data.alphabet.inputs;
-  const goal = data.target && data.target.ball ? data.target.ball.center : null;
+  const goal = [null, null], { ball, axes } = data.target ?? {};
+  if (ball) axes.forEach((axis, k) => (goal[axis] = ball.center[k]));
   const middle = left + wide + (right - left - wide) / 2;
 
   const tank = (x, bottom, level, aim, name) => {
@@ -112,8 +113,8 @@ function doubleTank(context, size, theme, { state, control, data }) {
   pipe(control[0], [left - 22, top], [left + wide / 2, top], [left + wide / 2, top + 12]);
   pipe(control[1], [left + wide, upper - 5], [right + 8, upper - 5], [right + 8, upper + 6]);
   pipe(control[2], [right + wide, floor - 5], [right + wide + 44, floor - 5]);
-  tank(left, upper, state[0], goal && goal[0], data.domain.names[0]);
-  tank(right, floor, state[1], goal && goal[1], data.domain.names[1]);
+  tank(left, upper, state[0], goal[0], data.domain.names[0]);
+  tank(right, floor, state[1], goal[1], data.domain.names[1]);
   valve(context, theme, left - 2, top, control[0], names[0]);
   valve(context, theme, middle, upper - 5, control[1], names[1]);
   valve(context, theme, right + wide + 24, floor - 5, control[2], names[2]);

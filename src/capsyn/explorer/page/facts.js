@@ -8,7 +8,7 @@ export function showFacts(app) {
     element("section", { class: "card fact" }, element("h2", {}, title), ...content);
 
   const states = card("States", table(
-    ["state", "from", "to", "steps"],
+    ["state", "from", "to", "finest cells"],
     names.map((name, i) => [
       withUnit(name, units[i]) + (periodic[i] ? " ↻" : ""), short(lower[i]), short(upper[i]),
       data.counts[i].toLocaleString("en-US"),

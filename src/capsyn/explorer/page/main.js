@@ -1,6 +1,6 @@
 import { makeAutomaton } from "./automaton.js";
 import { makeMapTools, makePlayerBar, makeSettings } from "./controls.js";
-import { byId, element, short, unitText, whole } from "./dom.js";
+import { byId, counted, element, short, tickText, unitText, whole } from "./dom.js";
 import { makeDrawing } from "./drawings.js";
 import { showFacts, swatch } from "./facts.js";
 import { makeLookup, MIXED, NONE } from "./lookup.js";
@@ -12,6 +12,8 @@ import { makeTheme } from "./theme.js";
 import { makeView } from "./view.js";
 
 const MOST_TRACKS = 6;
+/** How long a note stays over the map [ms]. */
+const NOTED = 4000;
 const ENDS = {
   time: "ran to the end", target: "reached the target", "left the domain": "left the domain",
   "not finite": "is no longer finite",
@@ -23,8 +25,8 @@ export function start(model) {
   const lookup = makeLookup(data), { names, units, periodic } = data.domain;
   const n = names.length, count = data.symbols.length - 1;
   const view = makeView(data, lookup.levels);
-  const app = { data, model, lookup, view, tracks: [], active: null, pointed: null };
   const loop = data.loops ? makeLoop(data, lookup, model) : null;
+  const app = { data, model, lookup, view, loop, tracks: [], active: null, pointed: null };
   let made = 0, waiting = {};
 
   app.theme = makeTheme(count, () => restyle());
@@ -46,14 +48,15 @@ export function start(model) {
   app.changed = () => {
     tools.sync();
     document.body.classList.toggle("whole", view.level >= lookup.levels);
-    if (app.pointed) read(app.pointed.state);
+    reread();
     soon("map", () => map.draw());
   };
   app.moved = () => {
     bar?.sync();
     if (tools.follows() && app.active) {
-      view.fixed = Array.from(app.active.states[app.progress(app.active)], view.wrapped);
+      view.fixed = Array.from(app.active.states[app.progress(app.active)], view.held);
       tools.sync();
+      reread();
       map.draw();
     } else map.sweep();
     series?.sweep();
@@ -77,15 +80,35 @@ export function start(model) {
     soon("sweep", () => map.sweep());
   };
 
+  /** What is at a state; the cell is where the state is, however often it has gone round. */
   function read(state) {
     const cell = lookup.cell(state);
+    if (cell && cell.lower) {
+      const turned = (edge, i) => edge + state[i] - view.wrapped(state[i], i);
+      Object.assign(cell, { lower: cell.lower.map(turned), upper: cell.upper.map(turned) });
+    }
     app.pointed = { state, cell, ...lookup.symbol(state) };
   }
+
+  /** Read the place that is pointed at again: the plane or the other states have changed. */
+  function reread() {
+    if (app.pointed) read(view.state(...view.place(app.pointed.state)));
+    readout();
+  }
+
+  let noted = null;
+  /** Say something over the map for a while. */
+  app.note = text => {
+    clearTimeout(noted);
+    byId("note").textContent = text;
+    noted = setTimeout(() => (byId("note").textContent = ""), NOTED);
+  };
 
   function compute(x0) {
     const options = settings.options();
     if (typeof options === "string") {
-      byId("status").textContent = options;
+      byId("status").textContent = `Not computed: ${options}.`;
+      app.note(`No trajectory: ${options}`);
       return null;
     }
     const run = loop.run(x0, options);
@@ -98,8 +121,8 @@ export function start(model) {
     if (!loop) return;
     const run = compute(x0);
     if (!run) return;
-    if (!settings.keeps()) app.tracks = [];
-    else app.tracks = app.tracks.slice(-(MOST_TRACKS - 1));
+    const dropped = settings.keeps() && app.tracks.length === MOST_TRACKS ? app.tracks[0].number : null;
+    app.tracks = settings.keeps() ? app.tracks.slice(-(MOST_TRACKS - 1)) : [];
     if (!app.tracks.length) made = 0;
     const used = new Set(app.tracks.map(track => track.color));
     const color = [...Array(MOST_TRACKS).keys()].find(k => !used.has(k));
@@ -107,6 +130,7 @@ export function start(model) {
     app.active = { ...run, number: made, color };
     app.tracks.push(app.active);
     showTracks();
+    if (dropped) byId("status").textContent += ` · trajectory ${dropped} made room`;
     const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
     app.player.pause();
     app.player.time = still ? app.longest() : 0;
@@ -147,6 +171,7 @@ export function start(model) {
 
   function showTracks() {
     const status = app.active ? ended(app.active) : "Click a state on the map.";
+    const focused = document.activeElement?.closest(".chip")?.dataset.number;
     byId("status").textContent = status;
     const chips = app.tracks.map(track => {
       const badge = element("span", { class: "badge" }, String(track.number));
@@ -154,20 +179,23 @@ export function start(model) {
       const from = track.start.map(v => short(v, 3)).join(", ");
       const chip = element("span", { class: "chip", role: "listitem", "data-number": track.number },
         element("button", { type: "button", class: "choose", title: "Make it the active one",
-          onclick: () => {
+          "aria-pressed": String(track === app.active), onclick: () => {
             app.active = track;
             showTracks();
             app.moved();
           } },
         badge, element("span", {}, `from (${from})`),
         track.words ? element("small", {}, track.words) : null,
-        element("span", { class: "cost" }, `J ${short(track.totalCost)}`)),
+        element("span", { class: "cost", title: `Cost of all of it, eq. (3): ${short(track.cost.at(-1))} ` +
+          `while running and ${short(track.terminalCost)} at the end` }, `J ${short(track.totalCost)}`)),
         element("button", { type: "button", class: "drop", title: "Remove",
           "aria-label": `Remove trajectory ${track.number}`, onclick: () => drop(track) }, "×"));
       chip.classList.toggle("active", track === app.active);
       return chip;
     });
     byId("tracks").replaceChildren(...chips);
+    if (focused) (chips.find(chip => chip.dataset.number === focused) ?? chips.at(-1))
+      ?.querySelector(".choose").focus();
     series?.show();
     bar?.sync();
   }
@@ -177,10 +205,10 @@ export function start(model) {
     const parts = [
       `Trajectory ${track.number} ${ENDS[track.ended]}` +
         (track.ended === "time" ? ` (${at} s)` : ` at ${at} s`),
-      `${whole(track.switches)} switch${track.switches === 1 ? "" : "es"}`,
+      counted(track.switches, "switch", "switches"),
       data.target && (Number.isNaN(track.arrived) ? "target not reached"
         : `target first reached at ${short(track.arrived)} s`),
-      track.outside > 0 && `${whole(track.outside)} sample${track.outside > 1 ? "s" : ""} outside`,
+      track.outside > 0 && `${counted(track.outside, "sample")} outside`,
       !loop.substeps(track.rate).resolved && "integration not resolved: raise the sample rate",
     ];
     return parts.filter(Boolean).join(" · ");
@@ -202,17 +230,19 @@ export function start(model) {
     if (!at) row("state", "point at the map, or move the cursor with the arrow keys");
     else {
       row("state", names.map((text, i) => `${text} = ${value(short(at.state[i]), units[i])}`).join(", "));
-      row("symbol", swatch(at.symbol), name(at.symbol), at.symbol === NONE ? "" : element("span",
+      const later = at.cell && at.cell.level > view.level, final = later ? "final " : "";
+      if (later) row("then", swatch(MIXED), `still to split at level ${view.level}`);
+      row("symbol", swatch(at.symbol), final, name(at.symbol), at.symbol === NONE ? "" : element("span",
         { class: "quiet" }, ` ${data.alphabet.inputs.map((text, i) =>
           `${text} = ${value(short(data.controls.at(at.symbol)[i]), data.alphabet.units[i])}`).join(", ")}`));
       const { cell } = at;
       if (cell) {
         const box = cell.lower
-          ? cell.lower.map((low, i) => `[${short(low)}, ${short(cell.upper[i])}]`).join(" × ")
+          ? cell.lower.map((low, i) => `[${[low, cell.upper[i]].map(tickText([low, cell.upper[i]])).join(", ")}]`).join(" × ")
           : "cut by oblique splits";
         row("allowed", ...cell.allowed.flatMap(symbol => [swatch(symbol), `${name(symbol)} `]),
           element("span", { class: "quiet" }, cell.allowed.length > 1 ? "mixed" : ""));
-        row("cell", `${whole(cell.leaf)}, ${data.tree ? "depth" : "level"} ${cell.level}: ${box}`);
+        row("cell", `${final}${whole(cell.leaf)}, ${data.tree ? "depth" : "level"} ${cell.level}: ${box}`);
       } else row("cell", "outside the domain");
     }
     byId("readout").replaceChildren(...rows);
@@ -228,13 +258,22 @@ export function start(model) {
     }
   }
 
+  function only(symbol) {
+    view.only = symbol;
+    soon("map", () => map.draw());
+  }
+
   function legend() {
     const shown = [...Array(count).keys()];
     if (data.shares.at(-1) > 0) shown.push(-1);
     const entry = (mark, text, more = {}) =>
       element("span", { role: "listitem", ...more }, mark, text);
     byId("legend").replaceChildren(
-      ...shown.map(symbol => entry(swatch(symbol), data.symbols.at(symbol))));
+      ...shown.map(symbol => element("span", { role: "listitem" }, element("button", {
+        type: "button", class: "key", title: "Show only its cells", "data-symbol": symbol,
+        onpointerenter: () => only(symbol), onpointerleave: () => only(null),
+        onfocus: () => only(symbol), onblur: () => only(null),
+      }, swatch(symbol), data.symbols.at(symbol)))));
     if (loop && data.target && n > 1) {
       byId("legend").append(
         entry(element("span", { class: "line" }), "target", { title: data.target.text }));
@@ -254,12 +293,13 @@ export function start(model) {
   }
 
   byId("name").textContent = data.name;
+  if (!data.drawing) document.body.classList.add("undrawn");
   byId("summary").textContent = [
-    `${n} state${n > 1 ? "s" : ""}`,
-    `${count} symbols`,
-    data.tree ? `${whole((data.tree.split.shape[0] + 1) / 2)} leaves`
-      : `${whole(data.statistics.cells ?? data.automaton.vertices.reduce((sum, v) => sum + v.cells, 0))} cells`,
-    data.statistics.solves && `${whole(data.statistics.solves)} solves`,
+    counted(n, "state"),
+    counted(count, "symbol"),
+    data.tree ? counted((data.tree.split.shape[0] + 1) / 2, "leaf", "leaves")
+      : counted(data.automaton.vertices.reduce((sum, v) => sum + v.cells, 0), "cell"),
+    data.statistics.solves && counted(data.statistics.solves, "solve"),
   ].filter(Boolean).join(" · ");
   document.body.classList.toggle("flat", n === 1);
   document.body.classList.toggle("static", !loop);
@@ -306,8 +346,8 @@ export function start(model) {
     state: () => ({
       axes: [...view.axes], bounds: [...view.bounds], fixed: [...view.fixed], level: view.level,
       outlines: view.outlines, theme: app.theme.mode, time: app.player.time,
-      playing: app.player.playing, speed: app.player.speed, frame: map.frame(),
-      colors: app.theme.symbols,
+      playing: app.player.playing, speed: app.player.speed, frame: map.shown().frame,
+      only: view.only, colors: app.theme.symbols,
       pointed: app.pointed && { state: Array.from(app.pointed.state), symbol: app.pointed.symbol },
       tracks: app.tracks.map(track => ({
         number: track.number, start: track.start, end: Array.from(track.states.at(-1)),
@@ -318,5 +358,7 @@ export function start(model) {
       taken: automaton.taken(),
     }),
     redraw: map.redraw,
+    map: map.shown,
+    series: () => (series ? series.shown() : []),
   });
 }

@@ -1,11 +1,10 @@
-import { byId, fit, short, ticks, withUnit } from "./dom.js";
+import { byId, fit, tickText, ticks, withUnit } from "./dom.js";
 import { picture } from "./picture.js";
+import { targetPaths } from "./target.js";
 import { readable } from "./theme.js";
 
 const NEAR = 14;
 const MOVED = 4;
-/** Pixels between the samples of a target. */
-const GRAIN = 4;
 const FINE = 1 / 200, COARSE = 1 / 40;
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
 
@@ -21,7 +20,7 @@ export function makeMap(app) {
   const n = data.domain.lower.length;
   const margin = n > 1 ? { left: 60, right: 14, top: 12, bottom: 44 }
     : { left: 16, right: 16, top: 12, bottom: 44 };
-  let frame = { x: 0, y: 0, width: 1, height: 1 }, scale = 1, edge = new Path2D();
+  let frame = { x: 0, y: 0, width: 1, height: 1 }, scale = 1, goal = null, lines = new WeakMap(), labels = {};
 
   const label = axis => withUnit(data.domain.names[axis], data.domain.units[axis]);
   const toPixels = ([across, up]) => [
@@ -33,11 +32,11 @@ export function makeMap(app) {
     const size = fit(base);
     fit(overlay);
     scale = size.scale;
-    const whole = value => Math.round(value * scale) / scale;
+    const round = value => Math.round(value * scale) / scale;
     frame = {
       x: margin.left, y: margin.top,
-      width: Math.max(20, whole(size.width - margin.left - margin.right)),
-      height: Math.max(20, whole(size.height - margin.top - margin.bottom)),
+      width: Math.max(20, round(size.width - margin.left - margin.right)),
+      height: Math.max(20, round(size.height - margin.top - margin.bottom)),
     };
     const context = base.getContext("2d");
     context.setTransform(1, 0, 0, 1, 0, 0);
@@ -46,7 +45,7 @@ export function makeMap(app) {
     context.putImageData(picture(lookup, view, app.theme, w, h), frame.x * scale, frame.y * scale);
     context.setTransform(scale, 0, 0, scale, 0, 0);
     axes(context);
-    edge = target();
+    goal = target();
     sweep();
   }
 
@@ -60,10 +59,12 @@ export function makeMap(app) {
     context.textAlign = "center";
     context.textBaseline = "top";
     const bottom = frame.y + frame.height;
-    for (const value of ticks(x0, x1, frame.width / 90)) {
+    const columns = ticks(x0, x1, frame.width / 90), rows = ticks(y0, y1, frame.height / 60);
+    labels = { x: columns.map(tickText(columns)), y: n > 1 ? rows.map(tickText(rows)) : [] };
+    for (const [k, value] of columns.entries()) {
       const x = frame.x + ((value - x0) / (x1 - x0)) * frame.width;
       line(context, x, bottom + 1, x, bottom + 5);
-      context.fillText(short(value), x, bottom + 8);
+      context.fillText(labels.x[k], x, bottom + 8);
     }
     context.fillStyle = theme.ink;
     context.textBaseline = "alphabetic";
@@ -72,10 +73,10 @@ export function makeMap(app) {
     context.textAlign = "right";
     context.textBaseline = "middle";
     context.fillStyle = theme.quiet;
-    for (const value of ticks(y0, y1, frame.height / 60)) {
+    for (const [k, value] of rows.entries()) {
       const y = bottom - ((value - y0) / (y1 - y0)) * frame.height;
       line(context, frame.x - 5, y, frame.x - 1, y);
-      context.fillText(short(value), frame.x - 8, y);
+      context.fillText(labels.y[k], frame.x - 8, y);
     }
     context.save();
     context.translate(14, frame.y + frame.height / 2);
@@ -102,56 +103,25 @@ export function makeMap(app) {
     context.beginPath();
     context.rect(frame.x, frame.y, frame.width, frame.height);
     context.clip();
-    outlined(context, edge, app.theme.ink, 1);
-    for (const track of app.tracks) path(context, track);
+    if (goal) shade(context);
+    const order = [...app.tracks.filter(track => track !== app.active), app.active].filter(Boolean);
+    for (const track of order) path(context, track);
     pointer(context);
     context.restore();
-    for (const track of app.tracks) marks(context, track);
+    for (const track of order) marks(context, track);
   }
 
-  /** Where the target begins and ends in the plane, as short lines between the samples of a grid. */
+  /** Where the target is in the plane. */
   function target() {
-    const lines = new Path2D();
-    if (!app.model || !data.target || n === 1) return lines;
-    const across = Math.ceil(frame.width / GRAIN), up = Math.ceil(frame.height / GRAIN);
+    if (!app.model || !data.target || n === 1) return null;
     const [x0, x1, y0, y1] = view.bounds, [i, j] = view.axes;
     const state = Float64Array.from(view.fixed), answer = new Float64Array(1);
-    const inside = (column, row) => {
-      state[i] = x0 + (column / across) * (x1 - x0);
-      state[j] = y0 + (row / up) * (y1 - y0);
+    return targetPaths((across, up) => {
+      state[i] = x0 + across * (x1 - x0);
+      state[j] = y0 + up * (y1 - y0);
       app.model.inside(state, answer);
-      return answer[0] !== 0 ? 1 : 0;
-    };
-    /** The pixel between two points of the grid where the target ends. */
-    const crossing = (from, to) => {
-      const first = inside(...from);
-      let [low, high] = [from, to];
-      for (let k = 0; k < 6; k++) {
-        const middle = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
-        if (inside(...middle) === first) low = middle;
-        else high = middle;
-      }
-      return toPixels([low[0] / across, low[1] / up]);
-    };
-    let below = null;
-    for (let row = 0; row <= up; row++) {
-      const here = Uint8Array.from({ length: across + 1 }, (_, column) => inside(column, row));
-      for (let column = 0; below && column < across; column++) {
-        const corners = [below[column], below[column + 1], here[column + 1], here[column]];
-        const sum = corners[0] + corners[1] + corners[2] + corners[3];
-        if (sum === 0 || sum === 4) continue;
-        const [left, right] = [column, column + 1], [bottom, top] = [row - 1, row];
-        const points = [[left, bottom], [right, bottom], [right, top], [left, top]];
-        const crossed = [0, 1, 2, 3].filter(k => corners[k] !== corners[(k + 1) % 4])
-          .map(k => crossing(points[k], points[(k + 1) % 4]));
-        for (let k = 0; k + 1 < crossed.length; k += 2) {
-          lines.moveTo(...crossed[k]);
-          lines.lineTo(...crossed[k + 1]);
-        }
-      }
-      below = here;
-    }
-    return lines;
+      return answer[0] !== 0;
+    }, toPixels, frame.width, frame.height);
   }
 
   /** Shares of the plane without wrapping. */
@@ -160,52 +130,82 @@ export function makeMap(app) {
     return [(state[i] - x0) / (x1 - x0), n > 1 ? (state[j] - y0) / (y1 - y0) : 0.5];
   }
 
-  function outlined(context, lines, color, width) {
-    for (const [paint, wide] of [[app.theme.halo, width + 2], [color, width]]) {
-      context.strokeStyle = paint;
-      context.lineWidth = wide;
-      context.stroke(lines);
-    }
+  /** The target: hatched, within a dashed line. */
+  function shade(context) {
+    context.lineCap = "butt";
+    context.lineWidth = 1;
+    context.strokeStyle = app.theme.hatch;
+    context.stroke(goal.hatch);
+    context.strokeStyle = app.theme.halo;
+    context.lineWidth = 3;
+    context.stroke(goal.edge);
+    context.setLineDash([5, 4]);
+    context.strokeStyle = app.theme.ink;
+    context.lineWidth = 1.6;
+    context.stroke(goal.edge);
+    context.setLineDash([]);
   }
 
-  function halo(context, color, width, alpha) {
+  function halo(context, color, width, alpha, lines) {
     context.globalAlpha = alpha;
     context.lineJoin = "round";
     context.lineCap = "round";
-    context.strokeStyle = app.theme.halo;
-    context.lineWidth = width + 2.5;
-    context.stroke();
-    context.strokeStyle = color;
-    context.lineWidth = width;
-    context.stroke();
+    for (const [paint, wide] of [[app.theme.halo, width + 2.5], [color, width]]) {
+      context.strokeStyle = paint;
+      context.lineWidth = wide;
+      if (lines) context.stroke(lines);
+      else context.stroke();
+    }
     context.globalAlpha = 1;
   }
 
-  function trace(context, track, last) {
-    const { states } = track;
-    let [px, py] = toPixels(view.place(states[0]));
-    context.beginPath();
-    context.moveTo(px, py);
-    for (let k = 1; k <= last; k++) {
+  /** The line of a track between two of its samples; at the seam of a period it leaves and returns. */
+  function trace(track, first, last) {
+    const { states } = track, lines = new Path2D();
+    const period = [view.period(0) * frame.width, view.period(1) * frame.height];
+    let [px, py] = toPixels(view.place(states[first])), pieces = 1;
+    lines.moveTo(px, py);
+    for (let k = first + 1; k <= last; k++) {
       const [x, y] = toPixels(view.place(states[k]));
-      const [dx, dy] = [Math.abs(x - px), Math.abs(y - py)];
-      if (k < last && dx < 1 && dy < 1) continue;
-      const seam = dx > frame.width / 2 && dx > 40 || dy > frame.height / 2 && dy > 40;
-      if (seam) context.moveTo(x, y);
-      else context.lineTo(x, y);
+      const [dx, dy] = [x - px, y - py];
+      if (k < last && Math.abs(dx) < 1 && Math.abs(dy) < 1) continue;
+      const right = Math.abs(dx) > period[0] / 2 ? Math.sign(dx) * period[0] : 0;
+      const down = Math.abs(dy) > period[1] / 2 ? Math.sign(dy) * period[1] : 0;
+      if (right || down) {
+        lines.lineTo(x - right, y - down);
+        lines.moveTo(px + right, py + down);
+        pieces += 1;
+      }
+      lines.lineTo(x, y);
       [px, py] = [x, y];
     }
+    return Object.assign(lines, { pieces });
+  }
+
+  /** The whole line of a track, made anew when the view or the frame has changed. */
+  function whole(track) {
+    const key = [...view.axes, ...view.bounds, ...Object.values(frame)].join();
+    const kept = lines.get(track);
+    if (kept?.key === key) return kept.line;
+    const line = trace(track, 0, track.states.length - 1);
+    lines.set(track, { key, line, done: new Path2D(), at: 0 });
+    return line;
+  }
+
+  /** Its line up to a sample: what has been drawn is kept. */
+  function until(track, now) {
+    const kept = lines.get(track);
+    if (now < kept.at) Object.assign(kept, { done: new Path2D(), at: 0 });
+    if (now > kept.at) kept.done.addPath(trace(track, kept.at, now));
+    kept.at = now;
+    return kept.done;
   }
 
   function path(context, track) {
     const color = app.theme.track(track.color), now = app.progress(track);
-    const strong = track === app.active;
-    trace(context, track, track.states.length - 1);
-    halo(context, color, strong ? 1.6 : 1.2, now < track.states.length - 1 ? 0.32 : strong ? 1 : 0.75);
-    if (now < track.states.length - 1) {
-      trace(context, track, now);
-      halo(context, color, strong ? 2.2 : 1.6, 1);
-    }
+    const strong = track === app.active, all = whole(track), going = now < track.states.length - 1;
+    halo(context, color, strong ? 1.6 : 1.2, going ? 0.32 : strong ? 1 : 0.75, all);
+    if (going) halo(context, color, strong ? 2.2 : 1.6, 1, until(track, now));
   }
 
   function marks(context, track) {
@@ -311,7 +311,9 @@ export function makeMap(app) {
   overlay.addEventListener("pointercancel", () => (held = null));
   overlay.addEventListener("pointerleave", () => held || app.point(null));
   overlay.addEventListener("wheel", event => {
-    if (document.activeElement !== overlay && !event.ctrlKey) return;
+    if (document.activeElement !== overlay && !event.ctrlKey) {
+      return app.note("Ctrl and the wheel zoom; the wheel alone once the map has the focus");
+    }
     event.preventDefault();
     view.zoom(Math.exp(Math.sign(event.deltaY) * 0.2), view.state(...toShares(...position(event))));
     app.changed();
@@ -327,7 +329,7 @@ export function makeMap(app) {
       const next = at.map((v, k) => v + steps[event.key][k] * share);
       const beyond = next.map(v => Math.min(v, 0) + Math.max(v - 1, 0));
       if (beyond.some(Boolean)) view.move(beyond);
-      app.point(view.state(...next.map(v => Math.min(Math.max(v, 0), 1))), true);
+      app.point(view.state(...next.map(v => Math.min(Math.max(v, 0), 1))));
       if (beyond.some(Boolean)) app.changed();
     } else if (event.key === "Enter") app.start(about());
     else if (event.key === "+" || event.key === "=") zoomed(0.8, about());
@@ -346,5 +348,11 @@ export function makeMap(app) {
     app.changed();
   }
 
-  return { draw, sweep, redraw, zoomed, frame: () => ({ ...frame }) };
+  return {
+    draw, sweep, redraw, zoomed,
+    shown: () => ({
+      frame: { ...frame }, ticks: labels, target: goal ? goal.points : [],
+      pieces: app.tracks.map(track => whole(track).pieces),
+    }),
+  };
 }

@@ -1,5 +1,8 @@
 import { DEFAULT, MIXED, NONE } from "./lookup.js";
-import { pixel } from "./theme.js";
+import { blend, pixel } from "./theme.js";
+
+/** How much of the paper is mixed into the symbols that are not asked for. */
+const FADED = 0.82;
 
 /** Share of a pixel's colour that is left where a cell ends. */
 const OUTLINE = { light: 0.76, dark: 0.68 };
@@ -14,8 +17,10 @@ export function picture(lookup, view, theme, width, height) {
   const symbols = lookup.raster(wanted);
   const image = new ImageData(width, height);
   const pixels = new Uint32Array(image.data.buffer);
-  const colors = Uint32Array.from(theme.symbols, pixel);
-  const others = { [DEFAULT]: pixel(theme.fallback), [NONE]: pixel(theme.none) };
+  const shown = (color, symbol) =>
+    pixel(view.only === null || view.only === symbol ? color : blend(color, theme.paper, FADED));
+  const colors = Uint32Array.from(theme.symbols, shown);
+  const others = { [DEFAULT]: shown(theme.fallback, DEFAULT), [NONE]: pixel(theme.none) };
   const [plain, stripe] = [pixel(theme.mixed), pixel(theme.stripe)];
   for (let row = 0; row < rows; row++) {
     const end = (row + 1) * width;

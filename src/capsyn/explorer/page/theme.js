@@ -8,12 +8,12 @@ const CIVIDIS = [
 ];
 const THEMES = {
   light: {
-    paper: "#ffffff", ink: "#1c2128", quiet: "#5b6470", faint: "#d8dde3", halo: "#ffffff",
+    paper: "#ffffff", ink: "#1c2128", quiet: "#5b6470", faint: "#d8dde3", halo: "#ffffff", hatch: "#ffffffb0",
     mixed: "#ffffff", stripe: "#c3cad3", none: "#eef0f3", fallback: "#dfe3e8",
     tracks: ["#15181d", "#b3005e", "#00518a", "#6b3a00", "#37500a", "#5b2a86"],
   },
   dark: {
-    paper: "#171b21", ink: "#e6eaef", quiet: "#98a2ae", faint: "#323943", halo: "#0c0f13",
+    paper: "#171b21", ink: "#e6eaef", quiet: "#98a2ae", faint: "#323943", halo: "#0c0f13", hatch: "#0c0f13c0",
     mixed: "#171b21", stripe: "#485261", none: "#20262e", fallback: "#39414c",
     tracks: ["#ffffff", "#ff9acb", "#9bd8ff", "#ffc58a", "#d3ea8d", "#d9bfff"],
   },
@@ -25,7 +25,8 @@ function parts(color) {
   return [1, 3, 5].map(k => parseInt(color.slice(k, k + 2), 16));
 }
 
-function blend(one, other, share) {
+/** Return a colour with a share of another mixed in. */
+export function blend(one, other, share) {
   const [a, b] = [parts(one), parts(other)];
   const mixed = a.map((v, i) => Math.round(v * (1 - share) + b[i] * share));
   return "#" + mixed.map(v => v.toString(16).padStart(2, "0")).join("");

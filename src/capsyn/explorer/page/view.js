@@ -5,7 +5,8 @@ const FEWEST = 3;
 
 /**
  * Return the view of a policy's plane: which axes, the part of them that is seen, the values of the
- * other states, the level of Algorithm 1, and whether cells are outlined.
+ * other states, the level of Algorithm 1, whether cells are outlined, and the only symbol that is not
+ * faded (null: none is).
  */
 export function makeView(data, levels) {
   const { lower, upper, periodic } = data.domain, n = lower.length;
@@ -14,6 +15,7 @@ export function makeView(data, levels) {
     fixed: lower.map((low, i) => (low + upper[i]) / 2),
     level: levels,
     outlines: true,
+    only: null,
   };
   const width = axis => upper[axis] - lower[axis];
 
@@ -21,15 +23,16 @@ export function makeView(data, levels) {
     view.bounds = view.axes.flatMap(axis => [lower[axis], upper[axis]]);
   };
 
-  /** Show a part of the plane, moved and resized to what may be seen. */
+  /** Show a part of the plane, moved and resized to what may be seen; periodic axes go round. */
   view.show = bounds => {
     view.bounds = view.axes.flatMap((axis, k) => {
       const beyond = periodic[axis] ? 0 : BEYOND * width(axis);
       const most = width(axis) + 2 * beyond, least = (FEWEST * width(axis)) / data.counts[axis];
       const [from, to] = bounds.slice(2 * k, 2 * k + 2);
       const size = Math.min(Math.max(to - from, Math.min(least, most)), most);
-      const start = (from + to - size) / 2;
-      const low = Math.min(Math.max(start, lower[axis] - beyond), upper[axis] + beyond - size);
+      const middle = periodic[axis] && view.wrapped((from + to) / 2, axis);
+      const low = periodic[axis] ? middle - size / 2
+        : Math.min(Math.max((from + to - size) / 2, lower[axis] - beyond), upper[axis] + beyond - size);
       return [low, low + size];
     });
   };
@@ -74,12 +77,25 @@ export function makeView(data, levels) {
     return value - turns * width(axis);
   };
 
-  /** Return the shares of the plane, from the left and from the bottom, of a state. */
-  view.place = state => {
-    const [x0, x1, y0, y1] = view.bounds, [i, j] = view.axes;
-    const across = (view.wrapped(state[i], i) - x0) / (x1 - x0);
-    return [across, n > 1 ? (view.wrapped(state[j], j) - y0) / (y1 - y0) : 0.5];
+  /** Return a component within its bounds: the nearest where it does not go round. */
+  view.held = (value, axis) =>
+    periodic[axis] ? view.wrapped(value, axis) : Math.min(Math.max(value, lower[axis]), upper[axis]);
+
+  /** The period of a side of the plane in its shares; infinite where there is none. */
+  view.period = side => {
+    const axis = view.axes[side], [low, high] = view.bounds.slice(2 * side, 2 * side + 2);
+    return periodic[axis] ? width(axis) / (high - low) : Infinity;
   };
+
+  function share(state, side) {
+    const axis = view.axes[side], [low, high] = view.bounds.slice(2 * side, 2 * side + 2);
+    const at = (state[axis] - low) / (high - low), turn = view.period(side);
+    const off = Math.abs(at - 0.5);
+    return off <= turn / 2 + 1e-9 ? at : at - turn * Math.floor((at - 0.5) / turn + 0.5);
+  }
+
+  /** Return the shares of the plane, from the left and from the bottom, of a state. */
+  view.place = state => [share(state, 0), n > 1 ? share(state, 1) : 0.5];
 
   /** Return what `raster` and `places` of a lookup take, for so many pixels. */
   view.raster = (across, up) => ({

@@ -1,0 +1,352 @@
+"""Algorithm 1 of the paper with one symbol for each cell, level by level.
+
+A level whose test points would take too much memory is labelled block by block. What stays from
+block to block are the solved points, each with its key and mask, the entries of the cells, and the
+keys of the mixed cells' corners. So no point is solved twice, and the result is that of whole
+levels.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
+from capsyn.cell_points import CellPoints
+from capsyn.cells import CellTree
+from capsyn.errors import ProblemError, SynthesisError
+from capsyn.lattice_points import MANY, LatticePoints, Question
+from capsyn.limits import Limits
+from capsyn.masks import most_voted, preferred, several
+from capsyn.propositions import (
+    BYTES_PER_MIXED,
+    block_bytes,
+    block_room,
+    worst_case_solves,
+)
+
+TIMED_BYTES = 10**8
+"""Memory of the blocks between which the clock is looked at."""
+
+
+@dataclass(eq=False)
+class _Block:
+    """Parents' corners (M, n), and the keys of their children's test points as `CellBlocks`."""
+
+    parents: np.ndarray
+    keys: np.ndarray
+    table: np.ndarray
+    roles: np.ndarray
+
+
+@dataclass(eq=False)
+class _Level:
+    """Labelled cells.
+
+    Entries (K,); of those that are mixed and not split the places, the labels seen and the keys of
+    the corners (M,); and how many are, or were, mixed.
+    """
+
+    entries: np.ndarray
+    mixed: np.ndarray
+    seen: np.ndarray
+    corners: np.ndarray
+    count: int
+
+    @staticmethod
+    def joined(parts: list[_Level]) -> _Level:
+        """Return the cells of blocks that follow each other."""
+        if len(parts) == 1:
+            return parts[0]
+        starts = np.cumsum([0] + [len(p.entries) for p in parts[:-1]])
+        return _Level(
+            np.concatenate([p.entries for p in parts]),
+            np.concatenate([p.mixed + start for p, start in zip(parts, starts)]),
+            np.concatenate([p.seen for p in parts]),
+            np.concatenate([p.corners for p in parts]),
+            sum(p.count for p in parts),
+        )
+
+    @property
+    def split(self) -> int:
+        """How many cells are split."""
+        return self.count - len(self.mixed)
+
+
+class ConstantSubdivision:
+    """Algorithm 1, level by level, all cells of a level or of a block of it at once.
+
+    Arrays over the test points of a block have the point first and the parent cell last, so that
+    all work on masks runs along contiguous memory.
+    """
+
+    def __init__(
+        self,
+        partitions: tuple[int, ...],
+        refinement: tuple[int, ...],
+        max_level: int,
+        test_points: CellPoints,
+        seed: int,
+        order: list[int],
+        points: LatticePoints,
+        limits: Limits,
+    ) -> None:
+        self._n, self._q, self._r = len(partitions), partitions, refinement
+        self._max_level, self._test_points, self._seed = max_level, test_points, seed
+        self._order, self._points = order, points
+        self._blocks = CellBlocks(points, test_points, self._n, seed)
+        self._offsets = test_points.offsets(self._n)
+        self._roles = np.zeros(len(ROLES), dtype=np.int64)
+        self._solves = np.zeros(max_level + 1, dtype=np.int64)  # of test points
+        self._levels: list[_Level] = []
+        self._limits, self._room = limits, block_room(limits)
+        if self._room is not None and limits.max_seconds is not None:
+            self._room = min(self._room, TIMED_BYTES)
+        self._held = 0
+        self._started = time.perf_counter()
+        self._stopped = ""
+
+    def run(self) -> CellTree:
+        """Return the cells."""
+        parents = self._points.encode(
+            np.zeros((1, self._n), dtype=np.int64), grid_places(self._q) * self._size(0)
+        )[0]
+        start = 0
+        for level in range(self._max_level + 1):
+            cells = math.prod(self._split(level)) * len(parents)
+            if start + cells > 2**31 - 1:
+                raise SynthesisError(f"level {level} has more cells than 32-bit entries can number")
+            found = self._level(parents, level)
+            if found is None:
+                break
+            if level:  # the mixed cells of the level above are split after all
+                self._link(self._levels[-1], start, len(found.entries))
+            self._levels.append(found)
+            start += len(found.entries)
+            parents, found.corners = found.corners, found.corners[:0]
+            if self._stopped or not len(parents):
+                break
+        self._points.check_finite(self._points.count)
+        starts = np.cumsum([0] + [len(x.entries) for x in self._levels[:-1]])
+        mixed = [x.mixed + start for x, start in zip(self._levels, starts)]
+        return CellTree(
+            self._q,
+            self._r,
+            self._max_level,
+            np.concatenate([x.entries for x in self._levels]),
+            np.concatenate(mixed).astype(np.int32),
+            np.concatenate([x.seen for x in self._levels]).astype(np.uint64),
+        )
+
+    def statistics(self) -> dict[str, Any]:
+        """Return the counts of the subdivision as plain data."""
+        points = self._points
+        leaves = [len(x.entries) - x.split for x in self._levels]
+        stopped = {"stopped_by": self._stopped} if self._stopped not in ("", "max_solves") else {}
+        return stopped | {
+            "solves": points.count,
+            "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
+            "cells": sum(leaves),
+            "leaves_by_level": leaves,
+            "mixed_cells": sum(len(x.mixed) for x in self._levels),
+            "levels": [
+                {"cells": len(x.entries), "mixed": x.count, "solves": solves}
+                for x, solves in zip(self._levels, self._solves.tolist())
+            ],
+            "stopped_by_max_solves": self._stopped == "max_solves",
+            "indifferent_points": points.indifferent,
+            "not_finite_points": points.not_finite,
+            "not_finite_example": points.example,
+            "test_points": str(self._test_points),
+            "seed": self._seed,
+            "worst_case_solves": worst_case_solves(
+                self._q, self._r, self._max_level, self._test_points.interior(self._n)
+            ),
+        }
+
+    def _split(self, level: int) -> tuple[int, ...]:
+        """Return into how many children, per axis, the parents of a level's cells are split.
+
+        The cells of the root grid are their own parents.
+        """
+        return self._r if level else (1,) * self._n
+
+    def _size(self, level: int) -> np.ndarray:
+        """Return the edge lengths (n,) of the cells of a level [lattice units]."""
+        return FINE * np.array([r ** (self._max_level - level) for r in self._r], dtype=np.int64)
+
+    def _link(self, above: _Level, start: int, cells: int) -> None:
+        """Split the first mixed cells of a level into `cells` new ones from entry `start` on."""
+        children = math.prod(self._r)
+        split = cells // children
+        above.entries[above.mixed[:split]] = start + children * np.arange(split)
+        above.mixed, above.seen = above.mixed[split:], above.seen[split:]
+
+    def _level(self, parents: np.ndarray, level: int) -> _Level | None:
+        """Return the labelled children of cells whose corners have these keys.
+
+        Those of the first blocks, where time or memory is used up; None where there are no solves
+        for all of them, or no block was labelled.
+        """
+        need = block_bytes(self._test_points, self._split(level), self._points.dtype(0).nbytes)
+        step = len(parents) if self._room is None else max(1, self._room // need)
+        parts = [parents[i : i + step] for i in range(0, len(parents), step)]
+        cells = math.prod(self._split(level)) * len(parents)
+        quarter = level < self._max_level
+        counted = self._limits.max_solves is not None and len(parts) > 1
+        if counted:  # whether the solves suffice for all blocks is known before the first one
+            new = self._count_new((b.keys.ravel() for b in self._tests(parts, level)), level)
+            if self._exceeds(new, level):
+                return None
+            if quarter:
+                tied = (self._solve_and_tie(b, level, cells) for b in self._tests(parts, level))
+                quarter = not self._exceeds(self._count_new(tied, 1))
+        done = []
+        for block in self._tests(parts, level):
+            question = self._points.ask(block.keys.ravel())
+            if self._exceeds(int(question.new.sum()), level):
+                return None
+            masks = self._solve(block, question, level, cells)
+            done.append(self._label(block, masks, level, cells, quarter))
+            self._held = sum(_bytes(x) for x in [*self._levels, *done])
+        if done:
+            self._points.check_finite(self._points.count, MANY)
+        return _Level.joined(done) if done else None
+
+    def _tests(self, parts: list[np.ndarray], level: int) -> Iterator[_Block]:
+        """Yield the blocks of some parents, given by the keys of their corners.
+
+        No more, below the root grid, when time or memory is used up.
+        """
+        rng, split = self._blocks.stream(level), np.array(self._split(level))
+        for part in parts:
+            if level and self._used_up(len(part), level):
+                return
+            corners = self._points.places(part)
+            yield _Block(corners, *self._blocks.keys(corners, split, self._size(level), rng))
+
+    def _used_up(self, parents: int, level: int) -> bool:
+        """Return whether time or memory does not suffice for a block of so many parents."""
+        seconds, memory = self._limits.max_seconds, self._limits.max_memory
+        if seconds is not None and time.perf_counter() - self._started > seconds:
+            self._stopped = "max_seconds"
+        if memory is not None:
+            need = block_bytes(self._test_points, self._split(level), self._points.dtype(0).nbytes)
+            kept = self._points.count * self._points.point_bytes + self._held
+            if kept + parents * need > memory:
+                self._stopped = "max_memory"
+        return self._stopped in ("max_seconds", "max_memory")
+
+    def _exceeds(self, new: int, level: int = 1) -> bool:
+        """Return whether so many solves are more than are allowed."""
+        allowed = self._limits.max_solves
+        if allowed is None or self._points.count + new <= allowed:
+            return False
+        if level == 0:
+            raise ProblemError(
+                f"`max_solves` must be at least the {new} solves of level 0; got {allowed}"
+            )
+        self._stopped = "max_solves"
+        return True
+
+    def _count_new(self, keys: Iterable[np.ndarray], level: int) -> int:
+        """Return how many of all the keys are new; below the root grid, at least if too many."""
+        allowed = self._limits.max_solves
+        left = 0 if allowed is None or not level else allowed - self._points.count
+        new = np.empty(0, dtype=np.int64)
+        parts: list[np.ndarray] = []
+        for some in keys:
+            question = self._points.ask(some)
+            parts.append(question.distinct[question.new])
+            if sum(map(len, parts)) > max(left, 2 * len(new)):
+                new = np.unique(np.concatenate(parts))
+                parts = [new]
+                if level and len(new) > left:
+                    break
+        return len(np.unique(np.concatenate(parts))) if parts else 0
+
+    def _solve(self, block: _Block, question: Question, level: int, cells: int) -> np.ndarray:
+        """Return the masks (U, M) of a block's test points."""
+        shape = block.keys.shape
+        self._solves[level] += int(question.new.sum())
+        self._count_roles(block.roles[question.samples // shape[1]])
+        block.keys = block.keys[:0]
+        return self._points.answer(question, level, self._max_level, cells).reshape(shape)
+
+    def _solve_and_tie(self, block: _Block, level: int, cells: int) -> np.ndarray:
+        """Return the keys (K,) of the quarter rule of a block whose test points are solved."""
+        masks = self._solve(block, self._points.ask(block.keys.ravel()), level, cells)
+        masks = masks[block.table.T]
+        return self._tied(np.bitwise_and.reduce(masks, axis=0), masks, block.parents, level)[0]
+
+    def _label(
+        self, block: _Block, masks: np.ndarray, level: int, cells: int, quarter: bool
+    ) -> _Level:
+        """Return the labelled children of a block, whose test points have masks (U, M)."""
+        masks = masks[block.table.T]  # (points, children, parents)
+        common = np.bitwise_and.reduce(masks, axis=0)
+        if quarter:
+            common = self._quarter_rule(common, masks, block.parents, level, cells)
+        children, count = common.shape
+        entries = -1 - preferred(common, self._order).T.ravel()  # in the order of the blocks
+        mixed = np.flatnonzero(common.T == 0)
+        parent, child = np.divmod(mixed, children)
+        points = masks.reshape(len(masks), -1).take(child * count + parent, axis=1)
+        labels, seen = most_voted(points, self._order)
+        entries[mixed] = -1 - labels
+        deeper = slice(None) if level < self._max_level else slice(0)
+        corners = self._corners(block.parents, child[deeper], parent[deeper], level)
+        keys = self._points.encode(np.zeros((1, self._n), dtype=np.int64), corners)[0]
+        return _Level(entries, mixed, seen, keys, len(mixed))
+
+    def _corners(
+        self, parents: np.ndarray, child: np.ndarray, parent: np.ndarray, level: int
+    ) -> np.ndarray:
+        """Return the lower corners (K, n) of children of parents."""
+        return parents[parent] + grid_places(self._split(level))[child] * self._size(level)
+
+    def _count_roles(self, roles: np.ndarray) -> None:
+        self._roles += np.bincount(roles, minlength=len(ROLES))
+
+    def _tied(
+        self, common: np.ndarray, masks: np.ndarray, parents: np.ndarray, level: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the keys of the quarter rule, and the child and the parent of each.
+
+        Only fixed points are looked at again; the centre stays where it is.
+        """
+        movable = np.flatnonzero((self._offsets != 1).any(axis=1))
+        point, child, parent = np.nonzero(several(masks[movable]) & (common != 0))
+        corners = self._corners(parents, child, parent, level)
+        keys = self._blocks.quarter_keys(corners, self._size(level), self._offsets[movable[point]])
+        return keys, child, parent
+
+    def _quarter_rule(
+        self, common: np.ndarray, masks: np.ndarray, parents: np.ndarray, level: int, cells: int
+    ) -> np.ndarray:
+        """Return `common` (children, parents) after a second look at tied points.
+
+        Where that would exceed the solves that are allowed, this level is the last and goes
+        without.
+        """
+        keys, child, parent = self._tied(common, masks, parents, level)
+        if not len(keys):
+            return common
+        question = self._points.ask(keys)
+        if self._exceeds(int(question.new.sum())):
+            return common
+        self._count_roles(np.full(question.new.sum(), ROLES.index("quarter")))
+        moved = self._points.answer(question, level, self._max_level, cells, quarter=True)
+        common = common.copy()
+        np.bitwise_and.at(common, (child, parent), moved)
+        return common
+
+
+def _bytes(level: _Level) -> int:
+    """Return what labelled cells take, their entries twice: while they are joined."""
+    return 2 * level.entries.nbytes + BYTES_PER_MIXED * len(level.mixed)
