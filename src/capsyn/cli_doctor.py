@@ -235,6 +235,6 @@ def _print(data: dict[str, Any]) -> None:
 
 def _print_optional(tool: dict[str, Any], without: str) -> None:
     version = tool["version"] or "-"
-    typer.echo(f"  {tool['name']:<27}{version:<13}{tool['for']}")
+    typer.echo(f"  {tool['name']:<27}{version:<15}{tool['for']}")
     if tool["version"] is None:
-        typer.echo(f"  {'':<40}{without}{tool['without']}")
+        typer.echo(f"  {'':<42}{without}{tool['without']}")
