@@ -8,7 +8,7 @@ DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
   cppcheck gcc-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr binutils \
   iverilog verilator yosys graphviz nodejs chromium fonts-dejavu-core
 
-.PHONY: help demo test check bench docs figures page debian clean
+.PHONY: help demo test check bench docs figures page strip debian clean
 
 help:
 	@echo "make demo     synthesise the paper's two-symbol pendulum policy and draw it"
@@ -18,6 +18,7 @@ help:
 	@echo "make docs     draw the figures and build the site in build/docs; a warning is an error"
 	@echo "make figures  draw the figures of README and guides again"
 	@echo "make page     bundle the explorer's page again from its modules (Node)"
+	@echo "make strip    take outputs out of the notebooks"
 	@echo "make clean    remove what the other targets made"
 
 $(VENV)/installed: pyproject.toml
@@ -65,6 +66,9 @@ docs: $(VENV)/developed figures
 
 figures: $(VENV)/developed
 	$(BIN)/python docs/figures/draw.py
+
+strip:
+	$(PYTHON) docs/notebooks/strip.py
 
 debian:
 	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \

@@ -17,6 +17,7 @@ import pytest
 import yaml
 
 import capsyn
+from capsyn.cli_doctor import DATA
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "capsyn"
@@ -74,10 +75,11 @@ def test_the_wheel_is_the_package_and_nothing_else(wheel):
         str(path.relative_to(PACKAGE.parent))
         for path in PACKAGE.rglob("*")
         if path.is_file() and path.suffix not in (".pyc", ".pyo")
-    }
+    } - {f"capsyn/explorer/vendor/uPlot.{end}" for end in ("esm.js", "min.css")}  # bundled
     names = zipfile.ZipFile(wheel).namelist()
     assert {name for name in names if ".dist-info/" not in name} == here
-    assert {"capsyn/py.typed", "capsyn/native/ssac.c", "capsyn/exports/fmu.c"} <= here
+    needed = {f"capsyn/{folder}/{name}" for folder, files in DATA.items() for name in files}
+    assert {str(Path(name)) for name in needed} <= here
 
 
 def test_the_sdist_has_tests_guides_and_examples(built):
@@ -95,7 +97,9 @@ def test_one_version_and_honest_metadata(wheel):
     (name,) = (name for name in archive.namelist() if name.endswith("/METADATA"))
     metadata = Parser().parsestr(archive.read(name).decode())
     assert metadata["Version"] == capsyn.__version__
-    assert {"graphs", "all", "bench", "docs", "dev"} <= set(metadata.get_all("Provides-Extra"))
+    assert {"graphs", "gymnasium", "control", "all", "bench", "docs", "dev"} <= set(
+        metadata.get_all("Provides-Extra")
+    )
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert citation["version"] == capsyn.__version__
     assert citation["license"] == metadata["License-Expression"]
@@ -105,7 +109,8 @@ def test_one_version_and_honest_metadata(wheel):
 def test_what_is_imported_is_declared():
     declared = (ROOT / "pyproject.toml").read_text()
     needed = re.search(r"\ndependencies = \[(.*?)\]", declared, re.DOTALL)[1]
-    offered = re.search(r"\ngraphs = \[(.*?)\]", declared)[1]
+    all_of = re.search(r'\nall = \["capsyn\[(.*?)\]"\]', declared)[1].split(",")
+    offered = "".join(re.search(rf"\n{extra} = \[(.*?)\]", declared)[1] for extra in all_of)
     names = {re.match(r"[\w-]+", text)[0] for text in re.findall(r'"(.*?)"', needed + offered)}
     imported = set()
     for path in PACKAGE.rglob("*.py"):

@@ -25,6 +25,7 @@ from capsyn.processors import processors
 DATA = {
     "native": ("action.c", "lookup.c", "simulate.c", "ssac.c"),
     "exports": ("fmu.c", "schema.json"),
+    "explorer": ("page.css", "page.js", "page/page.html", "vendor/uPlot.LICENSE"),
     ".": ("py.typed",),
 }
 """Files beside the modules that an installation must have, by folder."""
@@ -45,15 +46,20 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "simavr": ("tests of exported C on an ATmega328P", "these tests are skipped"),
     "verilator": ("tests of exported Verilog", "these tests are skipped"),
     "yosys": ("tests of exported Verilog", "these tests are skipped"),
-    "node": ("tests of exported JavaScript", "these tests are skipped"),
+    "node": ("tests of exported JavaScript and of the explorer", "these tests are skipped"),
+    "chromium": ("tests of the explorer's page, and its picture", "these tests are skipped"),
 }
 """What a command is for, and what is without it."""
 EXTRAS: dict[str, tuple[str, str, str]] = {
     "networkx": ("graphs", "`Automaton.to_networkx`", "DOT, JSON and drawings"),
+    "gymnasium": ("gymnasium", "`capsyn.integrations.gymnasium`", "all else"),
+    "control": ("control", "`capsyn.integrations.control`", "all else"),
     "scikit-learn": ("bench", "CART in the benchmarks", "all else"),
     "fmpy": ("dev", "tests of the FMU", "exporting it"),
     "jsonschema": ("dev", "tests of exported JSON", "exporting it"),
     "tree-sitter-iec61131-3-st": ("dev", "tests of Structured Text", "exporting it"),
+    "playwright": ("dev", "tests of the explorer's page", "making it"),
+    "nbclient": ("dev", "tests of the notebooks", "reading and running them"),
     "sphinx": ("docs", "`make docs`", "all else"),
 }
 """Optional Python packages: their extra, what they are for, and what works without."""
@@ -229,6 +235,6 @@ def _print(data: dict[str, Any]) -> None:
 
 def _print_optional(tool: dict[str, Any], without: str) -> None:
     version = tool["version"] or "-"
-    typer.echo(f"  {tool['name']:<27}{version:<13}{tool['for']}")
+    typer.echo(f"  {tool['name']:<27}{version:<15}{tool['for']}")
     if tool["version"] is None:
-        typer.echo(f"  {'':<40}{without}{tool['without']}")
+        typer.echo(f"  {'':<42}{without}{tool['without']}")

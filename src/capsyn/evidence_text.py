@@ -38,8 +38,12 @@ def circumstances(conditions: dict[str, Any]) -> str:
         if name in usual or not value or value == "its own" or not isinstance(name, str):
             continue
         if isinstance(value, dict) and set(value) == {"low", "high"}:
-            value = f"{value['low']} to {value['high']}"
+            value = f"{_short(value['low'])} to {_short(value['high'])}"
         elif isinstance(value, dict):
             value = circumstances(value)
-        parts.append(f"{name.replace('_', ' ')} {value}")
+        parts.append(f"{name.replace('_', ' ')} {_short(value)}")
     return ", ".join(parts)
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -160,7 +160,8 @@ class Policy:
     def leaves(self, states: np.ndarray, nearest: bool, backend: str = "auto") -> np.ndarray:
         """Return leaf numbers (B,) of states (B, n): symbols, N for the default, negative for none.
 
-        With `nearest` a finite state outside the domain has that of the nearest cell.
+        With `nearest` a finite state outside the domain has that of the nearest cell; `backend` is
+        that of a call.
         """
         kernel = _lookup_kernel(self.domain.n, backend, len(states))
         if kernel is None:
@@ -172,7 +173,13 @@ class Policy:
         return labels
 
     def covers(self, states: Any) -> Any:
-        """Return whether states (..., n) are in the domain and in no gap, booleans (...)."""
+        """Return whether states (..., n) are in the domain and in no gap, booleans (...).
+
+        Raises
+        ------
+        ProblemError
+            States of another shape, or that are no numbers.
+        """
         states = numbers("states", states)
         if states.ndim == 0 or states.shape[-1] != self.domain.n:
             raise ProblemError(

@@ -113,6 +113,6 @@ def _steps(steps: int | None) -> str:
 
 def _weight(weight: Any) -> str:
     """Return a control weight as text: a number, or the rows of a matrix."""
-    if isinstance(weight, list):
+    if isinstance(weight, (list, tuple)):
         return "; ".join(", ".join(f"{v:g}" for v in row) for row in weight)
     return f"{weight:g}"

@@ -340,7 +340,8 @@ int16_t {p}_step({p}_state *state, const {self.reading} x[{n}], uint32_t now,
             known = f"*status == {upper}_OK"
         gap = ""
         if plan.policy.gaps:
-            gap = f"        if (symbol == {plan.gap}) {{\n            symbol = {plan.safe};\n"
+            safe = "" if plan.safe == plan.gap else f"            symbol = {plan.safe};\n"
+            gap = f"        if (symbol == {plan.gap}) {{\n{safe}"
             gap += f"            *status = {upper}_OUTSIDE;\n        }}\n"
         return f"""
 int16_t {p}_decide(const {self.reading} x[{plan.n}], {p}_status *status)

@@ -150,6 +150,11 @@ def problem_policy(label: Label, problem: Problem, **options: Any) -> Policy:
         The problem.
     options
         Those of `capsyn.subdivide` that are not given by the problem, or override it.
+
+    Raises
+    ------
+    ProblemError
+        Something else than a problem, or what `capsyn.subdivide` refuses.
     """
     if not isinstance(problem, Problem):
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")

@@ -62,7 +62,7 @@ class FiniteControlSet:
     threads: int
 
     def costs(self, states: np.ndarray) -> np.ndarray:
-        """Return the least costs (B, N) of the sequences that begin with each symbol.
+        """Return the least costs (B, N) of the sequences from states (B, n), by first symbol.
 
         They are infinite where no sequence has a finite cost.
         """
@@ -75,9 +75,10 @@ class FiniteControlSet:
             return np.concatenate(list(pool.map(self.solver, parts)))
 
     def masks(self, states: np.ndarray) -> np.ndarray:
-        """Return the symbols whose cost ties with the least, as bit masks (B,); 0 without any.
+        """Return the symbols whose cost ties with the least, as bit masks (B,), of states (B, n).
 
-        Costs within `TIE` of the least, relative to its size, tie.
+        A mask is 0 where no sequence has a finite cost. Costs within `TIE` of the least, relative
+        to its size, tie.
         """
         costs = self.costs(states)
         least = costs.min(axis=1, keepdims=True)
@@ -88,7 +89,10 @@ class FiniteControlSet:
         )
 
     def __call__(self, states: np.ndarray) -> np.ndarray:
-        """Return the first symbol (B,) of the best sequence, of ties the lowest; -1 without any."""
+        """Return the first symbol (B,) of the best sequence from states (B, n).
+
+        Of ties it is the lowest, and -1 where no sequence has a finite cost.
+        """
         masks = self.masks(states)
         return np.where(masks == 0, -1, preferred(masks, range(self.symbols)))
 

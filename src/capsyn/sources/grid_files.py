@@ -189,6 +189,13 @@ def read_npz(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -> 
     It holds ``first`` and ``step`` (n,), ``symbols`` as `Table.of` takes them, and ``alphabet``
     (N, m) or (N,) unless one is given. Nothing in it is ever run.
 
+    Parameters
+    ----------
+    path : path
+        The file.
+    alphabet : Alphabet, optional
+        The symbols. Default: the file's.
+
     Raises
     ------
     ProblemError

@@ -88,12 +88,19 @@ class Table:
 
         Parameters
         ----------
+        first, step : (n,)
+            The point of least states, and the distance of points [state units].
         symbols : (k1, .., kn) ints, or (k1, .., kn, N) booleans
             The symbol of each point, -1 for none; or which symbols are allowed there.
         alphabet : Alphabet, or (N, m) or (N,) numbers
             The symbols.
         names
             ``names``, ``units`` and ``periodic`` of the states.
+
+        Raises
+        ------
+        ProblemError
+            Arrays that make no table.
         """
         if not isinstance(alphabet, Alphabet):
             alphabet = Alphabet(alphabet)
