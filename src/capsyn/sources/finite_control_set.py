@@ -77,8 +77,8 @@ class FiniteControlSet:
     def masks(self, states: np.ndarray) -> np.ndarray:
         """Return the symbols whose cost ties with the least, as bit masks (B,), of states (B, n).
 
-        A mask is 0 where no sequence has a finite cost. Costs within `TIE` of the least, relative to
-        its size, tie.
+        A mask is 0 where no sequence has a finite cost. Costs within `TIE` of the least, relative
+        to its size, tie.
         """
         costs = self.costs(states)
         least = costs.min(axis=1, keepdims=True)
