@@ -3,10 +3,12 @@
 import json
 import re
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+import capsyn
 from capsyn import cli_doctor
 from capsyn.cli import app
 from capsyn.exports.c_sizes import COMPILERS
@@ -92,6 +94,15 @@ def test_the_text_says_what_works_without(tmp_path, monkeypatch):
     for _, without in cli_doctor.COMMANDS.values():
         assert f"without: {without}" in run.stdout
     assert "no kernels   no C compiler found" in run.stdout
+
+
+def test_the_files_beside_modules_are_looked_for():
+    root = Path(capsyn.__file__).parent
+    files = {path for path in root.rglob("*") if path.suffix in (".c", ".json", ".typed")}
+    files |= {path for path in (root / "explorer").glob("page.*") if path.is_file()}
+    files |= {root / "explorer" / "page" / "page.html", root / "explorer/vendor/uPlot.LICENSE"}
+    listed = [root / folder / name for folder, names in cli_doctor.DATA.items() for name in names]
+    assert set(listed) == files
 
 
 def test_the_lists_are_those_of_code_and_package():

@@ -23,7 +23,7 @@ from capsyn.native.kernels import LookupKernel
 from capsyn.processors import processors
 
 DATA = {
-    "native": ("action.c", "lookup.c", "simulate.c", "ssac.c"),
+    "native": ("action.c", "finite_control_set.c", "lookup.c", "simulate.c", "ssac.c"),
     "exports": ("fmu.c", "schema.json"),
     "explorer": ("page.css", "page.js", "page/page.html", "vendor/uPlot.LICENSE"),
     ".": ("py.typed",),
