@@ -108,6 +108,31 @@ def test_blocks_give_the_bytes_of_whole_levels(
         assert blocks is whole
 
 
+def test_blocks_decide_on_solves_as_whole_levels_do():
+    label = planar_masks(unit_box(), 11, 3, 0.004)
+    options = {"partitions": 5, "max_level": 4, "returns": "masks"}
+    everything = subdivide(label, unit_box(), 3, **options).statistics["solves"]
+    for budget in range(61, everything + 20, 13):
+        whole = subdivide(label, unit_box(), 3, max_solves=budget, **options)
+        with in_blocks(9):
+            assert same(subdivide(label, unit_box(), 3, max_solves=budget, **options), whole)
+
+
+def test_the_example_without_an_answer_does_not_depend_on_blocks():
+    def label(states):
+        far = np.abs(states - [1 / 3, 2 / 3]).max(axis=1)  # vertices of two blocks, late ones first
+        near = np.abs(states - [0.5, 0.5]).max(axis=1)
+        masks = planar_masks(unit_box(), 4, 3, 0.0)(states)
+        return np.where((far < 0.01) | (near < 0.01), np.uint64(0), masks)
+
+    options = {"partitions": 3, "max_level": 4, "returns": "masks"}
+    whole = subdivide(label, unit_box(), 3, **options)
+    assert whole.statistics["not_finite_points"] > 1
+    for parents in (1, 2, 3, 5):
+        with in_blocks(parents):
+            assert same(subdivide(label, unit_box(), 3, **options), whole)
+
+
 def test_no_point_is_solved_twice_in_blocks():
     label, batches = recorder(disc)
     with in_blocks(5):
