@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from capsyn import Box, Policy, cli, online_controller, problems, simulate, synthesize
+from capsyn.evidence_text import circumstances
 from capsyn.verification.monte_carlo import monte_carlo
 
 FUNCTIONS = """
@@ -259,3 +260,9 @@ def test_reproduce_writes_every_figure_and_a_table_of_the_numbers(run, folder):
     start = Box([0.1, 0.1], [0.9, 0.9])
     found = monte_carlo(policy, 10, initial=start)
     assert f"| {found.success.sum()} of 10 (" in row
+
+
+def test_circumstances_are_told_shortly_and_whatever_a_file_says():
+    conditions = {"rate": 6.0, "min_dwell": 1 / 3, "delay": 0.0, "noise": {"low": 0.1, "high": 1.0}}
+    assert circumstances(conditions) == "rate 6, min dwell 0.333333, noise 0.1 to 1"
+    assert circumstances({"noise": {"low": "x", "high": None}}) == "noise x to None"
