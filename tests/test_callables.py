@@ -98,3 +98,32 @@ def test_bad_arguments_are_named(arguments, options, words):
 def test_problem_policy_wants_a_problem():
     with pytest.raises(ProblemError, match="`problem` must be a capsyn.Problem"):
         problem_policy(law, BOX)
+
+
+def test_whole_numbers_are_no_controls_between_them():
+    states = np.zeros((3, 1))
+    for value, controls in ((0, [-0.5, 0.5]), (1, [-1.7, 1.7])):
+        label = labels_of(
+            lambda x, v=value: np.full(len(x), v), Alphabet(controls), actions="controls"
+        )
+        with pytest.raises(ProblemError, match="must return controls of the alphabet"):
+            label(states)
+
+
+def test_actions_the_other_way_round_are_refused():
+    alphabet = Alphabet([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    label = labels_of(
+        lambda x: np.array([[1.0] * len(x), [-1.0] * len(x)]), alphabet, actions="controls"
+    )
+    with pytest.raises(ProblemError, match=r"actions of shape \(3, 2\)"):
+        label(np.zeros((3, 1)))
+
+
+def test_controllers_that_work_in_place_move_nothing():
+    def controller(x):
+        x -= 0.2
+        return (x[:, 0] > 0).astype(int)
+
+    states = np.array([[0.1], [0.3]])
+    assert labels_of(controller, Alphabet([0, 1]))(states).tolist() == [0, 1]
+    assert states.tolist() == [[0.1], [0.3]]

@@ -164,3 +164,11 @@ def test_bad_arguments_are_named(options, words):
     given = {"problem": pendulum(), "depth": 3, "sample_time": 0.05} | options
     with pytest.raises(ProblemError, match=words):
         finite_control_set(given.pop("problem"), given.pop("depth"), **given)
+
+
+@pytest.mark.parametrize("backend", ["c", "numpy"])
+@pytest.mark.parametrize("shape", [(2,), (4, 1), (4, 3), (1, 2, 2)])
+def test_states_of_another_shape_are_refused(backend, shape):
+    control = finite_control_set(problems.get("cart-pendulum"), 2, sample_time=0.1, backend=backend)
+    with pytest.raises(ProblemError, match=r"`states` must be of shape \(B, 2\)"):
+        control(np.zeros(shape))

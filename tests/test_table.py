@@ -314,3 +314,10 @@ def test_too_many_points_are_refused():
     masks = np.broadcast_to(np.ones(1, np.uint64), (1 << 13, 1 << 13))
     with pytest.raises(ProblemError, match="at most 16,777,216 points; got 8,192 x 8,192"):
         Table([0, 0], [1, 1], masks, Alphabet([0]))
+
+
+@pytest.mark.parametrize("as_tree", [False, True])
+def test_notebooks_show_gaps_as_outside(as_tree):
+    policy = random_table((37, 23)).policy()
+    text = (compress(policy) if as_tree else policy)._repr_html_()
+    assert ">outside</text>" in text and ">default</text>" not in text

@@ -33,7 +33,8 @@ def policy_html(policy: Policy) -> str:
     paths = [f'<path fill="{colors[symbol]}" d="{_runs(symbols == symbol)}"/>' for symbol in used]
     width, height = WIDE * SCALE, rows * SCALE
     axes = " against ".join(_axis(domain, i) for i in range(min(domain.n, 2))[::-1])
-    named = [(symbol, policy.symbol_name(symbol)) for symbol in used[:MOST_NAMED]]
+    names = {symbol: policy.symbol_name(symbol) for symbol in used[:MOST_NAMED]}
+    named = (names | ({-1: "outside"} if policy.gaps and -1 in names else {})).items()
     entries = [
         f'<rect x="{width + 14}" y="{16 * row + 2}" width="10" height="10" '
         f'fill="{colors[symbol]}"/>'
@@ -64,7 +65,9 @@ def _symbols(policy: Policy, rows: int) -> np.ndarray:
     shares[..., 0] = (np.arange(WIDE) + 0.5) / WIDE
     if domain.n > 1:
         shares[..., 1] = 1 - (np.arange(rows)[:, None] + 0.5) / rows
-    return policy(domain.lower + shares * domain.widths, "nearest", backend="numpy")
+    states = (domain.lower + shares * domain.widths).reshape(-1, domain.n)
+    labels = policy.leaves(states, True, "numpy").reshape(rows, WIDE)
+    return np.where((labels < 0) | (labels == len(policy.alphabet)), -1, labels)
 
 
 def _runs(mask: np.ndarray) -> str:

@@ -152,9 +152,12 @@ def block_bytes(test_points: CellPoints, split: Sequence[int], mask: int) -> int
 
 def block_room(limits: Limits) -> int | None:
     """Return what a block of cells may take [bytes]; None where memory is unknown."""
-    given = (limits.max_memory, limits.memory_limit, available_memory())
-    limit = next((x for x in given if x is not None), None)
-    return None if limit is None else limit // ROOM
+    given = limits.max_memory if limits.max_memory is not None else limits.memory_limit
+    if given is not None:
+        return given // ROOM
+    free = available_memory()
+    # a power of two: what a checkpoint keeps must not depend on some free megabytes
+    return None if free is None else 1 << max(free // ROOM, 1).bit_length() - 1
 
 
 def worst_case_affine_memory(

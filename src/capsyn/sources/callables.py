@@ -77,7 +77,8 @@ def labels_of(
         return found[0] if isinstance(found, tuple) else found
 
     def label(states: np.ndarray) -> np.ndarray:
-        observed = states if observation is None else observation(states)
+        given = states.copy()  # what works in place must not move the caller's states
+        observed = given if observation is None else observation(given)
         if len(observed) != len(states):
             raise ProblemError(
                 f"`observation` must return {len(states)} observations; got {len(observed)}"
@@ -88,7 +89,8 @@ def labels_of(
         except ValueError:
             array = np.zeros(0, dtype=object)
         size = 1 if actions == "symbols" else alphabet.m
-        if array.dtype.kind not in "iuf" or array.size != len(states) * size:
+        shapes = [(len(states), size)] + [(len(states),)] * (size == 1)
+        if array.dtype.kind not in "iuf" or array.shape not in shapes:
             many = f"({len(states)}, {size})" if size > 1 else f"({len(states)},)"
             raise ProblemError(
                 f"`controller` must return actions of shape {many}; got {array.dtype} of shape "
@@ -124,7 +126,9 @@ def _symbols(found: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.nd
 def _symbols_of_controls(found: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.ndarray:
     symbols = np.full(len(found), -1)
     for symbol in range(len(alphabet) - 1, -1, -1):
-        value = alphabet.values[symbol].astype(found.dtype)  # as a float32 agent writes it
+        value = alphabet.values[symbol]
+        if found.dtype.kind == "f":  # as a float32 agent writes it
+            value = value.astype(found.dtype)
         symbols[(found == value).all(axis=1)] = symbol
     lost = np.flatnonzero(symbols < 0)
     if len(lost):

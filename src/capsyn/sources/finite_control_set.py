@@ -50,14 +50,15 @@ class FiniteControlSet:
         What gives the costs.
     backend : "c" or "numpy"
         What the solver is.
-    symbols : int
-        Number of symbols N.
+    states, symbols : int
+        Numbers of states n and of symbols N.
     threads : int
         Threads that solve; the result does not depend on it.
     """
 
     solver: Solver
     backend: str
+    states: int
     symbols: int
     threads: int
 
@@ -65,8 +66,15 @@ class FiniteControlSet:
         """Return the least costs (B, N) of the sequences from states (B, n), by first symbol.
 
         They are infinite where no sequence has a finite cost.
+
+        Raises
+        ------
+        ProblemError
+            States of another shape.
         """
         states = np.ascontiguousarray(states, dtype=float)
+        if states.ndim != 2 or states.shape[1] != self.states:
+            raise ProblemError(f"`states` must be of shape (B, {self.states}); got {states.shape}")
         size = max(BLOCK, -(-len(states) // self.threads))
         parts = [states[k : k + size] for k in range(0, len(states), size)]
         if len(parts) < 2:
@@ -180,7 +188,7 @@ def finite_control_set(
     used = "numpy" if solver is None else "c"
     if solver is None:
         solver = _NumpySolver(model.step, end, *plan)
-    return FiniteControlSet(solver, used, count, processors(threads))
+    return FiniteControlSet(solver, used, problem.domain.n, count, processors(threads))
 
 
 @dataclass(frozen=True, eq=False)
