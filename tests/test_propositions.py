@@ -105,14 +105,22 @@ def test_level_for_precision_refuses_what_is_no_precision(precision):
         props.level_for_precision(unit_box(2), precision, 9)
 
 
+def test_blocks_do_not_follow_some_free_megabytes(monkeypatch):
+    rooms = set()
+    for free in (1_400_000_000, 1_499_000_000, 1_500_000_000, 1_600_000_000):
+        monkeypatch.setattr(props, "available_memory", lambda free=free: free)
+        rooms.add(props.block_room(Limits()))
+    assert rooms == {2**28}
+    assert props.block_room(Limits(max_memory=10**7)) == 10**7 // props.ROOM
+
+
 @pytest.mark.parametrize("max_solves", [None, 10**6])
 def test_too_large_max_level_says_how_much_and_what_would_fit(monkeypatch, max_solves):
     free = 20_000_000
     monkeypatch.setattr(props, "available_memory", lambda: free)
-    need = [
-        props.worst_case_memory(*PAPER, k, CENTER, 1, max_solves, free // props.ROOM)
-        for k in range(8)
-    ]
+    room = props.block_room(Limits())
+    assert free // 8 < room <= free // 4
+    need = [props.worst_case_memory(*PAPER, k, CENTER, 1, max_solves, room) for k in range(8)]
     fits = max(k for k in range(8) if need[k] <= free)
     assert fits < 7 and need == sorted(need)
     with pytest.raises(ProblemError) as caught:
