@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -78,8 +79,7 @@ def files(
         f"{module.name}_tb.v": made,
         f"{module.name}.mem": vectors,
     }
-    changed = changed_share(plan, ports) if ports else None
-    return Made(written, module.renamed, changed=changed, golden=at_ports)
+    return Made(written, module.renamed, changed=module.changed, golden=at_ports)
 
 
 def _per_state(name: str, given: object, n: int, least: int) -> tuple[int | None, ...]:
@@ -135,6 +135,11 @@ class _Module:
             self.plan, self.ports, self.name, self.inputs,
             self.widths, self.symbol_bits, self.clocked, self.dwell,
         )  # fmt: skip
+
+    @functools.cached_property
+    def changed(self) -> float | None:
+        """Share of states whose symbol the rounding of the ports changes; None without any."""
+        return changed_share(self.plan, self.ports) if self.ports else None
 
     def _stages(self, pipeline: bool | int) -> int:
         depth = max(1, self.tree.depth)
@@ -197,8 +202,7 @@ class _Module:
                 )
                 if domain.periodic[i]:
                     yield f"  beyond, whole turns of {port.turn} units are taken away"
-            share = changed_share(plan, self.ports)
-            yield f"Share of random states whose symbol the rounding changes: {share!r}"
+            yield f"Share of random states whose symbol the rounding changes: {self.changed!r}"
         if not self.clocked:
             yield "A circuit without a clock or registers."
         else:
