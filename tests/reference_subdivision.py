@@ -124,7 +124,7 @@ def cells_of(policy):
         corners = part.lower // tree.sizes(part.level)
         assert (corners * tree.sizes(part.level) == part.lower).all()
         for entry, corner, label in zip(
-            part.entries.tolist(), corners.tolist(), part.labels.tolist()
+            part.places.tolist(), corners.tolist(), tree.labels_at(part.places).tolist()
         ):
             cell = (part.level, tuple(corner))
             assert cell not in leaves

@@ -119,7 +119,7 @@ def test_every_count_is_that_of_a_plain_recount(name, request):
     mixed = np.isin(cell, tree.mixed_cells)
     assert (found.mixed_states, found.mixed_agreeing) == (mixed.sum(), agree[mixed].sum())
     for leaves in tree.leaves():
-        here = np.isin(cell, leaves.entries)
+        here = np.isin(cell, leaves.places)
         assert found.level_states[leaves.level] == here.sum()
         assert found.level_agreeing[leaves.level] == agree[here].sum()
 
@@ -172,10 +172,10 @@ def test_other_confidence_and_seed(pendulum):
 def test_a_planted_island_is_found_and_located(pendulum, level):
     tree, domain = pendulum.cells, pendulum.domain
     leaves = next(x for x in tree.leaves() if x.level == level)
-    uniform = np.flatnonzero(~np.isin(leaves.entries, tree.mixed_cells))
+    uniform = np.flatnonzero(~np.isin(leaves.places, tree.mixed_cells))
     chosen = uniform[len(uniform) // 3]
-    label = int(leaves.labels[chosen])
-    planted = relabeled(pendulum, leaves.entries[chosen], 1 - label)
+    label = int(tree.labels_at(leaves.places[chosen]))
+    planted = relabeled(pendulum, leaves.places[chosen], 1 - label)
 
     before, found = (agreement(p, 100_000) for p in (pendulum, planted))
     corners = leaves.lower[chosen] + np.array([[0, 0], tree.sizes(level)])
@@ -217,7 +217,7 @@ def test_any_of_the_symbols_that_tie_agrees():
     found = agreement(policy, 4000)
     assert found.share > 0.97 and 1800 < found.ties < 2200
     leaves = next(x for x in policy.cells.leaves() if x.level == 0)
-    cell = leaves.entries[-1]  # at x near 1 both symbols that go down are best
+    cell = leaves.places[-1]  # at x near 1 both symbols that go down are best
     assert -1 - policy.cells.entries[cell] == 0
     also = agreement(relabeled(policy, cell, 1), 4000)
     assert also.agreeing == found.agreeing and also.pairs[1, 1] > 0

@@ -24,29 +24,30 @@ def paint(tree, value):
     """Return an array over the finest cells that adds ``value(leaves)`` over each leaf's box."""
     canvas = np.zeros(tree.counts, dtype=np.int64)
     for leaves in tree.leaves():
-        size = tree.sizes(leaves.level)
-        for corner, number in zip(leaves.lower, value(leaves)):
+        for corner, size, number in zip(leaves.lower, leaves.sizes, value(leaves)):
             canvas[tuple(slice(a, a + s) for a, s in zip(corner, size))] += number
     return canvas
 
 
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_leaves_tile_the_domain_exactly_once(grid, seed):
-    tree = random_tree(*grid, LEAVES, seed=seed)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_leaves_tile_the_domain_exactly_once(grid, seed, some_axes):
+    tree = random_tree(*grid, LEAVES, seed=seed, some_axes=some_axes)
     tree.check(LEAVES)
-    assert (paint(tree, lambda x: np.ones(len(x.entries), int)) == 1).all()
+    assert (paint(tree, lambda x: np.ones(len(x.places), int)) == 1).all()
     assert math.fsum(tree.boxes().volumes()) == math.prod(tree.counts)
-    assert sum(len(x.entries) for x in tree.leaves()) == tree.leaf_count
+    assert sum(len(x.places) for x in tree.leaves()) == tree.leaf_count
 
 
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("split", [0.2, 0.9])
-def test_find_is_the_leaf_whose_box_holds_the_cell(grid, split):
-    tree = random_tree(*grid, LEAVES, split, seed=2)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_find_is_the_leaf_whose_box_holds_the_cell(grid, split, some_axes):
+    tree = random_tree(*grid, LEAVES, split, seed=2, some_axes=some_axes)
     steps = all_steps(tree)
-    entries = paint(tree, lambda x: x.entries).ravel()
-    labels = paint(tree, lambda x: x.labels).ravel()
+    entries = paint(tree, lambda x: x.places).ravel()
+    labels = paint(tree, lambda x: tree.labels_at(x.places)).ravel()
     assert np.array_equal(tree.find(steps), entries)
     assert np.array_equal(tree.labels(steps), labels)
     order = np.random.default_rng(0).permutation(len(steps))
@@ -61,14 +62,15 @@ def test_find_on_random_trees(data):
     refinement = tuple(1 + r for r in data.draw(numbers))
     max_level = data.draw(st.integers(0, 3 if n < 3 else 2 if n < 4 else 1))
     seed = data.draw(st.integers(0, 99))
-    tree = random_tree(partitions, refinement, max_level, LEAVES, 0.3, seed)
+    some_axes = data.draw(st.booleans())
+    tree = random_tree(partitions, refinement, max_level, LEAVES, 0.3, seed, some_axes)
     tree.check(LEAVES)
     steps = np.random.default_rng(seed).integers(0, tree.counts, (50, n))
     holds = np.zeros(len(steps), dtype=int)
     entries = np.zeros(len(steps), dtype=int)
     for leaves in tree.leaves():
-        for place, corner in zip(leaves.entries, leaves.lower):
-            inside = ((steps >= corner) & (steps < corner + tree.sizes(leaves.level))).all(axis=1)
+        for place, corner, size in zip(*leaves[1:]):
+            inside = ((steps >= corner) & (steps < corner + size)).all(axis=1)
             holds += inside
             entries[inside] = place
     assert (holds == 1).all()
@@ -81,23 +83,30 @@ def test_find_takes_no_cells():
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_levels_visit_every_cell_once_below_its_parent(grid):
-    tree = random_tree(*grid, LEAVES, 0.7, seed=3)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_levels_visit_every_cell_once_below_its_parent(grid, some_axes):
+    tree = random_tree(*grid, LEAVES, 0.7, seed=3, some_axes=some_axes)
     seen, above = [], None
-    for number, (level, places, lower) in enumerate(tree.levels()):
-        assert level == number and len(places) == len(lower)
-        assert (lower % tree.sizes(level) == 0).all() and (lower >= 0).all()
-        assert (lower < tree.counts).all()
-        if above is not None:  # a cell's parent is the cell above whose box holds its corner
-            parents = {tuple(corner) for corner in above}
-            size = tree.sizes(level - 1)
-            held = [tuple(corner // size * size) for corner in lower]
-            assert set(held) == parents
-            assert len(held) == len(parents) * math.prod(tree.refinement)
-        above = lower[tree.entries[places] >= 0]
+    for number, cells in enumerate(tree.levels()):
+        level, places, lower, sizes = cells
+        assert level == number and len(places) == len(lower) == len(sizes)
+        assert (lower % sizes == 0).all() and (lower >= 0).all()
+        assert (lower + sizes <= tree.counts).all()
+        if not some_axes:
+            assert (sizes == tree.sizes(level)).all()
+        if above is not None:  # the cells of a block lie in its cell
+            start = 0
+            for corner, size, factors in zip(above.lower, above.sizes, tree.factors(above.places)):
+                block = slice(start, start + math.prod(factors.tolist()))
+                assert (lower[block] >= corner).all()
+                assert (lower[block] + sizes[block] <= corner + size).all()
+                assert (sizes[block] * factors == size).all()
+                start = block.stop
+            assert start == len(places)
+        above = cells.where(tree.entries[places] >= 0)
         seen.append(places)
     assert np.array_equal(np.concatenate(seen), np.arange(len(tree.entries)))
-    assert not len(above)
+    assert not len(above.places)
 
 
 def test_shape_of_a_tree():
@@ -111,7 +120,7 @@ def test_shape_of_a_tree():
 def test_a_refinement_that_is_never_used_costs_nothing():
     tree = CellTree((1, 1), (MAX_COUNT, MAX_COUNT), 1, np.full(1, -1, np.int32), *empty_mixed())
     tree.check(1)
-    assert [x.labels.tolist() for x in tree.leaves()] == [[0]]
+    assert [tree.labels_at(x.places).tolist() for x in tree.leaves()] == [[0]]
     assert tree.labels(np.array([[MAX_COUNT - 1, 0]])).tolist() == [0]
 
 
@@ -187,7 +196,7 @@ def test_any_changed_entry_is_refused_or_another_well_formed_tree(grid):
         except PolicyFormatError:
             refused += 1
             continue
-        assert (paint(changed, lambda x: np.ones(len(x.entries), int)) == 1).all()
+        assert (paint(changed, lambda x: np.ones(len(x.places), int)) == 1).all()
     assert refused
 
 

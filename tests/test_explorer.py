@@ -140,7 +140,7 @@ def test_levels_replay_the_algorithm(show):
         pixels, states = shown.colors(shares)
         steps = policy.domain.locate(states, policy.cells.counts)
         depth = {entry: leaves.level for leaves in policy.cells.leaves()
-                 for entry in leaves.entries.tolist()}  # fmt: skip
+                 for entry in leaves.places.tolist()}  # fmt: skip
         known = np.array([depth[entry] <= level for entry in policy.cells.find(steps).tolist()])
         wanted = np.array(colors)[policy(states)]
         painted = (pixels == wanted).all(axis=1)

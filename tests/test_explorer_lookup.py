@@ -185,15 +185,13 @@ def seen_at_level(policy, states, level):
     cells = policy.cells
     steps = policy.domain.locate(states, cells.counts)
     found = np.full(len(states), -3)
-    for here, places, lower in cells.levels():
+    for here, places, lower, sizes in cells.levels():
         if here > level:
             break
-        size = cells.sizes(here)
-        known = dict(zip(map(tuple, (lower // size).tolist()), cells.entries[places].tolist()))
-        for row, key in enumerate(map(tuple, (steps // size).tolist())):
-            entry = known.get(key, 0)
+        for entry, corner, size in zip(cells.entries[places], lower, sizes):
+            inside = ((steps >= corner) & (steps < corner + size)).all(axis=1)
             if entry < 0:
-                found[row] = -1 - entry
+                found[inside] = -1 - entry
     found[found == len(policy.alphabet)] = -1
     return found
 

@@ -48,7 +48,7 @@ def test_layers_show_what_is_labelled_so_far_and_white_where_cells_are_divided()
     policy = policy_of()
     tree = policy.cells
     drawn = paper_figures.draw_layers(policy, axes(3))
-    cells = [leaves.level for leaves in tree.leaves() for _ in leaves.labels]
+    cells = [leaves.level for leaves in tree.leaves() for _ in leaves.places]
     for level, ax in enumerate(drawn):
         found = list(polygons(ax))
         assert sum(area for _, area, _ in found) == pytest.approx(4.0)

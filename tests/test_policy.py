@@ -168,8 +168,8 @@ def test_lookup_against_a_search_among_the_faces(grid, periodic):
         steps[:, i] = np.searchsorted(faces, states[:, i], side="right") - 1
     wanted = np.full(len(states), -9)
     for leaves in made.cells.leaves():
-        size = made.cells.sizes(leaves.level)
-        for corner, label in zip(leaves.lower, leaves.labels):
+        labels = made.cells.labels_at(leaves.places)
+        for corner, size, label in zip(leaves.lower, leaves.sizes, labels):
             held = ((steps >= corner) & (steps < corner + size)).all(axis=1)
             wanted[held] = label if label < 2 else -1
     assert len(states) > 100 and np.array_equal(made(states), wanted)
@@ -468,7 +468,7 @@ def test_exchanging_the_axes_exchanges_the_cells(cylinder):
 def test_statistics_count_the_cells(plane, cylinder):
     for made in (plane, cylinder):
         assert made.statistics["cells"] == made.cells.leaf_count
-        by_level = [len(x.entries) for x in made.cells.leaves()]
+        by_level = [len(x.places) for x in made.cells.leaves()]
         assert made.statistics["leaves_by_level"] == by_level
         made.cells.check(len(made.alphabet) + 1)
 

@@ -321,7 +321,7 @@ def test_statistics_agree_with_the_cells():
     label = noisy_masks(9, 3, 1)
     policy = subdivide(label, unit_box(), 3, partitions=3, max_level=3, returns="masks")
     statistics, tree = policy.statistics, policy.cells
-    leaves = [len(part.entries) for part in tree.leaves()]
+    leaves = [len(part.places) for part in tree.leaves()]
     assert statistics["leaves_by_level"] == leaves
     assert statistics["cells"] == tree.leaf_count == sum(leaves)
     assert statistics["mixed_cells"] == len(tree.mixed_cells)
@@ -342,7 +342,9 @@ def test_mixed_cells_are_leaves_that_carry_the_labels_seen():
     checked = 0
     for part in tree.leaves():
         size = tree.sizes(part.level)
-        for entry, lower, label in zip(part.entries.tolist(), part.lower, part.labels.tolist()):
+        for entry, lower, label in zip(
+            part.places.tolist(), part.lower, tree.labels_at(part.places).tolist()
+        ):
             corners = lower + size * np.array(list(itertools.product((0, 1), repeat=2)))
             found = disc(tree_states(policy, corners)) % 4  # -1 is leaf number 3
             assert seen.get(entry, 1 << label) == sum(1 << int(s) for s in set(found))

@@ -31,20 +31,35 @@ def random_tree(
     leaf_count: int = 3,
     split: float = 0.5,
     seed: int = 0,
+    some_axes: bool = False,
 ) -> CellTree:
-    """Return a well-formed tree with random splits, labels and mixed cells."""
+    """Return a well-formed tree with random splits, labels and mixed cells.
+
+    With `some_axes` cells are split along some of the axes each.
+    """
     rng = np.random.default_rng(seed)
+    n = len(partitions)
     entries = -1 - rng.integers(0, leaf_count, math.prod(partitions))
-    start, level = 0, 0
-    while level < max_level:
-        here = start + np.flatnonzero(rng.random(len(entries) - start) < split)
+    times, splits = np.zeros((len(entries), n), dtype=int), np.zeros(len(entries), dtype=np.uint16)
+    start = 0
+    while True:
+        axes = times[start:] < max_level
+        if some_axes:
+            axes &= rng.random(axes.shape) < 0.6
+        here = np.flatnonzero((rng.random(len(axes)) < split) & axes.any(axis=1))
         if not here.size:
             break
-        children = math.prod(refinement)
+        axes = axes[here]
+        children = np.prod(np.where(axes, refinement, 1), axis=1)
+        fresh = np.repeat(times[start + here] + axes, children, axis=0)
+        entries[start + here] = len(entries) + np.cumsum(children) - children
+        splits[start + here] = axes @ (1 << np.arange(n))
         start = len(entries)
-        entries[here] = start + children * np.arange(len(here))
-        entries = np.append(entries, -1 - rng.integers(0, leaf_count, children * len(here)))
-        level += 1
+        entries = np.append(entries, -1 - rng.integers(0, leaf_count, len(fresh)))
+        times, splits = (
+            np.vstack([times, fresh]),
+            np.append(splits, np.zeros(len(fresh), np.uint16)),
+        )
     leaves = np.flatnonzero(entries < 0)
     mixed = leaves[rng.random(len(leaves)) < 0.3]
     seen = rng.integers(0, 2**leaf_count, len(mixed), dtype=np.uint64)
@@ -56,13 +71,16 @@ def random_tree(
         entries.astype(np.int32),
         mixed.astype(np.int32),
         seen,
+        splits=splits if some_axes else None,
     )
 
 
-def random_policy(grid: int, periodic: bool = False, seed: int = 0) -> Policy:
+def random_policy(
+    grid: int, periodic: bool = False, seed: int = 0, some_axes: bool = False
+) -> Policy:
     """Return a policy of two symbols over one of the `GRIDS`, with bounds that do not divide.
 
-    Where `periodic`, every second axis is, the last one too.
+    Where `periodic`, every second axis is, the last one too; see `random_tree`.
     """
     partitions, refinement, max_level = GRIDS[grid]
     n = len(partitions)
@@ -70,7 +88,7 @@ def random_policy(grid: int, periodic: bool = False, seed: int = 0) -> Policy:
     lower = rng.normal(size=n)
     turning = [periodic and (n - 1 - i) % 2 == 0 for i in range(n)]
     domain = Box(lower, lower + rng.uniform(0.1, 7, n), periodic=turning)
-    tree = random_tree(partitions, refinement, max_level, seed=seed)
+    tree = random_tree(partitions, refinement, max_level, seed=seed, some_axes=some_axes)
     return Policy("random", domain, Alphabet([-1, 1]), np.zeros(1), tree)
 
 
@@ -90,10 +108,11 @@ def random_affine_tree(
     max_level: int,
     labels: int = 3,
     seed: int = 0,
+    some_axes: bool = False,
 ) -> CellTree:
     """Return a random tree with about half its leaves affine, on a lattice one level finer."""
     rng = np.random.default_rng([7, seed])
-    tree = random_tree(partitions, refinement, max_level, labels, seed=seed)
+    tree = random_tree(partitions, refinement, max_level, labels, seed=seed, some_axes=some_axes)
     counts = lattice_counts(partitions, refinement, max_level + 1)
     entries = tree.entries.copy()
     chosen = rng.random(len(entries)) < 0.5
@@ -120,10 +139,14 @@ def random_affine_tree(
         tree.mixed_cells,
         seen,
         affine,
+        tree.splits,
     )
 
 
-def random_affine_policy(grid: int, periodic: bool = False, seed: int = 0) -> Policy:
+def random_affine_policy(
+    grid: int, periodic: bool = False, seed: int = 0, some_axes: bool = False
+) -> Policy:
     """Return a `random_policy` of affine leaves."""
     policy = random_policy(grid, periodic, seed)
-    return dataclasses.replace(policy, cells=random_affine_tree(*GRIDS[grid], seed=seed))
+    cells = random_affine_tree(*GRIDS[grid], seed=seed, some_axes=some_axes)
+    return dataclasses.replace(policy, cells=cells)

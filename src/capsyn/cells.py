@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,28 +16,31 @@ from capsyn.validation import whole_number, whole_numbers
 
 MAX_COUNT = 2**31 - 1
 """Most finest cells along one axis."""
+MAX_MASKED = 16
+"""Most axes of a tree whose cells are split along some of them only."""
 
 
-@dataclass(frozen=True)
-class Leaves:
-    """Leaf cells of one level.
+class Cells(NamedTuple):
+    """All cells of one level, or the leaves among them.
 
     Parameters
     ----------
     level : int
         Level of subdivision, 0 for the root grid.
-    entries : (M,)
+    places : (M,)
         Their places in ``CellTree.entries``.
-    lower : (M, n)
-        Integer coordinates of their lower corners, in finest cells.
-    labels : (M,)
-        Leaf numbers: symbols, and N for the default.
+    lower, sizes : (M, n)
+        Integer coordinates of their lower corners, and their edge lengths, in finest cells.
     """
 
     level: int
-    entries: np.ndarray
+    places: np.ndarray
     lower: np.ndarray
-    labels: np.ndarray
+    sizes: np.ndarray
+
+    def where(self, chosen: np.ndarray) -> Cells:
+        """Return the chosen cells, booleans (M,)."""
+        return Cells(self.level, self.places[chosen], self.lower[chosen], self.sizes[chosen])
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +80,14 @@ class CellTree:
     Parameters
     ----------
     partitions, refinement : (n,) ints
-        Cells of the root grid per axis, and children of a split cell per axis (>= 2).
+        Cells of the root grid per axis, and children of a split cell per axis (>= 2) that it is
+        split along.
     max_level : int
-        Most times that a cell may be split.
+        Most times that a cell may be split along an axis.
     entries : (M,) int32
-        The root grid in C order, then blocks of ``prod(refinement)`` children in C order, level
-        by level. An entry >= 0 is the place of its block; an entry < 0 is ``-1 - leaf``.
+        The root grid in C order, then blocks of children in C order, level by level: ``refinement``
+        along each axis that the cell is split along. An entry >= 0 is the place of its block; an
+        entry < 0 is ``-1 - leaf``.
     mixed_cells : (K,) int32
         Leaf entries, ascending, whose test points did not agree; in a tree with affine leaves
         those whose rows are wrong at one.
@@ -91,6 +97,8 @@ class CellTree:
         The affine leaves, numbered in the order of their entries. Their rows are values on the
         lattice of finest cells; `max_level` is then that of the lattice, and no cell may be split
         so often.
+    splits : (M,) uint16, optional
+        The axes that each cell is split along, as a bit mask, 0 for leaves. Without it all of them.
     """
 
     partitions: tuple[int, ...]
@@ -100,9 +108,12 @@ class CellTree:
     mixed_cells: np.ndarray
     mixed_labels: np.ndarray
     affine: AffineLeaves | None = None
+    splits: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("entries", "mixed_cells", "mixed_labels"):
+        for name in ("entries", "mixed_cells", "mixed_labels", "splits"):
+            if getattr(self, name) is None:
+                continue
             frozen = getattr(self, name).view()
             frozen.flags.writeable = False
             object.__setattr__(self, name, frozen)
@@ -123,8 +134,15 @@ class CellTree:
         return len(self.entries)
 
     def sizes(self, level: int) -> np.ndarray:
-        """Return the edge lengths (n,) of cells of a level, in finest cells."""
+        """Return the edge lengths (n,) of cells split `level` times along each axis."""
         return np.array([r ** (self.max_level - level) for r in self.refinement], dtype=np.int64)
+
+    def factors(self, places: np.ndarray) -> np.ndarray:
+        """Return into how many children along each axis (M, n) split cells (M,) are split."""
+        refinement = np.array(self.refinement, dtype=np.int64)
+        if self.splits is None:
+            return np.broadcast_to(refinement, (len(places), self.n))
+        return np.where(axes_of(self.splits[places], self.n), refinement, 1)
 
     def find(self, steps: np.ndarray) -> np.ndarray:
         """Return the entries (B,) of the leaves that hold finest cells (B, n)."""
@@ -133,12 +151,17 @@ class CellTree:
         active = np.flatnonzero(self.entries[entry] >= 0)
         rest = steps[active] % size
         while active.size:
-            size = size // self.refinement
-            child = np.ravel_multi_index(tuple((rest // size).T), self.refinement)
-            place = self.entries[entry[active]] + child
+            place = entry[active]
+            factors = self.factors(place)
+            size = size // factors
+            digits, rest = np.divmod(rest, size)
+            child = digits[:, 0]
+            for i in range(1, self.n):
+                child = child * factors[:, i] + digits[:, i]
+            place = self.entries[place] + child
             entry[active] = place
             deeper = self.entries[place] >= 0
-            active, rest = active[deeper], rest[deeper] % size
+            active, rest, size = active[deeper], rest[deeper], size[deeper]
         return entry
 
     def labels(self, steps: np.ndarray) -> np.ndarray:
@@ -157,44 +180,44 @@ class CellTree:
         """Return the leaf numbers of leaf entries."""
         return -1 - self.entries[places]
 
-    def levels(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Yield (level, entries (M,), lower corners (M, n)) of all cells, level by level."""
+    def levels(self) -> Iterator[Cells]:
+        """Yield all cells, level by level: those of the root grid, their children, and so on."""
         offsets = np.stack(np.unravel_index(np.arange(math.prod(self.partitions)), self.partitions))
         lower = offsets.T * self.sizes(0)
-        places = np.arange(len(lower))
-        for level in range(self.max_level + 1):
-            yield level, places, lower
-            split = self.entries[places] >= 0
-            if level == self.max_level or not split.any():
-                return
-            # made only here: of a tree without blocks the refinement may be any number
-            children = np.stack(
-                np.unravel_index(np.arange(math.prod(self.refinement)), self.refinement), axis=1
-            )
-            starts = self.entries[places[split]].astype(np.int64)
-            places = (starts[:, None] + np.arange(len(children))).ravel()
-            corners = lower[split][:, None, :] + children * self.sizes(level + 1)
-            lower = corners.reshape(-1, self.n)
+        here = Cells(0, np.arange(len(lower)), lower, np.broadcast_to(self.sizes(0), lower.shape))
+        while len(here.places):
+            yield here
+            here = self._children(here.where(self.entries[here.places] >= 0))
 
-    def leaves(self) -> Iterator[Leaves]:
+    def _children(self, parents: Cells) -> Cells:
+        """Return the cells of the blocks of split cells."""
+        factors = self.factors(parents.places)
+        counts = np.prod(factors, axis=1)
+        parent = np.repeat(np.arange(len(counts)), counts)
+        number = np.arange(len(parent)) - (np.cumsum(counts) - counts)[parent]
+        places = self.entries[parents.places][parent] + number
+        sizes = (parents.sizes // factors)[parent]
+        lower = parents.lower[parent]
+        for i in reversed(range(self.n)):
+            number, digit = np.divmod(number, factors[parent, i])
+            lower[:, i] += digit * sizes[:, i]
+        return Cells(parents.level + 1, places, lower, sizes)
+
+    def leaves(self) -> Iterator[Cells]:
         """Yield the leaf cells of every level."""
-        for level, places, lower in self.levels():
-            leaf = self.entries[places] < 0
-            yield Leaves(level, places[leaf], lower[leaf], -1 - self.entries[places[leaf]])
+        for cells in self.levels():
+            yield cells.where(self.entries[cells.places] < 0)
 
     @property
     def depth(self) -> int:
         """Highest level of a cell."""
-        return max(level for level, _, _ in self.levels())
+        return max(cells.level for cells in self.levels())
 
     def volumes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the leaf entries (M,) and their volumes (M,) [finest cells]."""
-        places, volumes = [], []
-        for leaves in self.leaves():
-            places.append(leaves.entries)
-            size = np.prod(self.sizes(leaves.level), dtype=float)
-            volumes.append(np.full(len(leaves.entries), size))
-        return np.concatenate(places), np.concatenate(volumes)
+        leaves = list(self.leaves())
+        volumes = [np.prod(cells.sizes, axis=1, dtype=float) for cells in leaves]
+        return np.concatenate([cells.places for cells in leaves]), np.concatenate(volumes)
 
     def boxes(self) -> Boxes:
         """Return the leaf cells as boxes, level by level; `ProblemError` where some are affine."""
@@ -204,16 +227,12 @@ class CellTree:
                 "synthesize with leaves='constant' for this"
             )
         leaves = list(self.leaves())
-        lower = np.concatenate([x.lower for x in leaves])
-        levels = np.repeat([x.level for x in leaves], [len(x.labels) for x in leaves])
-        sizes = np.stack([self.sizes(k) for k in range(self.max_level + 1)])
-        return Boxes(
-            np.concatenate([x.entries for x in leaves]),
-            lower,
-            lower + sizes[levels],
-            np.concatenate([x.labels for x in leaves]),
-            levels,
+        places, lower, sizes = (
+            np.concatenate([getattr(cells, name) for cells in leaves])
+            for name in ("places", "lower", "sizes")
         )
+        levels = np.repeat([x.level for x in leaves], [len(x.places) for x in leaves])
+        return Boxes(places, lower, lower + sizes, self.labels_at(places), levels)
 
     @functools.cached_property
     def leaf_count(self) -> int:
@@ -229,23 +248,35 @@ class CellTree:
             Number of labels, N + 1: leaf numbers of constant leaves must be below it.
         """
         known = leaf_count + (0 if self.affine is None else len(self.affine))
-        entries, children = self.entries, math.prod(self.refinement)
-        level, start, end = 0, 0, math.prod(self.partitions)
+        entries, n = self.entries, self.n
+        if self.splits is not None:
+            self._check_splits()
+        end = math.prod(self.partitions)
         if len(entries) < end:
             raise PolicyFormatError(f"{len(entries)} cells are fewer than the root grid's {end}")
+        # how often the cells have been split along each axis
+        start, times = 0, np.zeros((1 if self.splits is None else end, n), dtype=np.int8)
         while True:  # blocks follow each other without gaps, so this ends at the last entry
             here = entries[start:end]
             if (here < -known).any():
                 raise PolicyFormatError("a cell has an unknown label")
-            blocks = here[here >= 0].astype(np.int64)
-            if not np.array_equal(blocks, end + children * np.arange(len(blocks))):
-                raise PolicyFormatError("the blocks of cells are not one after the other")
-            if not len(blocks):
+            split = np.flatnonzero(here >= 0)
+            if not split.size:
                 break
-            level += 1
-            start, end = end, end + children * len(blocks)
-            if level > self.max_level or end > len(entries):
+            factors = self.factors(start + split)
+            counts = np.prod(factors, axis=1, dtype=float)
+            if end + counts.sum() > len(entries):
                 raise PolicyFormatError("the cells are deeper or more than the file says")
+            counts = counts.astype(np.int64)
+            if not np.array_equal(here[split], end + np.cumsum(counts) - counts):
+                raise PolicyFormatError("the blocks of cells are not one after the other")
+            if self.splits is None:
+                times = times + 1
+            else:
+                times = np.repeat(times[split] + (factors > 1), counts, axis=0).astype(np.int8)
+            if times.max() > self.max_level:
+                raise PolicyFormatError("the cells are deeper or more than the file says")
+            start, end = end, end + int(counts.sum())
         if end != len(entries):
             raise PolicyFormatError(f"{len(entries) - end} cells belong to no block")
         mixed = self.mixed_cells
@@ -269,6 +300,19 @@ class CellTree:
         if leaf_count < 64 and (self.mixed_labels >> np.uint64(leaf_count)).any():
             raise PolicyFormatError("a mixed cell has an unknown label")
 
+    def _check_splits(self) -> None:
+        assert self.splits is not None
+        if self.n > MAX_MASKED:
+            raise PolicyFormatError(
+                f"cells of {self.n} axes cannot be split along some of them only"
+            )
+        if self.splits.shape != self.entries.shape or (self.splits >> self.n).any():
+            raise PolicyFormatError(
+                "the axes that cells are split along are not those of the cells"
+            )
+        if ((self.splits != 0) != (self.entries >= 0)).any():
+            raise PolicyFormatError("a cell is split along no axis, or a leaf along some")
+
     def _check_affine(self, leaf_count: int) -> None:
         assert self.affine is not None
         self.affine.check(self.counts, leaf_count)
@@ -276,6 +320,11 @@ class CellTree:
         numbers = leaves[leaves >= leaf_count] - leaf_count
         if not np.array_equal(numbers, np.arange(len(self.affine))):
             raise PolicyFormatError("the affine leaves are not numbered in the order of the cells")
+
+
+def axes_of(masks: np.ndarray, n: int) -> np.ndarray:
+    """Return which of `n` axes bit masks (M,) name, booleans (M, n)."""
+    return masks[:, None] >> np.arange(n, dtype=masks.dtype) & masks.dtype.type(1) != 0
 
 
 def lattice_counts(

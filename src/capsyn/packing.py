@@ -20,8 +20,8 @@ def smallest_type(values: np.ndarray) -> np.dtype:
 def packed_bytes(cells: CellTree | SplitTree) -> int:
     """Return the bytes of what a lookup needs, each array in the smallest integers that hold it."""
     if isinstance(cells, CellTree):
-        rows = {} if cells.affine is None else cells.affine.arrays()
-        arrays = [cells.entries, *rows.values()]
+        arrays = [cells.entries] if cells.splits is None else [cells.entries, cells.splits]
+        arrays += [] if cells.affine is None else cells.affine.arrays().values()
     else:
         arrays = [cells.split, cells.threshold, cells.second, cells.planes]
     return sum(array.size * smallest_type(array).itemsize for array in arrays)

@@ -75,8 +75,8 @@ def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
     levels = list(tree.levels())  # fewer than the axes where no cell of a level is split
     for k, ax in enumerate(axes):
         if k < len(levels):
-            _, places, lower = levels[k]
-            corners = rectangles(domain, lower, tree.sizes(k), tree.counts)
+            _, places, lower, sizes = levels[k]
+            corners = rectangles(domain, lower, sizes, tree.counts)
             leaf = tree.entries[places] < 0
             labelled.append((corners[leaf], -1 - tree.entries[places[leaf]]))
             divided = corners[~leaf]

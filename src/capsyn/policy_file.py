@@ -27,11 +27,17 @@ from capsyn.targets import Target
 from capsyn.validation import describe, whole_numbers
 
 FORMAT = "capsyn-policy"
-VERSION = 4
-"""Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4."""
+VERSION = 5
+"""Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
+split along some axes only 5."""
 CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
-AFFINE_ARRAYS = CELL_ARRAYS | ROW_ARRAYS
+SPLIT_ARRAYS = {"splits": np.uint16}
 TREE_ARRAYS = {"split": np.int32, "threshold": np.int32, "second": np.int32, "planes": np.int32}
+ARRAYS = [
+    set(TREE_ARRAYS),
+    *({*CELL_ARRAYS, *rows, *splits} for rows in ((), ROW_ARRAYS) for splits in ((), SPLIT_ARRAYS)),
+]
+"""The sets of arrays that a file may hold."""
 KEYS = set(
     "name domain alphabet default outside min_dwell target horizon settings model "
     "statistics".split()
@@ -138,13 +144,16 @@ def arrays_of(policy: Policy) -> dict[str, np.ndarray]:
     cells = policy.cells
     if isinstance(cells, SplitTree):
         return {name: getattr(cells, name) for name in TREE_ARRAYS}
-    rows = {} if cells.affine is None else cells.affine.arrays()
-    return {name: getattr(cells, name) for name in CELL_ARRAYS} | rows
+    arrays = {name: getattr(cells, name) for name in CELL_ARRAYS}
+    if cells.splits is not None:
+        arrays["splits"] = cells.splits
+    return arrays | ({} if cells.affine is None else cells.affine.arrays())
 
 
 def _least_version(arrays: dict[str, np.ndarray], gaps: bool) -> int:
     """Return the first version that has files with such arrays, and with gaps."""
-    return 4 if gaps else 2 if "split" in arrays else 3 if "row_starts" in arrays else 1
+    found = {5: "splits" in arrays, 4: gaps, 3: "row_starts" in arrays, 2: "split" in arrays}
+    return next((version for version, needed in found.items() if needed), 1)
 
 
 def load(path: str | os.PathLike[str]) -> Policy:
@@ -159,7 +168,7 @@ def load(path: str | os.PathLike[str]) -> Policy:
             if FORMAT not in metadata:
                 raise PolicyFormatError(f"'{path}' is a safetensors file but no policy")
             document = _parse(metadata[FORMAT], path)
-            if set(file.keys()) not in map(set, (CELL_ARRAYS, AFFINE_ARRAYS, TREE_ARRAYS)):
+            if set(file.keys()) not in ARRAYS:
                 raise PolicyFormatError(f"'{path}' does not hold the arrays of a policy")
             arrays = {name: file.get_tensor(name) for name in sorted(file.keys())}
     except FileNotFoundError:
@@ -207,7 +216,7 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
     content = document["policy"]
     is_tree = "split" in arrays
     for name in arrays:
-        dtype = (AFFINE_ARRAYS | TREE_ARRAYS)[name]
+        dtype = (CELL_ARRAYS | ROW_ARRAYS | SPLIT_ARRAYS | TREE_ARRAYS)[name]
         axes, words = (2, "two") if name in ("planes", "row_slopes") else (1, "one")
         if arrays[name].dtype != dtype or arrays[name].ndim != axes:
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
@@ -245,7 +254,8 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
     if "row_starts" in arrays:
         affine = AffineLeaves.of_arrays(len(alphabet) + 1, arrays)
     entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
-    tree = CellTree(partitions, refinement, max_level, entries, mixed, labels, affine)
+    splits = arrays.get("splits")
+    tree = CellTree(partitions, refinement, max_level, entries, mixed, labels, affine, splits)
     domain.check_resolution(tree.counts)
     return Policy(cells=tree, **given)
 

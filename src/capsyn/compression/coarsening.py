@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 
@@ -26,20 +25,16 @@ def cut_off(policy: Policy, level: int) -> Policy:
     masks = np.where(cells.entries < 0, np.uint64(1) << leaf.astype(np.uint64), np.uint64(0))
     masks[cells.mixed_cells] |= cells.mixed_labels
     volumes = np.zeros((len(leaf), labels))
-    children = math.prod(cells.refinement)
-    below = list(cells.levels())
-    for k, places, _ in below:  # in finest cells: whole numbers, so that equals are equal
-        inside = places[cells.entries[places] < 0]
-        volumes[inside, leaf[inside]] = float(children) ** (len(below) - 1 - k)
-    for _, places, _ in reversed(below[level:]):  # children before their parents
+    inside, sizes = cells.volumes()  # in finest cells: whole numbers, so that equals are equal
+    volumes[inside, leaf[inside]] = sizes
+    layers = [layer.places for layer in cells.levels()]
+    for places, children in reversed(list(zip(layers[level:], layers[level + 1 :]))):
         blocks = places[cells.entries[places] >= 0]
-        if not len(blocks):  # of a policy without blocks the refinement may be any number
-            continue
-        inside = cells.entries[blocks][:, None] + np.arange(children)
-        volumes[blocks] = volumes[inside].sum(axis=1)
-        masks[blocks] = np.bitwise_or.reduce(masks[inside], axis=1)
-    kept = np.concatenate([places for _, places, _ in below[: level + 1]])
-    last = below[level][1] if level < len(below) else kept[:0]
+        starts = cells.entries[blocks] - children[0]
+        volumes[blocks] = np.add.reduceat(volumes[children], starts)
+        masks[blocks] = np.bitwise_or.reduceat(masks[children], starts)
+    kept = np.concatenate(layers[: level + 1])
+    last = layers[level] if level < len(layers) else kept[:0]
     entries = cells.entries[: len(kept)].copy()  # levels follow each other
     merged = last[cells.entries[last] >= 0]
     entries[merged] = -1 - volumes[merged].argmax(axis=1)
@@ -51,5 +46,8 @@ def cut_off(policy: Policy, level: int) -> Policy:
         entries,
         mixed.astype(np.int32),
         masks[mixed],
+        splits=None
+        if cells.splits is None
+        else np.where(entries < 0, 0, cells.splits[: len(kept)]),
     )
     return dataclasses.replace(policy, cells=tree, statistics={}, evidence={}, timings={})

@@ -117,7 +117,7 @@ def compress(
         if node_price is not None:
             raise ProblemError("`agreement` and `node_price` exclude each other; got both")
     if level is not None:
-        level = whole_number("level", level, least=0, most=cells.max_level)
+        level = whole_number("level", level, least=0, most=max(cells.max_level, cells.depth))
     node_price = finite_number(
         "node_price", NODE_PRICE if node_price is None else node_price, least=0.0
     )

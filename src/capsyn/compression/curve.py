@@ -121,7 +121,7 @@ def _beats(one: CurvePoint, other: CurvePoint) -> bool:
 
 
 def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoint]:
-    for level in range(cell_tree(judge.policy).max_level + 1):
+    for level in range(cell_tree(judge.policy).depth + 1):
         say(f"cells at level {level}")
         base = cut_off(judge.policy, level)
         found = judge.compare(base)
@@ -141,7 +141,7 @@ def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
 
 
 def _tree_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoint]:
-    policy, last = judge.policy, cell_tree(judge.policy).max_level
+    policy, last = judge.policy, cell_tree(judge.policy).depth
     for level in range(last + 1):
         say(f"trees at level {level}")
         cut = None if level == last else level

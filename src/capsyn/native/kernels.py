@@ -100,7 +100,7 @@ class TreeArguments(ctypes.Structure):
     _fields_ = [
         *(
             (name, ctypes.c_void_p)
-            for name in "lower upper periodic counts partitions refinement entries nodes "
+            for name in "lower upper periodic counts partitions refinement entries splits nodes "
             "planes starts".split()
         ),
         ("oblique", ctypes.c_int64),
@@ -126,6 +126,8 @@ class TreeArguments(ctypes.Structure):
             arrays["partitions"] = np.array(cells.partitions, dtype=np.int64)
             arrays["refinement"] = np.array(cells.refinement, dtype=np.int64)
             arrays["entries"] = np.ascontiguousarray(cells.entries, dtype=np.int32)
+            if cells.splits is not None:
+                arrays["splits"] = np.ascontiguousarray(cells.splits, dtype=np.uint16)
             if cells.affine is not None:
                 made.affine = cells.affine.first
                 for name, values in cells.affine.arrays().items():

@@ -23,6 +23,7 @@ typedef struct {
     const int64_t *counts;
     const int64_t *partitions, *refinement; /* of a cell tree, which has no nodes */
     const int32_t *entries;
+    const uint16_t *splits; /* the axes that cells are split along, or none: all of them */
     const node *nodes; /* of a decision tree; threshold of a leaf: its label */
     const int32_t *planes, *starts;
     int64_t oblique, shift;
@@ -62,6 +63,12 @@ static double face(double lower, double upper, int64_t count, int64_t k)
     return k >= count ? upper : lower + (upper - lower) * ((double)k / (double)count);
 }
 
+/* The axes that a cell is split along, as a bit mask. */
+static inline uint32_t axes_of(const tree *cells, int64_t entry)
+{
+    return cells->splits ? cells->splits[entry] : UINT32_MAX;
+}
+
 /* The entry of the leaf that holds the finest cell k, with digits by division. */
 static int32_t leaf_of(const uint32_t *restrict k, const tree *cells, const measures *m)
 {
@@ -73,8 +80,11 @@ static int32_t leaf_of(const uint32_t *restrict k, const tree *cells, const meas
         rest[i] = k[i] % size[i];
     }
     while (cells->entries[entry] >= 0) {
+        const uint32_t axes = axes_of(cells, entry);
         int64_t child = 0;
         for (int i = 0; i < STATES; ++i) {
+            if (!(axes >> i & 1))
+                continue;
             size[i] /= (uint32_t)cells->refinement[i];
             child = child * cells->refinement[i] + rest[i] / size[i];
             rest[i] %= size[i];
@@ -95,6 +105,26 @@ static int32_t leaf_of_bits(const uint32_t *restrict k, const tree *cells, int l
         --level;
         for (int i = 0; i < STATES; ++i)
             child = child * 2 + (k[i] >> level & 1);
+        entry = cells->entries[entry] + (int64_t)child;
+    }
+    return cells->entries[entry];
+}
+
+/* The same where cells are split along some axes only. */
+static int32_t leaf_of_some_bits(const uint32_t *restrict k, const tree *cells, int level)
+{
+    int levels[STATES];
+    int64_t entry = 0;
+    for (int i = 0; i < STATES; ++i) {
+        levels[i] = level;
+        entry = entry * cells->partitions[i] + (k[i] >> level);
+    }
+    while (cells->entries[entry] >= 0) {
+        const uint32_t axes = axes_of(cells, entry);
+        uint32_t child = 0;
+        for (int i = 0; i < STATES; ++i)
+            if (axes >> i & 1)
+                child = child * 2 + (k[i] >> --levels[i] & 1);
         entry = cells->entries[entry] + (int64_t)child;
     }
     return cells->entries[entry];
@@ -151,7 +181,9 @@ static inline int32_t label_of(const uint32_t *restrict k, const tree *cells, co
 {
     if (cells->nodes)
         return label_of_node(k, cells);
-    const int32_t leaf = -1 - (m->binary ? leaf_of_bits(k, cells, m->level) : leaf_of(k, cells, m));
+    const int32_t leaf = -1 - (!m->binary      ? leaf_of(k, cells, m)
+                               : cells->splits ? leaf_of_some_bits(k, cells, m->level)
+                                               : leaf_of_bits(k, cells, m->level));
     return leaf >= cells->affine ? label_of_rows(k, cells, leaf - cells->affine) : leaf;
 }
 

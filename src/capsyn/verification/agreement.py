@@ -303,14 +303,15 @@ class _Tally:
         islands = np.flatnonzero(uniform_wrong)
         levels = [np.arange(tree.node_count)]  # the places of each level, which stand side by side
         level = np.zeros(len(islands), dtype=np.int64)
-        lower = np.zeros((len(islands), tree.n), dtype=np.int64)
+        corners = np.zeros((2, len(islands), tree.n), dtype=np.int64)
         if isinstance(tree, CellTree):
             levels = []
-            for k, places, corners in tree.levels():
+            for k, places, lower, sizes in tree.levels():
                 levels.append(places)
                 start, end = np.searchsorted(islands, (places[0], places[-1] + 1))
                 level[start:end] = k
-                lower[start:end] = corners[islands[start:end] - places[0]]
+                here = islands[start:end] - places[0]
+                corners[:, start:end] = lower[here], lower[here] + sizes[here]
         level_states = np.array([self._drawn[places].sum() for places in levels])
         level_wrong = np.array([self._wrong[places].sum() for places in levels])
         states, symbols = (np.concatenate(parts) for parts in zip(*self._kept))
@@ -326,11 +327,11 @@ class _Tally:
             "disagreeing_symbols": symbols,
             "island_cells": len(islands),
             "island_states": int(uniform_wrong.sum()),
-            "islands": self._islands(islands, level, lower) if len(islands) else (),
+            "islands": self._islands(islands, level, *corners) if len(islands) else (),
         }
 
     def _islands(
-        self, cells: np.ndarray, level: np.ndarray, lower: np.ndarray
+        self, cells: np.ndarray, level: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> tuple[Island, ...]:
         """Return uniform cells (K,) with disagreeing states, most of these first."""
         tree, domain = cell_tree(self._policy), self._policy.domain
@@ -338,9 +339,7 @@ class _Tally:
         order = np.argsort(places)
         examples = states[order[np.searchsorted(places, cells, sorter=order)]]
         own = tree.labels_in(cells, domain.locate(examples, tree.counts))
-        sizes = np.stack([tree.sizes(k) for k in range(tree.max_level + 1)])
-        low = domain.points(lower, tree.counts)
-        high = domain.points(lower + sizes[level], tree.counts)
+        low, high = domain.points(lower, tree.counts), domain.points(upper, tree.counts)
 
         def symbol(leaf: int) -> int:
             return -1 if leaf == self._leaves - 1 else leaf

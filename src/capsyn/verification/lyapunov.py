@@ -332,8 +332,9 @@ class _Cells:
         )
 
     def _finest(self, cells: np.ndarray) -> np.ndarray:
-        tree = self.policy.cells
-        return self.levels[cells] == (tree.max_level if isinstance(tree, CellTree) else 0)
+        if not isinstance(self.policy.cells, CellTree):
+            return np.ones(len(cells), dtype=bool)
+        return (self.boxes.upper[cells] - self.boxes.lower[cells] == 1).all(axis=1)
 
     def _differing(self, cells: np.ndarray) -> np.ndarray:
         """Return which cells are mixed or have a neighbour with another symbol."""

@@ -125,7 +125,7 @@ export function makeLookup(data) {
 
   return {
     n,
-    levels: data.tree ? 0 : data.cells.max_level,
+    levels: cells.levels,
     symbol,
     cell,
     raster: view => plane(
@@ -144,37 +144,50 @@ function cellTree({ partitions, refinement, max_level: maxLevel, ...packed }) {
   const mixed = unpack(packed.mixed_cells), words = unpack(packed.mixed_labels);
   const perCell = packed.mixed_labels.shape[1], bits = 8 * words.BYTES_PER_ELEMENT;
   const n = partitions.length;
-  const sizes = Array.from({ length: maxLevel + 1 }, (_, level) =>
-    refinement.map(r => r ** (maxLevel - level)));
+  const splits = packed.splits ? Uint16Array.from(unpack(packed.splits)) : null;
+  const rootSize = refinement.map(r => r ** maxLevel);
 
-  /** The digit of step k at a level: its root cell, or the child that holds it. */
-  function digit(i, k, level) {
-    const whole = Math.floor(k / sizes[level][i]);
-    return level ? whole % refinement[i] : whole;
-  }
-
-  function child(z, level) {
-    const base = level ? refinement : partitions;
-    let place = 0;
-    for (let i = 0; i < n; i++) place = place * base[i] + digit(i, z[i], level);
-    return place;
-  }
+  /** The axes that a cell is split along, as a bit mask. */
+  const axesOf = place => (splits ? splits[place] : -1);
+  const isSplit = (axes, axis) => (axes >> axis) & 1;
+  const below = (size, axes) =>
+    size.map((s, axis) => (isSplit(axes, axis) ? s / refinement[axis] : s));
 
   function descend(z) {
-    let level = 0, place = child(z, 0);
-    while (entries[place] >= 0) {
-      level += 1;
-      place = entries[place] + child(z, level);
+    let level = 0, place = 0, size = rootSize;
+    for (let i = 0; i < n; i++) place = place * partitions[i] + Math.floor(z[i] / size[i]);
+    for (; entries[place] >= 0; level++) {
+      const axes = axesOf(place);
+      let child = 0;
+      size = below(size, axes);
+      for (let i = 0; i < n; i++) {
+        if (!isSplit(axes, i)) continue;
+        child = child * refinement[i] + (Math.floor(z[i] / size[i]) % refinement[i]);
+      }
+      place = entries[place] + child;
     }
-    return { place, level };
+    return { place, level, size };
+  }
+
+  /** The most times that a cell is split. */
+  function deepest() {
+    const levels = new Uint8Array(entries.length);
+    for (let place = 0; place < entries.length; place++) {
+      if (entries[place] < 0) continue;
+      const axes = axesOf(place);
+      const children = refinement.reduce((k, r, axis) => (isSplit(axes, axis) ? k * r : k), 1);
+      levels.fill(levels[place] + 1, entries[place], entries[place] + children);
+    }
+    return levels.reduce((most, level) => Math.max(most, level), 0);
   }
 
   return {
+    levels: splits ? deepest() : maxLevel,
     find: z => descend(z).place,
     label: place => -1 - entries[place],
 
     cell(z) {
-      const { place, level } = descend(z), size = sizes[level];
+      const { place, level, size } = descend(z);
       const low = z.map((k, i) => k - (k % size[i]));
       return { place, level, low, high: low.map((k, i) => k + size[i]) };
     },
@@ -197,30 +210,34 @@ function cellTree({ partitions, refinement, max_level: maxLevel, ...packed }) {
     section(z, i, j, columns, rows, depth, value) {
       const across = columns.length, grid = new Int32Array(across * rows.length);
       const origin = z.map((k, axis) => (axis === i || axis === j ? 0 : k));
-      const bases = [partitions, ...sizes.slice(1).map(() => refinement)];
-      const stride = (axis, level) =>
-        bases[level].slice(axis + 1).reduce((product, base) => product * base, 1);
-      const starts = sizes.map((_, level) => child(origin, level));
-      const right = sizes.map((_, level) => stride(i, level));
-      const up = sizes.map((_, level) => stride(j, level));
 
-      /** Fill the part [a0, a1) x [b0, b1) of the grid, cell by cell of a level from `start`. */
-      function go(start, level, a0, a1, b0, b1) {
-        start += starts[level];
+      /** Fill the part [a0, a1) x [b0, b1) of the grid, cell by cell of a block from `start`. */
+      function go(start, level, size, bases, a0, a1, b0, b1) {
+        const digit = (axis, k) => Math.floor(k / size[axis]) % bases[axis];
+        let right = 0, up = 0, first = start;
+        for (let axis = n - 1, stride = 1; axis >= 0; stride *= bases[axis], axis--) {
+          if (axis === i) right = stride;
+          else if (axis === j) up = stride;
+          else first += digit(axis, origin[axis]) * stride;
+        }
         for (let b = b0; b < b1;) {
-          const y = digit(j, rows[b], level), below = b;
-          while (b < b1 && digit(j, rows[b], level) === y) b += 1;
+          const y = digit(j, rows[b]), low = b;
+          while (b < b1 && digit(j, rows[b]) === y) b += 1;
           for (let a = a0; a < a1;) {
-            const x = digit(i, columns[a], level), left = a;
-            while (a < a1 && digit(i, columns[a], level) === x) a += 1;
-            const place = start + x * right[level] + y * up[level];
+            const x = digit(i, columns[a]), left = a;
+            while (a < a1 && digit(i, columns[a]) === x) a += 1;
+            const place = first + x * right + y * up;
             const whole = entries[place] < 0;
-            if (whole || level >= depth) fill(grid, across, value(place, whole), left, a, below, b);
-            else go(entries[place], level + 1, left, a, below, b);
+            if (whole || level >= depth) fill(grid, across, value(place, whole), left, a, low, b);
+            else {
+              const axes = axesOf(place);
+              const inner = refinement.map((r, axis) => (isSplit(axes, axis) ? r : 1));
+              go(entries[place], level + 1, below(size, axes), inner, left, a, low, b);
+            }
           }
         }
       }
-      go(0, 0, 0, across, 0, rows.length);
+      go(0, 0, rootSize, partitions, 0, across, 0, rows.length);
       return grid;
     },
   };
@@ -246,6 +263,7 @@ function splitTree(packed, n) {
   }
 
   return {
+    levels: 0,
     find,
     label: node => threshold[node],
     allowed: node => [threshold[node]],
