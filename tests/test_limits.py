@@ -167,7 +167,7 @@ def test_a_memory_budget_leaves_a_valid_coarser_policy(leaves, monkeypatch):
         return np.stack([inside, np.zeros(len(states))], axis=1)
 
     options = {"partitions": 4, "max_level": 5}
-    monkeypatch.setattr("capsyn.affine_subdivision.ROUND_POINTS", 2**14)
+    monkeypatch.setattr("capsyn.round_subdivision.ROUND_POINTS", 2**14)
     options |= {"leaves": leaves, "returns": "scores", "leaf_error": 1e-5}
     counts = []
     for budget in (3, 6, 9, 100):
@@ -196,13 +196,14 @@ def test_a_memory_budget_leaves_a_valid_coarser_policy(leaves, monkeypatch):
 @pytest.mark.parametrize("leaves", ["constant", "affine"])
 def test_a_time_budget_stops_after_a_block(leaves, monkeypatch, tmp_path):
     clock = itertools.count()
-    module = f"capsyn.{leaves}_subdivision.time"
+    kind = "round" if leaves == "affine" else leaves
+    module = f"capsyn.{kind}_subdivision.time"
 
     class Clock:
         perf_counter = staticmethod(lambda: float(next(clock)))
 
     monkeypatch.setattr(module, Clock)
-    monkeypatch.setattr("capsyn.affine_subdivision.ROUND_POINTS", 400)
+    monkeypatch.setattr("capsyn.round_subdivision.ROUND_POINTS", 400)
     options = {"partitions": 3, "leaves": leaves, "max_level": 6, "leaf_error": 0.0}
     solves = []
     for seconds in (0.5, 5, 8, 12):

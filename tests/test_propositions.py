@@ -227,8 +227,8 @@ def test_worst_case_memory_of_affine_leaves(n, partitions, level, n_symbols, poi
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak < props.worst_case_affine_memory(
-        (partitions,) * n, (2,) * n, level, CellPoints.parse(points), n_symbols, max_solves
+    assert peak < props.worst_case_rounds_memory(
+        (partitions,) * n, (2,) * n, level, CellPoints.parse(points), n_symbols + 1, max_solves
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from capsyn.affine_leaves import LARGEST_SLOPE, LARGEST_SUM
+from capsyn.split_axes import SplitAxes
 
 CENTER_WEIGHT = 0.5
 """Weight of the centre in a fit, all other fixed points having the rest: vertices alone see a
@@ -29,6 +30,8 @@ class Fits:
         Share of the test points whose symbol is wrong.
     error : (M,)
         Estimated share of the cell where the symbol is wrong.
+    axes : (M, n) bool
+        Along which axes the cell is split where that is too much.
     """
 
     constants: np.ndarray
@@ -36,6 +39,7 @@ class Fits:
     used: np.ndarray
     wrong: np.ndarray
     error: np.ndarray
+    axes: np.ndarray
 
     def better(self, other: Fits) -> Fits:
         """Return for each cell the rows with fewer wrong points, of equals with less error."""
@@ -64,6 +68,8 @@ def fit_cells(
     size: np.ndarray,
     counts: tuple[int, ...],
     plain: bool = False,
+    split_axes: SplitAxes | None = None,
+    can: np.ndarray | None = None,
 ) -> Fits:
     """Return the affine rows of cells.
 
@@ -77,14 +83,18 @@ def fit_cells(
     offsets : (F, n)
         The first test points, which rows are fitted to, in halves of the cell: a layout that
         is symmetric about the centre, along every axis.
-    places : (P, M, n) or (P, 1, n)
+    places : (P, M, n)
         The lattice steps, within the cell, that hold the test points or are nearest to them.
-    corners : (M, n)
-        Lower corners of the cells [lattice steps].
-    size, counts : (n,)
-        Edge lengths of the cells, and of the lattice [lattice steps].
+    corners, size : (M, n)
+        Lower corners and edge lengths of the cells [lattice steps].
+    counts : (n,)
+        Edge lengths of the lattice [lattice steps].
     plain : bool
         The scores are mere indicators of labels: rows that mistake a label are corrected.
+    split_axes : SplitAxes, optional
+        What the axes are chosen by along which a cell is split; by default all of them.
+    can : (M, n) bool, optional
+        Along which axes cells can be split; needed with `split_axes`.
 
     Notes
     -----
@@ -97,8 +107,14 @@ def fit_cells(
     scores = scores / np.where(largest > 0, largest, 1.0)[:, :, None]  # any size: no overflow
     kept: Fits | None = None
     for variant in range(scores.shape[2]):
-        rows = _rows(scores[:, :, variant], masks, offsets, corners, size, counts, plain)
-        fits = _judged(scores[:, :, variant], masks, offsets, places, corners, size, rows)
+        some = scores[:, :, variant]
+        levels, slopes = _rows(some, masks, offsets, plain)
+        axes = np.ones(corners.shape, dtype=bool)
+        if split_axes is not None and can is not None:
+            fitted = levels + np.einsum("msi,pi->pms", slopes, offsets - 1)
+            axes = split_axes.by_residuals(some[: len(offsets)] - fitted, can)
+        rows = _rounded(levels, slopes, corners, size, counts)
+        fits = _judged(some, masks, offsets, places, corners, size, rows, axes)
         kept = fits if kept is None else kept.better(fits)
     assert kept is not None
     return kept
@@ -112,18 +128,15 @@ def _rows(
     scores: np.ndarray,
     masks: np.ndarray,
     offsets: np.ndarray,
-    corners: np.ndarray,
-    size: np.ndarray,
-    counts: tuple[int, ...],
     plain: bool,
-) -> _Rows:
-    """Return the rows of one variant of the scores (P, M, S)."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of one variant of the scores (P, M, S): see `_least_squares`."""
     levels, slopes = _least_squares(
         scores[: len(offsets)], offsets - 1, point_weights(offsets, plain)
     )
     if plain:
         levels, slopes = _corrected(levels, slopes, masks[: len(offsets)], offsets - 1)
-    return _rounded(levels, slopes, corners, size, counts)
+    return levels, slopes
 
 
 def _judged(
@@ -134,6 +147,7 @@ def _judged(
     corners: np.ndarray,
     size: np.ndarray,
     rows: _Rows,
+    axes: np.ndarray,
 ) -> Fits:
     """Return rows with what they do at the test points, for scores (P, M, S)."""
     constants, slopes, scale = rows
@@ -143,8 +157,7 @@ def _judged(
     margin, residual = np.empty(shape), np.empty(shape)
     cells = np.arange(shape[1])
     for p in range(shape[0]):
-        place = np.broadcast_to(places[p], corners.shape)
-        values = corner_values + np.einsum("msi,mi->ms", slopes, place)
+        values = corner_values + np.einsum("msi,mi->ms", slopes, places[p])
         best = values.argmax(axis=1)
         top = values[cells, best]
         values[cells, best] = np.iinfo(np.int64).min
@@ -161,7 +174,7 @@ def _judged(
         reach = np.minimum(1.0, np.where(rho > 0, rho / margin, 0.0))
     error = np.einsum("pm,p->m", reach**2, shares)
     used = _used(constants, slopes, corners, size)
-    return Fits(constants, slopes, used, wrong.mean(axis=0), error)
+    return Fits(constants, slopes, used, wrong.mean(axis=0), error, axes)
 
 
 def _least_squares(
@@ -217,7 +230,7 @@ def _rounded(
     the lattice steps.
     """
     levels = levels - levels.mean(axis=1, keepdims=True)
-    per_step = 2 * (slopes - slopes.mean(axis=1, keepdims=True)) / size
+    per_step = 2 * (slopes - slopes.mean(axis=1, keepdims=True)) / size[:, None, :]
     middle = corners + (size - 1) / 2
     lattice = np.array(counts, dtype=float)
     constants = levels - np.einsum("msi,mi->ms", per_step, middle)
@@ -247,6 +260,6 @@ def _used(
             difference = slopes[:, i] - slopes[:, j]
             most = constants[:, i] - constants[:, j]
             most = most + np.einsum("mi,mi->m", difference, corners)
-            most = most + np.einsum("mi,i->m", np.maximum(difference, 0), size - 1)
+            most = most + np.einsum("mi,mi->m", np.maximum(difference, 0), size - 1)
             used[:, i] &= most >= (1 if j < i else 0)
     return used

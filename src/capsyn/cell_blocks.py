@@ -62,8 +62,10 @@ class CellBlocks:
         ----------
         parents : (M, n)
             Lower corners of the blocks [lattice units].
-        split, size : (n,)
-            Children along each axis, and their edge lengths [lattice units].
+        split : (n,)
+            Children along each axis.
+        size : (n,) or (M, n)
+            Their edge lengths [lattice units].
         rng : numpy.random.Generator
             Where random test points come from. Blocks that are asked for one after the other get
             the points that they get together.
@@ -86,11 +88,15 @@ class CellBlocks:
         halves = np.stack(np.unravel_index(distinct, extents), axis=1)
         odd = (halves % 2).sum(axis=1)
         roles = np.where(odd == 0, 0, np.where(odd == self.n, 1, 2))
-        keys = self.points.encode(halves * (size // 2), parents)
+        if size.ndim == 1:
+            keys = self.points.encode(halves * (size // 2), parents)
+        else:
+            keys = self.points.encode(halves, parents, size // 2)
         count = self.test_points.random
         if count:
             shape = (len(parents), len(grid), count, self.n)
-            inner = grid[:, None, :] * size + rng.integers(1, size, size=shape)
+            edges = np.atleast_2d(size)[:, None, None, :]
+            inner = grid[:, None, :] * edges + rng.integers(1, edges, size=shape)
             inner = np.moveaxis(inner, 0, 2).reshape(-1, len(parents), self.n)
             keys = np.vstack([keys, self.points.encode(inner, parents)])
             rows = len(distinct) + np.arange(len(grid) * count).reshape(len(grid), count)
@@ -107,7 +113,7 @@ class CellBlocks:
         ----------
         corners : (K, n)
             Lower corners of the cells [lattice units].
-        size : (n,)
+        size : (n,) or (K, n)
             Their edge lengths [lattice units].
         offsets : (K, n)
             The points, in halves of the cell.

@@ -127,9 +127,12 @@ def synth(
         str, typer.Option(help="constant, or affine for far fewer solves.")
     ] = "constant",
     leaf_error: Annotated[float, typer.Option(help="Of affine leaves, accepted share.")] = 0.01,
+    refine: Annotated[
+        str, typer.Option(help="isotropic, or adaptive: split along the axes that matter.")
+    ] = "isotropic",
     seed: Seed = 0,
     max_solves: Annotated[
-        int | None, typer.Option(help="Most solves; affine leaves spend them.")
+        int | None, typer.Option(help="Most solves; affine or adaptive cells spend them.")
     ] = None,
     max_seconds: Annotated[
         float | None, typer.Option(help="Stop after so long; the result depends on the machine.")
@@ -196,6 +199,7 @@ def synth(
             test_points=test_points,
             leaves=leaves,
             leaf_error=leaf_error,
+            refine=refine,
             seed=seed,
             max_solves=max_solves,
             max_seconds=max_seconds,

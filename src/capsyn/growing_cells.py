@@ -1,4 +1,4 @@
-"""Cells with affine leaves in the order of their making, and the tree that they become."""
+"""Cells in the order of their making, and the tree that they become."""
 
 from __future__ import annotations
 
@@ -52,8 +52,12 @@ class GrowingCells:
     ----------
     corner : (K, n)
         Lower corners [lattice units of the test points].
+    times : (K, n)
+        How often they have been split along each axis.
     level, child : (K,)
-        Levels, and the first child or -1.
+        Levels in the tree, and the first child or -1.
+    axes : (K, n) bool
+        Along which axes they are split, if they are; none where they cannot be.
     label : (K,)
         Symbols, or -1 where rows decide.
     accepted : (K,) bool
@@ -67,8 +71,10 @@ class GrowingCells:
     """
 
     corner: np.ndarray
+    times: np.ndarray
     level: np.ndarray
     child: np.ndarray
+    axes: np.ndarray
     label: np.ndarray
     accepted: np.ndarray
     error: np.ndarray
@@ -77,14 +83,19 @@ class GrowingCells:
     rows: np.ndarray
 
     @staticmethod
-    def uniform(corner: np.ndarray, level: int, label: np.ndarray) -> GrowingCells:
-        """Return cells of a level whose test points agree on labels (K,)."""
+    def uniform(
+        corner: np.ndarray,
+        times: np.ndarray,
+        level: np.ndarray,
+        axes: np.ndarray,
+        label: np.ndarray,
+    ) -> GrowingCells:
+        """Return cells whose test points agree on labels (K,)."""
         count = len(corner)
-        levels = np.full(count, level, dtype=np.int8)
         none, seen = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.uint64)
         good, error = np.ones(count, dtype=bool), np.zeros(count)
         return GrowingCells(
-            corner, levels, none - 1, label, good, error, seen, none.copy(), none.copy()
+            corner, times, level, none - 1, axes, label, good, error, seen, none, none.copy()
         )
 
     @staticmethod
@@ -104,6 +115,7 @@ class GrowingCells:
         self.label[cells] = np.where(one, fits.used.argmax(axis=1), -1)
         self.accepted[cells] = (fits.wrong == 0) & (fits.error <= most_error)
         self.error[cells] = fits.error
+        self.axes[cells] &= fits.axes
         single = np.where(several(masks), masks.dtype.type(0), masks)
         bits = np.uint64(1) << np.arange(fits.used.shape[1], dtype=np.uint64)
         own = np.bitwise_or.reduce(np.where(fits.used, bits, np.uint64(0)), axis=1)
@@ -119,13 +131,30 @@ class GrowingCells:
             fits.slopes[cell, symbol].astype(np.int16),
         )
 
-    def by_level(self, roots: int, children: int) -> Iterator[np.ndarray]:
+    def children(self, cells: np.ndarray, refinement: tuple[int, ...]) -> np.ndarray:
+        """Return into how many children each of some cells (M,) is split, if it is."""
+        return np.prod(np.where(self.axes[cells], refinement, 1), axis=1)
+
+    def groups(self, chosen: np.ndarray, refinement: tuple[int, ...]) -> list[SplitCells]:
+        """Return some cells (M,), those together that are split along the same axes."""
+        kinds, kind = np.unique(self.axes[chosen], axis=0, return_inverse=True)
+        found = []
+        for k, axes in enumerate(kinds):
+            here = chosen[kind.ravel() == k]
+            times = (self.times[here] + axes).astype(np.int8)
+            factors = np.where(axes, refinement, 1)
+            found.append(SplitCells(here, factors, self.corner[here], times, self.level[here] + 1))
+        return found
+
+    def by_level(self, roots: int, refinement: tuple[int, ...]) -> Iterator[np.ndarray]:
         """Yield the cells (M,) of each level in the order of a `CellTree`."""
         here = np.arange(roots)
         while here.size:
             yield here
-            starts = self.child[here[self.child[here] >= 0]]
-            here = (starts[:, None] + np.arange(children)).ravel()
+            split = here[self.child[here] >= 0]
+            counts = self.children(split, refinement)
+            before = np.repeat(self.child[split] - np.cumsum(counts) + counts, counts)
+            here = before + np.arange(len(before))
 
     def tree(
         self,
@@ -134,19 +163,24 @@ class GrowingCells:
         level: int,
         first: int,
         rows: list[Rows],
+        adaptive: bool,
     ) -> CellTree:
         """Return the cells as a tree on the lattice of a level.
 
-        Affine leaves have numbers from `first` on.
+        Affine leaves have numbers from `first` on. Where `adaptive`, cells may be split along some
+        axes only.
         """
-        roots, children = math.prod(partitions), math.prod(refinement)
-        order = np.concatenate(list(self.by_level(roots, children)))
+        roots = math.prod(partitions)
+        order = np.concatenate(list(self.by_level(roots, refinement)))
         split = self.child[order] >= 0
         entries = -1 - self.label[order].astype(np.int64)
-        entries[split] = roots + children * np.arange(np.count_nonzero(split))
+        counts = self.children(order[split], refinement)
+        entries[split] = roots + np.cumsum(counts) - counts
         affine = np.flatnonzero(~split & (self.label[order] < 0))
         entries[affine] = -1 - (first + np.arange(len(affine)))
         mixed = np.flatnonzero(~split & (self.seen[order] != 0))
+        bits = np.uint16(1) << np.arange(self.axes.shape[1], dtype=np.uint16)
+        splits = (self.axes[order] @ bits).astype(np.uint16) * split if adaptive else None
         return CellTree(
             partitions,
             refinement,
@@ -155,6 +189,7 @@ class GrowingCells:
             mixed.astype(np.int32),
             self.seen[order[mixed]],
             self._affine(order[affine], first, rows) if affine.size else None,
+            splits,
         )
 
     def _affine(self, cells: np.ndarray, first: int, rows: list[Rows]) -> AffineLeaves:
@@ -164,6 +199,43 @@ class GrowingCells:
         picked = np.repeat(row - ends + count, count) + np.arange(ends[-1])
         symbols, constants, slopes = (np.concatenate(table)[picked] for table in zip(*rows))
         return AffineLeaves.of(first, count, symbols, constants, slopes)
+
+
+@dataclass(frozen=True, eq=False)
+class SplitCells:
+    """Cells that are split alike.
+
+    Parameters
+    ----------
+    cells : (M,)
+        Their numbers.
+    factors : (n,)
+        Into how many children along each axis.
+    corners, times : (M, n)
+        Lower corners [lattice units], and how often their children have been split.
+    level : (M,)
+        The children's level.
+    """
+
+    cells: np.ndarray
+    factors: np.ndarray
+    corners: np.ndarray
+    times: np.ndarray
+    level: np.ndarray
+
+    def part(self, some: slice) -> SplitCells:
+        """Return some of them."""
+        return SplitCells(
+            self.cells[some], self.factors, self.corners[some], self.times[some], self.level[some]
+        )
+
+    @staticmethod
+    def roots(corners: np.ndarray) -> SplitCells:
+        """Return the cells of the root grid, which are their own parents."""
+        count, n = corners.shape
+        none = np.zeros((count, n), dtype=np.int8)
+        level = np.zeros(count, dtype=np.int16)
+        return SplitCells(np.arange(count), np.ones(n, dtype=np.int64), corners, none, level)
 
 
 class Rows(NamedTuple):

@@ -107,16 +107,23 @@ class LatticePoints:
         """Bytes of a solved point that is kept."""
         return self._type.itemsize + np.dtype(self.dtype).itemsize
 
-    def encode(self, offsets: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    def encode(
+        self, offsets: np.ndarray, corners: np.ndarray, scales: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the keys (U, M) of lattice points ``offsets (U, n) + corners (M, n)``.
 
-        Or of ``offsets (U, M, n) + corners (M, n)``. Periodic axes wrap.
+        Or of ``offsets (U, n) * scales (M, n) + corners``, or ``offsets (U, M, n) + corners``.
+        Periodic axes wrap.
         """
-        if offsets.ndim == 2:
-            offsets = offsets[:, None, :]
-        words = [offsets @ column + corners @ column for column in self._strides.T]
+        if scales is not None:
+            words = [offsets @ (scales * column).T + corners @ column for column in self._strides.T]
+        else:
+            if offsets.ndim == 2:
+                offsets = offsets[:, None, :]
+            words = [offsets @ column + corners @ column for column in self._strides.T]
         for i in np.flatnonzero(self._domain.periodic):
-            seam = offsets[:, :, i] + corners[:, i] == self._lattice[i]
+            along = offsets[..., i] if scales is None else np.outer(offsets[:, i], scales[:, i])
+            seam = along + corners[:, i] == self._lattice[i]
             word = self._word[i]
             words[word][seam] -= self._lattice[i] * self._strides[i, word]
         if len(words) == 1:

@@ -27,7 +27,7 @@ BYTES_PER_BLOCK_CELL = 48
 BYTES_PER_CELL = 120
 ROUND_BYTES = 300_000_000
 ROOM = 4
-"""Of affine leaves: per cell beside its rows, and for one round.
+"""Of subdivision in rounds: per cell beside its rows, and for one round.
 One in so many bytes is for a block of cells."""
 
 
@@ -160,32 +160,38 @@ def block_room(limits: Limits) -> int | None:
     return None if free is None else 1 << max(free // ROOM, 1).bit_length() - 1
 
 
-def worst_case_affine_memory(
+def worst_case_rounds_memory(
     partitions: Sequence[int],
     refinement: Sequence[int],
     max_level: int,
     test_points: CellPoints,
-    n_symbols: int,
+    labels: int,
     max_solves: int | None = None,
+    adaptive: bool = False,
 ) -> int:
-    """Return a bound of the bytes that a subdivision with affine leaves takes; see above.
+    """Return a bound of the bytes that a subdivision in rounds takes; see above.
 
-    Solved points keep their scores, cells their rows; test points are those of a round, the root
-    grid being one.
+    Solved points keep the scores of so many labels, cells their rows; test points are those of a
+    round, the root grid being one. Where `adaptive`, splits along one axis after the other make
+    more cells, and more of their inner points.
     """
     n, children, root = len(partitions), math.prod(refinement), math.prod(partitions)
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
     solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
+    if adaptive:
+        solves, cells = solves + cells * test_points.interior(n), 2 * cells
     if max_solves is not None:
         solves = min(solves, max_solves)
         cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
-    first = root * test_points.in_block((1,) * n) * (BYTES_PER_KEY + 24 * (n_symbols + 1))
-    return affine_memory(solves, min(cells, 4 * solves), n_symbols, n) + max(ROUND_BYTES, first)
+    first = root * test_points.in_block((1,) * n) * (BYTES_PER_KEY + 24 * labels)
+    return rounds_memory(solves, min(cells, 4 * solves), labels, n) + max(ROUND_BYTES, first)
 
 
-def affine_memory(solves: int, cells: int, n_symbols: int, n: int) -> int:
-    """Return the bytes that solved points and cells with affine rows take."""
-    labels = n_symbols + 1
+def rounds_memory(solves: int, cells: int, labels: int, n: int) -> int:
+    """Return the bytes that solved points and cells take, with scores and rows of so many labels.
+
+    Labels are 0 where leaves are constant.
+    """
     solved = solves * (BYTES_PER_SOLVE + 24 * labels)
     # of the cells of all levels, twice: while they are put in order
     return solved + 2 * cells * (BYTES_PER_CELL + labels * (8 + 2 * n))
@@ -211,6 +217,7 @@ def check_memory(
     n_symbols: int,
     limits: Limits,
     affine: bool = False,
+    adaptive: bool = False,
 ) -> None:
     """Raise `ProblemError` where the worst case exceeds `memory_limit`, or what is available.
 
@@ -222,8 +229,11 @@ def check_memory(
 
     def need(level: int, q: Sequence[int] = partitions, most: int | None = None) -> int:
         solves = limits.max_solves if most is None else most
-        if affine:
-            return worst_case_affine_memory(q, refinement, level, test_points, n_symbols, solves)
+        if affine or adaptive:
+            labels = n_symbols + 1 if affine else 0
+            return worst_case_rounds_memory(
+                q, refinement, level, test_points, labels, solves, adaptive
+            )
         return worst_case_memory(q, refinement, level, test_points, n_symbols, solves, room)
 
     def fewer(bound: int) -> str:

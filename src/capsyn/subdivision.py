@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.affine_subdivision import AffineSubdivision
 from capsyn.alphabet import Alphabet
 from capsyn.cell_blocks import FINE
 from capsyn.cell_points import CellPoints
-from capsyn.cells import grid_settings, lattice_counts
+from capsyn.cells import MAX_MASKED, grid_settings, lattice_counts
 from capsyn.constant_subdivision import ConstantSubdivision
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
@@ -36,10 +35,12 @@ from capsyn.masks import (
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.processors import pool_of
 from capsyn.propositions import check_memory
+from capsyn.round_subdivision import LeafRule, RoundSubdivision
 from capsyn.validation import describe, finite_number, is_list, one_of, whole_number
 
 RETURNS = ("symbols", "masks", "scores", "masks+scores")
 LEAVES = ("constant", "affine")
+REFINE = ("isotropic", "adaptive")
 
 
 def subdivide(
@@ -52,6 +53,7 @@ def subdivide(
     max_level: int = 4,
     leaves: str = "constant",
     leaf_error: float = 0.01,
+    refine: str = "isotropic",
     test_points: str = "vertices+center",
     seed: int = 0,
     returns: str = "symbols",
@@ -85,6 +87,10 @@ def subdivide(
         or, without scores, to its labels, and kept as integers.
     leaf_error : float
         Largest estimated share of a cell, 0 to 1, where its rows may be wrong; see the notes.
+    refine : "isotropic" or "adaptive"
+        Split cells along all axes, or along those only along which their labels, or the errors of
+        their rows, vary: fewer solves, most of all with affine leaves in three dimensions and more.
+        Of at most 16 axes.
     test_points : str
         ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` (their centres) and
         ``+random:R`` added as wanted; or ``"center+faces"``, without the 2^n vertices.
@@ -102,11 +108,11 @@ def subdivide(
     name : str
         Name of the policy.
     max_solves : int, optional
-        Of constant leaves: stop before a level that would exceed so many solves, with a valid
-        coarser policy. Of affine ones: spend them on the cells where the estimated error is
-        largest, until they are used up or no cell can be split.
+        Of constant leaves, split along all axes: stop before a level that would exceed so many
+        solves, with a valid coarser policy. Else: spend them on the cells where the estimated error
+        is largest, until they are used up or no cell can be split.
     max_seconds : float, optional
-        Stop after a block of cells, or a round of affine leaves, that ends later [s], with a valid
+        Stop after a block of cells, or a round of splits, that ends later [s], with a valid
         policy that is coarser in what was not reached. The only setting by which results depend
         on the machine. The root grid is always labelled.
     max_memory : int or str, optional
@@ -141,6 +147,12 @@ def subdivide(
     two largest rows and `rho` the root mean square of what it differs by from that of the scores
     (Chebyshev's inequality). Else it is split. So refinement follows the curvature of surfaces.
     Of centre and other fixed points, which rows are fitted to, the centre has half the weight.
+
+    An adaptive split of constant leaves is along the axes along which two neighbouring test points
+    have no symbol in common. With affine leaves it is along those along which the error of the rows
+    varies at least 0.8 times as much as along any: its differences between opposite test points
+    show products of coordinates, and those from points half-way show squares; where none of the
+    latter are tested and squares, seen at the centre, prevail, all axes are split.
     """
     if not callable(label):
         raise ProblemError(f"`label` must be a function; got {describe(label)}")
@@ -150,16 +162,18 @@ def subdivide(
     n_symbols = len(alphabet)
     q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
     limits = Limits.of(max_solves, max_seconds, max_memory, memory_limit)
-    points, lattice = check_size(domain, n_symbols, q, r, max_level, test_points, limits, leaves)
     leaf_error = finite_number("leaf_error", leaf_error, least=0.0)
     if leaf_error > 1:
         raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
+    points, lattice = check_size(
+        domain, n_symbols, q, r, max_level, test_points, limits, leaves, refine
+    )
     one_of("returns", returns, list(RETURNS))
     seed = whole_number("seed", seed, least=0)
     threads = whole_number("threads", threads, least=1)
     order = list(range(n_symbols + 1)) if preference is None else _order(preference, n_symbols)
     outside = check_outside(outside, alphabet)
-    affine = leaves == "affine"
+    affine, adaptive = leaves == "affine", refine == "adaptive"
     labels = _scored(label, returns, n_symbols) if affine else _masks(label, returns, n_symbols)
     started = time.perf_counter()
     with pool_of(threads) as pool:
@@ -171,13 +185,13 @@ def subdivide(
             pool if threads > 1 else None,
             progress,
             affine,
-            limits.max_solves if affine else None,
+            limits.max_solves if affine or adaptive else None,
         )
         given = (q, r, max_level, points, seed, order, store, limits)
-        work: ConstantSubdivision | AffineSubdivision = ConstantSubdivision(*given)
-        if affine:
+        work: ConstantSubdivision | RoundSubdivision = ConstantSubdivision(*given)
+        if affine or adaptive:
             plain = not returns.endswith("scores")
-            work = AffineSubdivision(*given, leaf_error, plain)
+            work = RoundSubdivision(*given, LeafRule(affine, leaf_error, plain, adaptive))
         cells = work.run()
     return Policy(
         name=name,
@@ -203,16 +217,31 @@ def check_size(
     test_points: str,
     limits: Limits,
     leaves: str = "constant",
+    refine: str = "isotropic",
 ) -> tuple[CellPoints, tuple[int, ...]]:
     """Return the test points, and the lattice (n,), that floating point and memory can hold."""
     one_of("leaves", leaves, list(LEAVES))
+    one_of("refine", refine, list(REFINE))
+    if refine == "adaptive" and domain.n > MAX_MASKED:
+        raise ProblemError(
+            f"`refine` 'adaptive' is for at most {MAX_MASKED} axes; the domain has {domain.n}"
+        )
     points = CellPoints.parse(test_points)
     lattice = tuple(FINE * k for k in lattice_counts(partitions, refinement, max_level))
     domain.check_resolution(lattice)
     if leaves == "affine":
         level = lattice_level(partitions, refinement, max_level)
         domain.check_resolution(lattice_counts(partitions, refinement, level))
-    check_memory(partitions, refinement, max_level, points, n_symbols, limits, leaves == "affine")
+    check_memory(
+        partitions,
+        refinement,
+        max_level,
+        points,
+        n_symbols,
+        limits,
+        leaves == "affine",
+        refine == "adaptive",
+    )
     return points, lattice
 
 

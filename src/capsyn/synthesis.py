@@ -43,6 +43,7 @@ def synthesize(
     min_dwell: float | None = None,
     leaves: str = "constant",
     leaf_error: float = 0.01,
+    refine: str = "isotropic",
     test_points: str = "vertices+center",
     seed: int = 0,
     max_solves: int | None = None,
@@ -68,14 +69,17 @@ def synthesize(
         surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
     leaf_error : float
         Largest estimated share of a cell where its rows may be wrong; see `subdivide`.
+    refine : "isotropic" or "adaptive"
+        Split cells along all axes, or along those only along which their labels, or the errors of
+        their rows, vary: fewer solves in three dimensions and more; see `subdivide`.
     test_points : str
         ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` and ``+random:R`` added as
         wanted; or ``"center+faces"`` and more, without the 2^n vertices.
     seed : int
         Seed of everything that is random.
     max_solves : int, optional
-        Of constant leaves: stop before a level that would exceed so many solves, with a valid
-        coarser policy. Of affine ones: spend them where the estimated error is largest.
+        Of constant leaves, split along all axes: stop before a level that would exceed so many
+        solves, with a valid coarser policy. Else: spend them where the estimated error is largest.
     max_seconds : float, optional
         Stop after so long [s], with a valid policy that is coarser in what was not reached: the
         only setting by which results depend on the machine; see `subdivide`.
@@ -140,13 +144,20 @@ def synthesize(
         test_points,
         Limits.of(max_solves, max_seconds, max_memory, memory_limit),
         leaves,
+        refine,
     )
     started = time.perf_counter()
     model = transcribe(problem)
     controller = problem_controller(problem, model, backend, seed)
     ready = time.perf_counter()
     affine = leaves == "affine"
-    asked = {"leaves": leaves, "leaf_error": leaf_error, "test_points": test_points, "seed": seed}
+    asked = {
+        "leaves": leaves,
+        "leaf_error": leaf_error,
+        "refine": refine,
+        "test_points": test_points,
+        "seed": seed,
+    }
     method = "scored" if affine else "masks"
     with answerer(
         controller, problem, model, method, threads, backend, executor, checkpoint, asked
@@ -161,6 +172,7 @@ def synthesize(
             max_level=problem.max_level,
             leaves=leaves,
             leaf_error=leaf_error,
+            refine=refine,
             test_points=test_points,
             seed=seed,
             returns="masks+scores" if affine else "masks",

@@ -1,13 +1,15 @@
-"""Subdivision with affine leaves: cells are split where their rows are wrong, not on the surface.
+"""Subdivision in rounds: the cells that are split next are those where most is wrong.
 
-Cells wait in a list; the next blocks to be split are taken from it in rounds, so that no more than
-a round's test points are in memory beside the solved points.
+So are made affine leaves, whose cells are split where their rows are wrong and not on the surface,
+and cells that are split along some axes only. Cells wait in a list; no more than a round's test
+points are in memory beside the solved points.
 """
 
 from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,11 +19,12 @@ from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
 from capsyn.cell_points import CellPoints
 from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
 from capsyn.errors import ProblemError, SynthesisError
-from capsyn.growing_cells import GrowingCells, Rows, lattice_level
+from capsyn.growing_cells import GrowingCells, Rows, SplitCells, lattice_level
 from capsyn.lattice_points import MANY, LatticePoints, Question
 from capsyn.limits import Limits
 from capsyn.masks import most_voted, preferred, several
-from capsyn.propositions import ROUND_BYTES, affine_memory, worst_case_solves
+from capsyn.propositions import ROUND_BYTES, rounds_memory, worst_case_solves
+from capsyn.split_axes import SplitAxes
 
 ROUND_POINTS = 2**19
 """Test points of the blocks that are split in one round, at most."""
@@ -30,11 +33,33 @@ ROUND_SHARE = 4
 NEGLIGIBLE = 1e-6
 """Estimated error for which no solves are spent: that of rounding rows."""
 CHUNK_SCORES = 2**21
-"""Scores that are fitted at a time."""
+"""Scores that are fitted, or masks of constant leaves that are compared, at a time."""
 
 
-class AffineSubdivision:
-    """Algorithm 1 with affine leaves, in rounds."""
+@dataclass(frozen=True)
+class LeafRule:
+    """What leaves are made of.
+
+    Parameters
+    ----------
+    affine : bool
+        Whether cells whose test points do not agree get affine rows.
+    most_error : float
+        Largest estimated share of a cell where rows may be wrong.
+    plain : bool
+        Whether scores are mere indicators of labels.
+    adaptive : bool
+        Whether cells are split along some axes only.
+    """
+
+    affine: bool
+    most_error: float = 0.0
+    plain: bool = False
+    adaptive: bool = False
+
+
+class RoundSubdivision:
+    """Algorithm 1 in rounds."""
 
     def __init__(
         self,
@@ -46,8 +71,7 @@ class AffineSubdivision:
         order: list[int],
         points: LatticePoints,
         limits: Limits,
-        leaf_error: float,
-        plain: bool,
+        rule: LeafRule,
     ) -> None:
         self._n, self._q, self._r = len(partitions), partitions, refinement
         self._max_level, self._test_points, self._seed = max_level, test_points, seed
@@ -55,13 +79,17 @@ class AffineSubdivision:
         self._blocks = CellBlocks(points, test_points, self._n, seed)
         self._offsets = test_points.offsets(self._n)
         self._limits, self._started = limits, time.perf_counter()
-        self._max_solves, self._leaf_error, self._plain = limits.max_solves, leaf_error, plain
+        self._max_solves, self._rule = limits.max_solves, rule
+        self._axes = SplitAxes.of(self._offsets) if rule.adaptive else None
         # without vertices, cells whose test points agree may have others in their corners
-        self._everywhere = not (plain or test_points.vertices)
-        self._lattice_level = lattice_level(partitions, refinement, max_level)
+        self._everywhere = rule.affine and not (rule.plain or test_points.vertices)
+        self._lattice_level = max_level
+        if rule.affine:
+            self._lattice_level = lattice_level(partitions, refinement, max_level)
         self._counts = lattice_counts(partitions, refinement, self._lattice_level)
         self._roles = np.zeros(len(ROLES), dtype=np.int64)
-        self._solves = np.zeros(max_level + 1, dtype=np.int64)
+        most = max_level * (self._n if rule.adaptive else 1)
+        self._solves = np.zeros(most + 1, dtype=np.int64)
         self._streams = 0
         self._needed = 0
         self._stopped = ""
@@ -71,8 +99,8 @@ class AffineSubdivision:
 
     def run(self) -> CellTree:
         """Return the cells."""
-        roots = grid_places(self._q) * self._size(0)
-        made = self._evaluate([(0, roots)])
+        size = FINE * self._finest(np.zeros((1, self._n)))
+        made = self._evaluate([SplitCells.roots(grid_places(self._q) * size)])
         if made is None:
             raise ProblemError(
                 f"`max_solves` must be at least the {self._needed} solves of level 0; "
@@ -80,11 +108,11 @@ class AffineSubdivision:
             )
         cells, spent = made, 0
         while not self._used_up(cells) and (chosen := self._next(cells, spent)).size:
-            before = self._points.count
+            before, split = self._points.count, np.count_nonzero(cells.child >= 0)
             new = self._split(cells, chosen)
             if new is None:
                 break
-            spent = (self._points.count - before) // max(1, len(new.level) // self._children)
+            spent = (self._points.count - before) // (np.count_nonzero(cells.child >= 0) - split)
             cells = GrowingCells.joined([cells, new])
             if len(cells.level) > MAX_COUNT:
                 raise SynthesisError("there are more cells than 32-bit entries can number")
@@ -93,11 +121,17 @@ class AffineSubdivision:
         elif self._max_solves is not None and not self._stopped:
             self._stopped = "max_solves"
         self._points.check_finite(self._points.count)
-        tree = cells.tree(self._q, self._r, self._lattice_level, max(self._order) + 1, self._rows)
-        self._summary = self._counts_of(cells) | {
-            "affine_leaves": 0 if tree.affine is None else len(tree.affine),
-            "mixed_cells": len(tree.mixed_cells),
-        }
+        tree = cells.tree(
+            self._q,
+            self._r,
+            self._lattice_level,
+            max(self._order) + 1,
+            self._rows,
+            self._rule.adaptive,
+        )
+        self._summary = self._counts_of(cells) | {"mixed_cells": len(tree.mixed_cells)}
+        if self._rule.affine:
+            self._summary["affine_leaves"] = 0 if tree.affine is None else len(tree.affine)
         return tree
 
     def _used_up(self, cells: GrowingCells) -> bool:
@@ -105,24 +139,21 @@ class AffineSubdivision:
         seconds, memory = self._limits.max_seconds, self._limits.max_memory
         if seconds is not None and time.perf_counter() - self._started > seconds:
             self._stopped = "max_seconds"
-        taken = affine_memory(self._points.count, len(cells.level), max(self._order), self._n)
+        labels = max(self._order) + 1 if self._rule.affine else 0
+        taken = rounds_memory(self._points.count, len(cells.level), labels, self._n)
         if memory is not None and taken + ROUND_BYTES > memory:
             self._stopped = "max_memory"
         return bool(self._stopped)
 
-    @property
-    def _children(self) -> int:
-        return math.prod(self._r)
-
-    def _size(self, level: int, finest: int = FINE) -> np.ndarray:
-        """Return the edge lengths (n,) of cells of a level; `finest` is that of finest ones."""
-        return finest * np.array([r ** (self._max_level - level) for r in self._r], dtype=np.int64)
+    def _finest(self, times: np.ndarray) -> np.ndarray:
+        """Return the finest cells along cells' edges (M, n), split so often along each axis."""
+        return np.array(self._r, dtype=np.int64) ** (self._max_level - times.astype(np.int64))
 
     def _open(self, cells: GrowingCells) -> np.ndarray:
         """Return which cells may yet be split; where solves are counted, accepted ones too."""
         counted = self._max_solves is not None
         waiting = cells.error > NEGLIGIBLE if counted else ~cells.accepted
-        return waiting & (cells.child < 0) & (cells.level < self._max_level)
+        return waiting & (cells.child < 0) & cells.axes.any(axis=1)
 
     def _next(self, cells: GrowingCells, spent: int) -> np.ndarray:
         """Return the cells to split in the next round; `spent` solves went into a block before.
@@ -136,73 +167,61 @@ class AffineSubdivision:
         if self._max_solves is not None:
             left = self._max_solves - self._points.count
             room = min(room, max(1, left // (ROUND_SHARE * max(1, spent or block))))
-            shares = np.array([1.0 / self._children**k for k in range(self._max_level + 1)])
-            error = cells.error[chosen] * shares[cells.level[chosen]]
-            chosen = chosen[np.argsort(-error, kind="stable")]
+            shares = 1 / np.prod(np.array(self._r, dtype=float) ** cells.times[chosen], axis=1)
+            chosen = chosen[np.argsort(-cells.error[chosen] * shares, kind="stable")]
         return chosen[:room]
 
     def _split(self, cells: GrowingCells, chosen: np.ndarray) -> GrowingCells | None:
         """Split the cells, or fewer where there are too few solves left; None where for none."""
         while chosen.size:
-            groups, order = [], []
-            for level in np.unique(cells.level[chosen]):
-                here = chosen[cells.level[chosen] == level]
-                groups.append((int(level) + 1, cells.corner[here]))
-                order.append(here)
+            groups = cells.groups(chosen, self._r)
             new = self._evaluate(groups)
             if new is not None:
-                split = np.concatenate(order)
-                cells.child[split] = len(cells.level) + self._children * np.arange(len(split))
+                parents = np.concatenate([group.cells for group in groups])
+                counts = cells.children(parents, self._r)
+                cells.child[parents] = len(cells.level) + np.cumsum(counts) - counts
                 return new
             chosen = chosen[: len(chosen) // 2]
         return None
 
-    def _evaluate(self, groups: list[tuple[int, np.ndarray]]) -> GrowingCells | None:
-        """Return the children, of some levels, in blocks with these lower corners (M, n).
-
-        The cells of the root grid are their own parents. None where that takes too many solves.
-        """
-        tests: list[tuple[int, np.ndarray, np.ndarray, tuple[int, ...], np.ndarray]] = []
-        keys: list[np.ndarray] = []
+    def _evaluate(self, groups: list[SplitCells]) -> GrowingCells | None:
+        """Return the children in blocks, or None where that takes too many solves."""
+        tests: list[tuple[np.ndarray, tuple[int, ...], np.ndarray]] = []
         roles, levels = [], []
-        for level, parents in groups:
-            split = np.array(self._r if level else (1,) * self._n)
-            found, table, role = self._blocks.keys(
-                parents, split, self._size(level), self._blocks.stream(self._streams + len(tests))
-            )
-            tests.append((level, parents, split, found.shape, table))
-            keys.append(found.ravel())
-            roles.append(np.repeat(role, len(parents)))
-            levels.append(np.full(found.size, level))
-        question = self._points.ask(np.concatenate(keys))
+        for group in groups:
+            size = FINE * self._finest(group.times)
+            stream = self._blocks.stream(self._streams + len(tests))
+            keys, table, role = self._blocks.keys(group.corners, group.factors, size, stream)
+            tests.append((keys.ravel(), keys.shape, table))
+            roles.append(np.repeat(role, len(size)))
+            levels.append(np.tile(group.level, len(keys)))
+        question = self._points.ask(np.concatenate([keys for keys, _, _ in tests]))
         self._needed = int(question.new.sum())
         if self._exceeds(question):
             return None
         self._streams += len(tests)
-        samples = question.samples
+        samples, counted = question.samples, self._max_solves is not None
         self._roles += np.bincount(np.concatenate(roles)[samples], minlength=len(ROLES))
         self._solves += np.bincount(np.concatenate(levels)[samples], minlength=len(self._solves))
-        counted = self._max_solves is not None  # then any level may come next
-        deepest = self._max_level if counted else max(level for level, _ in groups)
+        # where solves are counted, any level may come next
+        deepest = len(self._solves) - 1 if counted else max(int(g.level.max()) for g in groups)
         masks, scores = self._points.answer_with_scores(
-            question, deepest, self._max_level, sum(len(p) for _, p in groups)
+            question, deepest, len(self._solves) - 1, sum(len(g.corners) for g in groups)
         )
         self._points.check_finite(self._points.count, MANY)
         made: list[GrowingCells] = []
         start = 0
-        for (level, parents, split, shape, table), found in zip(tests, keys):
-            part = slice(start, start + shape[0] * shape[1])
+        for group, (keys, shape, table) in zip(groups, tests):
+            part = slice(start, start + len(keys))
             start = part.stop
-            chunk = max(1, CHUNK_SCORES // (table.size * scores[0].size))
-            for first in range(0, len(parents), chunk):
+            chunk = max(1, CHUNK_SCORES // (table.size * max(1, scores[0].size)))
+            for first in range(0, len(group.corners), chunk):
                 some = slice(first, first + chunk)
                 made.append(
                     self._cells(
-                        level,
-                        parents[some],
-                        split,
+                        group.part(some),
                         table,
-                        found.reshape(shape)[:, some],
+                        keys.reshape(shape)[:, some],
                         masks[part].reshape(shape)[:, some],
                         scores[part].reshape(*shape, *scores.shape[1:])[:, some],
                     )
@@ -215,48 +234,54 @@ class AffineSubdivision:
 
     def _cells(
         self,
-        level: int,
-        parents: np.ndarray,
-        split: np.ndarray,
+        blocks: SplitCells,
         table: np.ndarray,
         keys: np.ndarray,
         masks: np.ndarray,
         scores: np.ndarray,
     ) -> GrowingCells:
         """Return the children of blocks, fitted: keys, masks (U, M) and scores (U, M, V, S)."""
-        size, children = self._size(level), len(table)
-        corners = (parents[:, None, :] + grid_places(split) * size).reshape(-1, self._n)
+        count, children = len(blocks.corners), len(table)
+        times = np.repeat(blocks.times, children, axis=0)
+        size = FINE * self._finest(times)
+        corners = np.repeat(blocks.corners, children, axis=0)
+        corners = corners + np.tile(grid_places(blocks.factors), (count, 1)) * size
         rows = np.moveaxis(table, 0, 1)  # (P, children)
 
         def spread(values: np.ndarray) -> np.ndarray:
             """Return values of test points (U, M, ...) as those of cells (P, M children, ...)."""
             found = np.swapaxes(values[rows], 1, 2)
-            return found.reshape(len(rows), children * len(parents), *values.shape[2:])
+            return found.reshape(len(rows), children * count, *values.shape[2:])
 
         cell_masks = spread(masks)
-        shared = common = np.bitwise_and.reduce(cell_masks, axis=0)
-        if level < self._max_level:
-            common = self._quarter_rule(common, cell_masks, corners, size, level)
+        shared = np.bitwise_and.reduce(cell_masks, axis=0)
+        level = np.repeat(blocks.level, children)
+        can = np.asarray(times < self._max_level)
+        deeper = np.asarray(can.any(axis=1))
+        common = self._quarter_rule(shared, cell_masks, corners, size, level, deeper)
         uniform = preferred(common, self._order)
-        made = GrowingCells.uniform(corners, level, uniform.copy())
+        made = GrowingCells.uniform(corners, times, level, can.copy(), uniform.copy())
         made.accepted[:] = common != 0
-        mixed = np.flatnonzero((common == 0) | self._everywhere)
-        if not mixed.size:
-            return made
-        of_mixed = spread(scores)[:, mixed]
-        known = np.isfinite(of_mixed).all(axis=(0, 2, 3))
-        self._fit(made, mixed[known], cell_masks, of_mixed[:, known], spread(keys), level)
-        hidden = np.flatnonzero((common == 0) & (shared != 0))  # by points of the quarter rule
+        unlike = rest = np.flatnonzero(common == 0)
+        if self._rule.affine:
+            mixed = np.flatnonzero((common == 0) | self._everywhere)
+            of_mixed = spread(scores)[:, mixed]
+            known = np.isfinite(of_mixed).all(axis=(0, 2, 3))
+            self._fit(made, mixed[known], cell_masks, of_mixed[:, known], spread(keys), size)
+            rest = mixed[~known & (common[mixed] == 0)]
+        if rest.size:
+            made.label[rest], made.seen[rest] = most_voted(cell_masks[:, rest], self._order)
+            bits = cell_masks[:, rest] >> made.label[rest].astype(cell_masks.dtype)
+            made.error[rest] = (bits & cell_masks.dtype.type(1) == 0).mean(axis=0)
+            if self._axes is not None:
+                fixed = cell_masks[: len(self._offsets), rest]
+                made.axes[rest] = self._axes.by_labels(fixed, can[rest])
+        hidden = unlike[shared[unlike] != 0]  # by points of the quarter rule
         made.accepted[hidden] = False
         made.error[hidden] = np.maximum(made.error[hidden], 1 / len(rows))
         whole = (common != 0) & (made.label >= 0)
         made.label[whole] = uniform[whole]
         made.accepted[whole], made.error[whole], made.seen[whole] = True, 0.0, 0
-        rest = mixed[~known & (common[mixed] == 0)]
-        if rest.size:
-            made.label[rest], made.seen[rest] = most_voted(cell_masks[:, rest], self._order)
-            bits = cell_masks[:, rest] >> made.label[rest].astype(cell_masks.dtype)
-            made.error[rest] = (bits & cell_masks.dtype.type(1) == 0).mean(axis=0)
         return made
 
     def _fit(
@@ -266,29 +291,29 @@ class AffineSubdivision:
         masks: np.ndarray,
         scores: np.ndarray,
         keys: np.ndarray,
-        level: int,
+        size: np.ndarray,
     ) -> None:
         """Give some cells their rows: masks and keys (P, all cells), scores (P, K, V, S)."""
         if not cells.size:
             return
-        fine = self._size(level)
-        steps = self._size(level, 1) * np.array(
-            [r ** (self._lattice_level - self._max_level) for r in self._r]
-        )
+        fine = size[cells]
+        per_cell = np.array([r ** (self._lattice_level - self._max_level) for r in self._r])
+        steps = fine // FINE * per_cell
         corners = made.corner[cells]
         places = np.empty((len(masks), len(cells), self._n), dtype=np.int64)
         fixed = len(self._offsets)
-        places[:fixed] = (self._offsets * (fine // 2))[:, None, :]
+        places[:fixed] = self._offsets[:, None, :] * (fine // 2)
         for p in range(fixed, len(masks)):  # random points, which lie inside
             places[p] = self._points.places(keys[p, cells]) - corners
         # below 2^63: cells have at most 2^31 steps, and no more lattice units than that
         places = np.minimum(places * steps // fine, steps - 1)
-        corners = corners // fine * steps
-        some = masks[:, cells]
+        corners = corners // FINE * per_cell
+        some, rule = masks[:, cells], self._rule
         fits = fit_cells(
-            scores, some, self._offsets, places, corners, steps, self._counts, self._plain,
+            scores, some, self._offsets, places, corners, steps, self._counts, rule.plain,
+            self._axes, made.axes[cells],
         )  # fmt: skip
-        self._rows.append(made.fit(cells, fits, some, self._row_count, self._leaf_error))
+        self._rows.append(made.fit(cells, fits, some, self._row_count, rule.most_error))
         self._row_count += len(self._rows[-1].symbols)
 
     def _quarter_rule(
@@ -297,22 +322,27 @@ class AffineSubdivision:
         masks: np.ndarray,
         corners: np.ndarray,
         size: np.ndarray,
-        level: int,
+        level: np.ndarray,
+        can: np.ndarray,
     ) -> np.ndarray:
-        """Return `common` (M,) after a second look at tied points of uniform cells."""
+        """Return `common` (M,) after a second look at tied points of uniform cells that can split.
+
+        Where that would exceed the solves that are allowed they go without.
+        """
         movable = np.flatnonzero((self._offsets != 1).any(axis=1))
-        point, cell = np.nonzero(several(masks[movable]) & (common != 0))
+        point, cell = np.nonzero(several(masks[movable]) & (common != 0) & can)
         if not cell.size:
             return common
-        keys = self._blocks.quarter_keys(corners[cell], size, self._offsets[movable[point]])
+        keys = self._blocks.quarter_keys(corners[cell], size[cell], self._offsets[movable[point]])
         question = self._points.ask(keys)
         if self._exceeds(question):
             return common
-        new = int(question.new.sum())
-        self._roles[ROLES.index("quarter")] += new
-        self._solves[level] += new
-        shown = level if self._max_solves is None else self._max_level
-        moved = self._points.answer(question, shown, self._max_level, common.size)
+        self._roles[ROLES.index("quarter")] += question.new.sum()
+        new = level[cell][question.samples]
+        self._solves += np.bincount(new, minlength=len(self._solves))
+        last = len(self._solves) - 1
+        shown = int(level.max()) if self._max_solves is None else last
+        moved = self._points.answer(question, shown, last, common.size)
         common = common.copy()
         np.bitwise_and.at(common, cell, moved)
         return common
@@ -320,7 +350,7 @@ class AffineSubdivision:
     def _counts_of(self, cells: GrowingCells) -> dict[str, Any]:
         """Return the counts of cells by level."""
         leaves, levels = [], []
-        for level, here in enumerate(cells.by_level(math.prod(self._q), self._children)):
+        for level, here in enumerate(cells.by_level(math.prod(self._q), self._r)):
             split = cells.child[here] >= 0
             mixed = int(np.count_nonzero(split | (cells.seen[here] != 0)))
             leaves.append(int(np.count_nonzero(~split)))
@@ -329,14 +359,15 @@ class AffineSubdivision:
 
     def statistics(self) -> dict[str, Any]:
         """Return the counts of the subdivision as plain data."""
-        points = self._points
+        points, rule = self._points, self._rule
         stopped = {"stopped_by": self._stopped} if self._stopped not in ("", "max_solves") else {}
+        affine = {"leaves": "affine", "leaf_error": rule.most_error} if rule.affine else {}
         return (
             self._summary
             | stopped
+            | affine
+            | ({"refine": "adaptive"} if rule.adaptive else {})
             | {
-                "leaves": "affine",
-                "leaf_error": self._leaf_error,
                 "solves": points.count,
                 "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
                 "stopped_by_max_solves": self._stopped == "max_solves",

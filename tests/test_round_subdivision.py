@@ -54,8 +54,7 @@ def leaf_tests(policy):
     tree = policy.cells
     n, counts = tree.n, np.array(tree.counts)
     for leaves in tree.leaves():
-        size = tree.sizes(leaves.level)
-        for entry, lower in zip(leaves.entries, leaves.lower):
+        for entry, lower, size in zip(*leaves[1:]):
             places = [np.array(p) for p in itertools.product((0, 1), repeat=n)] + [np.full(n, 0.5)]
             fractions = (lower + np.array(places) * size) / counts
             states = policy.domain.lower + fractions * policy.domain.widths
@@ -71,9 +70,10 @@ def leaf_tests(policy):
     st.integers(1, 3),
     st.booleans(),
     st.sampled_from([0.05, 1.0]),
+    st.sampled_from(["isotropic", "adaptive"]),
 )
 def test_accepted_leaves_are_right_at_all_their_test_points(
-    n, symbols, seed, partitions, plain, leaf_error
+    n, symbols, seed, partitions, plain, leaf_error, refine
 ):
     scores = waves(n, symbols, seed)
 
@@ -88,11 +88,12 @@ def test_accepted_leaves_are_right_at_all_their_test_points(
         max_level=5 - n,
         leaves="affine",
         leaf_error=leaf_error,
+        refine=refine,
         returns="symbols" if plain else "scores",
     )
     tree, mixed = policy.cells, set(policy.cells.mixed_cells.tolist())
-    finest = [x.entries for x in tree.leaves() if x.level == 5 - n]
-    assert mixed <= set(np.concatenate([*finest, np.zeros(0, dtype=int)]).tolist())
+    finest = [x.places[(x.sizes == tree.sizes(5 - n)).all(axis=1)] for x in tree.leaves()]
+    assert mixed <= set(np.concatenate(finest).tolist())
     tested = 0
     for entry, states, steps in leaf_tests(policy):
         if entry not in mixed:
@@ -256,8 +257,8 @@ def test_rounds_do_not_matter_without_a_budget(monkeypatch, tmp_path):
         return (tmp_path / name).read_bytes()
 
     whole = bytes_of("whole.cap")
-    monkeypatch.setattr("capsyn.affine_subdivision.ROUND_POINTS", 5_000)
-    monkeypatch.setattr("capsyn.affine_subdivision.CHUNK_SCORES", 3_000)
+    monkeypatch.setattr("capsyn.round_subdivision.ROUND_POINTS", 5_000)
+    monkeypatch.setattr("capsyn.round_subdivision.CHUNK_SCORES", 3_000)
     assert bytes_of("rounds.cap") == whole
 
 
@@ -374,7 +375,7 @@ def one_cell(scores, offsets, size=16):
         offsets,
         places,
         np.full((1, n), 16),
-        np.full(n, size),
+        np.full((1, n), size),
         (64,) * n,
     )
 
@@ -397,7 +398,7 @@ def test_used_rows_are_those_that_no_other_beats_everywhere(seed, symbols):
     rng = np.random.default_rng(seed)
     constants = rng.integers(-4, 5, (1, symbols))
     slopes = rng.integers(-2, 3, (1, symbols, 2))
-    corner, size = rng.integers(0, 9, (1, 2)), np.array([3, 4])
+    corner, size = rng.integers(0, 9, (1, 2)), np.array([[3, 4]])
     steps = corner + np.stack(np.meshgrid(np.arange(3), np.arange(4)), -1).reshape(-1, 2)
     values = constants[0] + steps @ slopes[0].T
     expected = [
