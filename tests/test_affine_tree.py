@@ -44,8 +44,9 @@ def pendulum():
 
 @pytest.mark.parametrize("grid", range(len(GRIDS)))
 @pytest.mark.parametrize("seed", range(3))
-def test_the_exact_tree_is_the_policy_at_every_lattice_step(grid, seed):
-    policy = random_affine_policy(grid, seed=seed)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_the_exact_tree_is_the_policy_at_every_lattice_step(grid, seed, some_axes):
+    policy = random_affine_policy(grid, seed=seed, some_axes=some_axes)
     tree = compress(policy)
     counts = policy.cells.counts
     total = int(np.prod(counts))

@@ -385,6 +385,38 @@ def test_cut_off_takes_the_label_of_most_volume(grid, seed):
     assert np.array_equal(same.cells.entries, cells.entries)
 
 
+@pytest.mark.parametrize("grid", GRIDS)
+@pytest.mark.parametrize("seed", range(2))
+def test_cells_split_along_some_axes_are_cut_off_likewise(grid, seed):
+    cells = random_tree(*grid, leaf_count=3, split=0.7, seed=seed, some_axes=True)
+    policy = policy_of(grid, symbols=2, cells=cells)
+    for level in range(cells.depth + 1):
+        cut = cut_off(policy, level).cells
+        cut.check(3)
+        assert cut.depth == level
+        scale = np.array(cells.counts) // cut.counts
+        places, volumes = cells.volumes()
+        for here in cut.leaves():
+            for place, lower, size in zip(*here[1:]):
+                middle = (lower * scale)[None]
+                if cells.entries[place] < 0:
+                    assert cut.entries[place] == cells.entries[cells.find(middle)[0]]
+                    continue
+                found = np.zeros(3)
+                for part in cells.leaves():
+                    inside = (part.lower >= middle).all(axis=1)
+                    inside &= (part.lower < (lower + size) * scale).all(axis=1)
+                    sizes = np.prod(part.sizes[inside], axis=1)
+                    np.add.at(found, -1 - cells.entries[part.places[inside]], sizes)
+                assert cut.labels_at(np.array([place])) == found.argmax()
+                assert place in cut.mixed_cells
+    assert np.array_equal(cut.entries, cells.entries)
+    assert np.array_equal(cut.splits, cells.splits)
+    tree = compress(policy)
+    points = all_points(cells.counts)
+    assert np.array_equal(tree.cells.labels(points), cells.labels(points))
+
+
 def test_of_equal_volumes_the_first_label_is_taken():
     entries = np.array([1, -3, -2], dtype=np.int32)
     cells = CellTree((1,), (2,), 1, entries, np.zeros(0, np.int32), np.zeros(0, np.uint64))

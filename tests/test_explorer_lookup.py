@@ -62,7 +62,9 @@ POLICIES = {
     "periodic 1-D": lambda: random_policy(2, periodic=True),
     "many symbols": many_symbols,
     **{
-        f"random {grid}": functools.partial(random_policy, grid, True) for grid in range(len(GRIDS))
+        f"random {grid}{kind}": functools.partial(random_policy, grid, True, 0, bool(kind))
+        for grid in range(len(GRIDS))
+        for kind in ("", " adaptive")
     },
 }
 
@@ -198,7 +200,8 @@ def seen_at_level(policy, states, level):
 
 @pytest.mark.parametrize(
     "name",
-    ["cart-pendulum", "cart-pole", "exact", "oblique", "oblique 4-D", "random 6", "random 7"],
+    ["cart-pendulum", "cart-pole", "exact", "oblique", "oblique 4-D", "random 6", "random 7"]
+    + [f"random {grid} adaptive" for grid in (3, 6, 7)],
 )
 def test_pixels_have_the_symbols_of_their_centres(name, tmp_path):
     policy = oblique_4() if name == "oblique 4-D" else POLICIES[name]()
@@ -216,13 +219,13 @@ def oblique_4():
     return compress(synthesize(problem), "linear", agreement=0.9, states=5000)
 
 
-@pytest.mark.parametrize("name", ["cart-pendulum", "random 3", "random 7"])
+@pytest.mark.parametrize("name", ["cart-pendulum", "random 3", "random 7", "random 7 adaptive"])
 def test_levels_show_what_the_algorithm_knew(name, tmp_path):
     policy = POLICIES[name]()
     views = [
         view | {"level": level}
         for view in list(views_of(policy))[:2]
-        for level in range(policy.cells.max_level + 1)
+        for level in range(policy.cells.depth + 1)
     ]
     found = node(tmp_path, LOOKUP + RASTER, policy, views=views)
     mixed = 0

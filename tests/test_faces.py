@@ -76,8 +76,9 @@ def turning(n, case):
 
 @pytest.mark.parametrize("grid", GRIDS_HERE)
 @pytest.mark.parametrize("case", range(4))
-def test_faces_of_cells_are_those_of_neighbouring_finest_cells(grid, case):
-    cells = random_tree(*grid, seed=case)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_faces_of_cells_are_those_of_neighbouring_finest_cells(grid, case, some_axes):
+    cells = random_tree(*grid, seed=case, some_axes=some_axes)
     check(cells, turning(cells.n, case))
 
 

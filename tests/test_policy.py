@@ -156,8 +156,9 @@ def test_symbols_are_those_of_the_labelling_function(plane):
 
 @pytest.mark.parametrize("grid", range(len(GRIDS)))
 @pytest.mark.parametrize("periodic", [False, True])
-def test_lookup_against_a_search_among_the_faces(grid, periodic):
-    made = random_policy(grid, periodic, seed=grid)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_lookup_against_a_search_among_the_faces(grid, periodic, some_axes):
+    made = random_policy(grid, periodic, grid, some_axes)
     counts = made.cells.counts
     states = states_at_faces(made.domain, counts, 400, seed=grid)
     inside = ((states >= made.domain.lower) & (states < made.domain.upper)).all(axis=1)
@@ -291,8 +292,9 @@ def test_unknown_backend(plane):
 @pytest.mark.parametrize("grid", range(len(GRIDS)))
 @pytest.mark.parametrize("periodic", [False, True])
 @pytest.mark.parametrize("rule", ["nearest", 1])
-def test_compiled_lookup_is_the_readable_one_bit_for_bit(grid, periodic, rule):
-    made = random_policy(grid, periodic, seed=7)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_compiled_lookup_is_the_readable_one_bit_for_bit(grid, periodic, rule, some_axes):
+    made = random_policy(grid, periodic, 7, some_axes)
     rng = np.random.default_rng(8)
     n = made.domain.n
     states = np.vstack(

@@ -113,6 +113,7 @@ SOME = {
         model=None,
     ),
     **{f"grid {k}": random_policy(k, seed=k) for k in range(len(GRIDS))},
+    **{f"adaptive {k}": random_policy(k, seed=k, some_axes=True) for k in range(len(GRIDS))},
 }
 
 

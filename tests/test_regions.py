@@ -40,8 +40,9 @@ def labelled_by_scipy(image, periodic):
 
 @pytest.mark.parametrize("turning", [False, True])
 @pytest.mark.parametrize("grid", range(len(GRIDS)))
-def test_partitions_are_those_of_flood_fill(grid, turning):
-    cells = random_tree(*GRIDS[grid], seed=grid)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_partitions_are_those_of_flood_fill(grid, turning, some_axes):
+    cells = random_tree(*GRIDS[grid], seed=grid, some_axes=some_axes)
     periodic = [turning and i % 2 == 0 for i in range(cells.n)]
     found = connected_partitions(cells, periodic)
     image = image_of(cells)

@@ -234,6 +234,45 @@ class CellTree:
         levels = np.repeat([x.level for x in leaves], [len(x.places) for x in leaves])
         return Boxes(places, lower, lower + sizes, self.labels_at(places), levels)
 
+    def parts(
+        self, lower: np.ndarray, upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return what the leaves cut boxes into, each of which lies in one cell of the root grid.
+
+        Arguments and results are those of `SplitTree.parts`.
+        """
+        size = np.broadcast_to(self.sizes(0), lower.shape)
+        place = np.ravel_multi_index(tuple((lower // size).T), self.partitions)
+        box, corner, done = np.arange(len(lower)), lower // size * size, []
+        while True:
+            leaf = self.entries[place] < 0
+            done.append((place[leaf], box[leaf], lower[leaf], upper[leaf]))
+            if leaf.all():
+                break
+            place, box, lower, upper, corner, size = (
+                x[~leaf] for x in (place, box, lower, upper, corner, size)
+            )
+            factors = self.factors(place)
+            size = size // factors
+            first = (lower - corner) // size
+            counts = (upper - 1 - corner) // size - first + 1  # of children that a box meets
+            total = np.prod(counts, axis=1)
+            parent = np.repeat(np.arange(len(box)), total)
+            number = np.arange(len(parent)) - (np.cumsum(total) - total)[parent]
+            digits = np.empty((len(parent), self.n), dtype=np.int64)
+            for i in reversed(range(self.n)):
+                number, digits[:, i] = np.divmod(number, counts[parent, i])
+            digits += first[parent]
+            child = digits[:, 0]
+            for i in range(1, self.n):
+                child = child * factors[parent, i] + digits[:, i]
+            place, box, size = self.entries[place[parent]] + child, box[parent], size[parent]
+            corner = corner[parent] + digits * size
+            lower = np.maximum(lower[parent], corner)
+            upper = np.minimum(upper[parent], corner + size)
+        leaves, boxes, lower, upper = (np.concatenate(x) for x in zip(*done))
+        return leaves, boxes, lower, upper
+
     @functools.cached_property
     def leaf_count(self) -> int:
         """Number of leaf cells."""

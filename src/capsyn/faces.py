@@ -57,9 +57,10 @@ def shared_faces(
     level = np.zeros(cells.node_count, dtype=np.int8)
     level[boxes.places] = boxes.levels
     found = []
+    nested = isinstance(cells, CellTree) and cells.splits is None  # of two cells one is the smaller
     for axis in range(cells.n):
         wraps = periodic is not None and periodic[axis]
-        for side in (-1, 1) if isinstance(cells, CellTree) else (1,):
+        for side in (-1, 1) if nested else (1,):
             at = (boxes.lower if side < 0 else boxes.upper)[:, axis]
             inside = (at > 0) & (at < counts[axis])
             some = np.flatnonzero(inside | wraps)
@@ -67,7 +68,7 @@ def shared_faces(
             lower, upper = boxes.lower[some], boxes.upper[some]
             lower[:, axis] = beyond
             upper[:, axis] = beyond + 1
-            if isinstance(cells, CellTree):
+            if nested:
                 # a face is told once: by the smaller cell, of equals by the upper one
                 other = cells.find(lower)
                 tells = boxes.levels[some] + (side < 0) > level[other]
