@@ -137,6 +137,45 @@ def double_pendulum():
     return [*found, {"what": what, "value": saved, "unit": "ratio", "wanted": ">= 10"}]
 
 
+def adaptive():
+    """Return the rows of splits along some axes: agreements, and solves saved at one of them."""
+    free = dataclasses.replace(problems.get("spacecraft").settings, control_weight=0.0)
+    found = []
+    for name, share, budgets, wanted, changes in (
+        ("cart-pole", 99.95, (5_000, 15_000, 60_000), ">= 25", {}),
+        ("planar-quadrotor", 99.6, (6_000, 20_000, 50_000, 140_000), ">= 25", {}),
+        ("spacecraft", 98.5, (6_000, 100_000, 170_000), "", {"settings": free}),
+        ("double-pendulum", 95, (5_000, 20_000, 100_000), "", {}),
+    ):
+        problem, needed = problems.get(name).replace(**changes), {}
+        for refine in ("isotropic", "adaptive"):
+            curve = []
+            for budget in budgets:
+                options = {"leaves": "affine", "max_level": 4, "max_solves": budget}
+                policy, _, agreeing = made(problem, refine=refine, **options)
+                solves = policy.statistics["solves"]
+                curve.append((solves, agreeing))
+                what = f"{name}, affine, {refine}, {solves:,} solves: agreement"
+                found.append({"what": what, "value": agreeing, "unit": "%"})
+            needed[refine] = solves_for(curve, share)
+        saved = 100 * (1 - needed["adaptive"] / needed["isotropic"])
+        what = f"{name}, {share} %: solves that adaptive splits save"
+        found.append(
+            {"what": what, "value": saved, "unit": "%"} | ({"wanted": wanted} if wanted else {})
+        )
+    for name, level in (("cart-pole", 3), ("double-pendulum", 3)):
+        solves = []
+        for refine in ("isotropic", "adaptive"):
+            policy, _, agreeing = made(problems.get(name), max_level=level, refine=refine)
+            solves.append(policy.statistics["solves"])
+            what = f"{name}, constant, {refine}, {solves[-1]:,} solves: agreement"
+            found.append({"what": what, "value": agreeing, "unit": "%"})
+        saved = 100 * (1 - solves[1] / solves[0])
+        what = f"{name}, constant, level {level}: solves that adaptive splits save"
+        found.append({"what": what, "value": saved, "unit": "%"})
+    return found
+
+
 def constant_leaves():
     """Return the rows of the cart-pole at level 4, whose cells are one symbol each."""
     problem = problems.get("cart-pole")
@@ -177,7 +216,7 @@ def bounded_memory():
 
 
 def ball_curves():
-    """Return by (n, leaves) the share that disagrees [%], solves and leaves, (levels, 3).
+    """Return by (n, leaves, refine) the share that disagrees [%], solves and leaves, (levels, 3).
 
     Of a ball of radius 0.4 in the unit cube: its surface has the same curvature whatever the number
     of axes. A share is at least that of one state.
@@ -190,16 +229,19 @@ def ball_curves():
 
     options = {"partitions": 4, "returns": "scores", "leaf_error": 0.0}
     curves = {}
-    for n, leaves in itertools.product(levels, ("constant", "affine")):
+    kinds = ("constant", "affine"), ("isotropic", "adaptive")
+    for n, leaves, refine in itertools.product(levels, *kinds):
         box = Box([0.0] * n, [1.0] * n)
         states = box.sample(STATES, 1)
         right = scores(states).argmax(axis=1)
         points = []
         for level in levels[n]:
-            policy = subdivide(scores, box, 2, max_level=level, leaves=leaves, **options)
+            policy = subdivide(
+                scores, box, 2, max_level=level, leaves=leaves, refine=refine, **options
+            )
             wrong = max(float((policy(states) != right).mean()), 1 / STATES)
             points.append((100 * wrong, policy.statistics["solves"], policy.cells.leaf_count))
-        curves[n, leaves] = np.array(points)
+        curves[n, leaves, refine] = np.array(points)
     return curves
 
 
@@ -212,8 +254,8 @@ def exponents(points):
 def growth():
     """Return the rows of solves and leaves against agreement on a ball, and their exponents."""
     found = []
-    for (n, leaves), points in ball_curves().items():
-        what = f"ball, n = {n}, {leaves}"
+    for (n, *kind), points in ball_curves().items():
+        what = f"ball, n = {n}, {', '.join(kind)}"
         for wrong, solves, cells in points.tolist():
             row = f"{what}, {solves:,.0f} solves, {cells:,.0f} leaves: agreement"
             found.append({"what": row, "value": 100 - wrong, "unit": "%"})
@@ -230,9 +272,10 @@ def save_growth_plot(path):
 
     styles = {"constant": ("--", "s", "white"), "affine": ("-", "o", None)}
     with reproducible():
-        figure = Figure(figsize=(8.5, 5.4), layout="constrained")
-        axes = figure.subplots(1, 2, sharex=True)
-        for (n, leaves), points in ball_curves().items():
+        figure = Figure(figsize=(8.5, 10), layout="constrained")
+        grid = figure.subplots(2, 2, sharex=True, sharey="col")
+        for (n, leaves, refine), points in ball_curves().items():
+            axes = grid[("isotropic", "adaptive").index(refine)]
             line, marker, face = styles[leaves]
             color = PALETTE[n - 2]
             slopes = exponents(points)
@@ -247,8 +290,9 @@ def save_growth_plot(path):
                     markerfacecolor=face or color,
                     label=f"{n}, {leaves}: {slopes[k]:.1f}",
                 )
-        for ax, name in zip(axes, ("solves", "leaves")):
+        for ax, name in zip(grid.ravel(), ("solves", "leaves") * 2):
             ax.set(xscale="log", yscale="log", xlabel="disagrees [% of the volume]", ylabel=name)
+            ax.set_title("isotropic" if ax in grid[0] else "adaptive", fontsize="medium")
             ax.xaxis.set_major_formatter("{x:g}")
             ax.grid(True, which="major", linewidth=0.3)
             ax.legend(
@@ -260,7 +304,7 @@ def save_growth_plot(path):
                 loc="upper center",
                 bbox_to_anchor=(0.5, -0.14),
             )
-        axes[0].invert_xaxis()
+        grid[0, 0].invert_xaxis()
         save_figure(figure, path)
 
 
@@ -269,6 +313,7 @@ PARTS = (
     planar_quadrotor,
     spacecraft,
     double_pendulum,
+    adaptive,
     constant_leaves,
     bounded_memory,
     growth,

@@ -211,7 +211,10 @@ def test_available_memory_is_read_or_unknown(monkeypatch, tmp_path):
         (2, 200, 0, 3, "vertices", None),
     ],
 )
-def test_worst_case_memory_of_affine_leaves(n, partitions, level, n_symbols, points, max_solves):
+@pytest.mark.parametrize("refine", ["isotropic", "adaptive"])
+def test_worst_case_memory_of_affine_leaves(
+    n, partitions, level, n_symbols, points, max_solves, refine
+):
     def label(states):
         found = noise(states, 1)
         bits = [found >> np.uint64(3 * k) & np.uint64(1023) for k in range(n_symbols)]
@@ -222,13 +225,19 @@ def test_worst_case_memory_of_affine_leaves(n, partitions, level, n_symbols, poi
     try:
         subdivide(
             label, unit_box(n), n_symbols, **grid, leaves="affine", returns="scores",
-            max_solves=max_solves,
+            max_solves=max_solves, refine=refine,
         )  # fmt: skip
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
     assert peak < props.worst_case_rounds_memory(
-        (partitions,) * n, (2,) * n, level, CellPoints.parse(points), n_symbols + 1, max_solves
+        (partitions,) * n,
+        (2,) * n,
+        level,
+        CellPoints.parse(points),
+        n_symbols + 1,
+        max_solves,
+        refine == "adaptive",
     )
 
 
