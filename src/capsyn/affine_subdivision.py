@@ -16,12 +16,12 @@ from capsyn.affine_fit import fit_cells
 from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
 from capsyn.cell_points import CellPoints
 from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
-from capsyn.errors import ProblemError, SynthesisError
+from capsyn.errors import SynthesisError
 from capsyn.growing_cells import GrowingCells, Rows, lattice_level
 from capsyn.lattice_points import MANY, LatticePoints, Question
 from capsyn.limits import Limits
 from capsyn.masks import most_voted, preferred, several
-from capsyn.propositions import ROUND_BYTES, affine_memory, worst_case_solves
+from capsyn.propositions import ROUND_BYTES, affine_memory, too_few_solves, worst_case_solves
 
 ROUND_POINTS = 2**19
 """Test points of the blocks that are split in one round, at most."""
@@ -74,10 +74,7 @@ class AffineSubdivision:
         roots = grid_places(self._q) * self._size(0)
         made = self._evaluate([(0, roots)])
         if made is None:
-            raise ProblemError(
-                f"`max_solves` must be at least the {self._needed} solves of level 0; "
-                f"got {self._max_solves}"
-            )
+            raise too_few_solves(self._needed, self._max_solves, self._q, self._test_points)
         cells, spent = made, 0
         while not self._used_up(cells) and (chosen := self._next(cells, spent)).size:
             before = self._points.count

@@ -7,6 +7,7 @@ cells or levels share is solved once.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,6 +19,7 @@ from capsyn.alphabet import Alphabet
 from capsyn.cell_blocks import FINE
 from capsyn.cell_points import CellPoints
 from capsyn.cells import grid_settings, lattice_counts
+from capsyn.checkpoint import Remembered
 from capsyn.constant_subdivision import ConstantSubdivision
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
@@ -35,7 +37,7 @@ from capsyn.masks import (
 )
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.processors import pool_of
-from capsyn.propositions import check_memory
+from capsyn.propositions import block_room, check_memory
 from capsyn.validation import describe, finite_number, is_list, one_of, whole_number
 
 RETURNS = ("symbols", "masks", "scores", "masks+scores")
@@ -149,11 +151,12 @@ def subdivide(
     alphabet = symbols if isinstance(symbols, Alphabet) else Alphabet(range(_count(symbols)))
     n_symbols = len(alphabet)
     q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
+    leaf_error = checked_leaf_error(leaf_error)
     limits = Limits.of(max_solves, max_seconds, max_memory, memory_limit)
+    if isinstance(label, Remembered) and leaves == "constant":  # its chunks are those of blocks
+        room = label.checkpoint.settle("block_memory", block_room(limits))
+        limits = dataclasses.replace(limits, room=room)
     points, lattice = check_size(domain, n_symbols, q, r, max_level, test_points, limits, leaves)
-    leaf_error = finite_number("leaf_error", leaf_error, least=0.0)
-    if leaf_error > 1:
-        raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
     one_of("returns", returns, list(RETURNS))
     seed = whole_number("seed", seed, least=0)
     threads = whole_number("threads", threads, least=1)
@@ -192,6 +195,14 @@ def subdivide(
             "subdivide": time.perf_counter() - started - store.seconds,
         },
     )
+
+
+def checked_leaf_error(value: Any) -> float:
+    """Return a `leaf_error` that is a share."""
+    leaf_error = finite_number("leaf_error", value, least=0.0)
+    if leaf_error > 1:
+        raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
+    return leaf_error
 
 
 def check_size(
