@@ -415,9 +415,17 @@ def test_max_solves_stops_at_a_whole_level(ties):
 
 def test_max_solves_below_the_root_grid_is_refused_before_any_work():
     label, batches = recorder(halves)
-    with pytest.raises(ProblemError, match=r"`max_solves` must be at least the 181 .*; got 180$"):
-        subdivide(label, unit_box(), 2, max_solves=180)
+    told = (
+        r"^`max_solves` must be at least the 181 .*; got 180: use fewer partitions: 8 per axis fit"
+    )
+    for leaves in ("constant", "affine"):
+        with pytest.raises(ProblemError, match=told):
+            subdivide(label, unit_box(), 2, max_solves=180, leaves=leaves)
+    with pytest.raises(ProblemError, match="; got 4: no root grid fits$"):
+        subdivide(label, unit_box(), 2, max_solves=4)
     assert not batches
+    assert subdivide(label, unit_box(), 2, max_solves=180, partitions=8).statistics["solves"] == 145
+    batches.clear()
     policy = subdivide(label, unit_box(), 2, max_solves=181)
     assert policy.statistics["leaves_by_level"] == [81]
 

@@ -24,6 +24,7 @@ from capsyn.lattice_points import MANY, LatticePoints, Question
 from capsyn.limits import Limits
 from capsyn.masks import most_voted, preferred, several
 from capsyn.propositions import (
+    BYTES_PER_ENTRY,
     BYTES_PER_MIXED,
     block_bytes,
     block_room,
@@ -31,9 +32,6 @@ from capsyn.propositions import (
     too_few_solves,
     worst_case_solves,
 )
-
-BYTES_PER_CELL = 8
-"""What the entry of a cell takes, twice: while entries are joined."""
 
 
 @dataclass(eq=False)
@@ -194,6 +192,7 @@ class ConstantSubdivision:
         Those of the first blocks, where time or memory is used up; None where there are no solves
         for all of them, or no block was labelled.
         """
+        self._held = sum(map(_bytes, self._levels))
         step = self._step(len(parents), level)
         parts = [parents[i : i + step] for i in range(0, len(parents), step)]
         cells = math.prod(self._split(level)) * len(parents)
@@ -215,7 +214,7 @@ class ConstantSubdivision:
                 break
             masks = self._solve(block, question, level, cells)
             done.append(self._label(block, masks, level, cells, quarter))
-            self._held = sum(_bytes(x) for x in [*self._levels, *done])
+            self._held += _bytes(done[-1])
         if done:
             self._points.check_finite(self._points.count, MANY)
         return _Level.joined(done) if done else None
@@ -243,26 +242,22 @@ class ConstantSubdivision:
         seconds = self._limits.max_seconds
         if seconds is not None and time.perf_counter() - self._started > seconds:
             self._stopped = "max_seconds"
-        if self._too_large(parents, level):
+        if self._too_large(parents, level, self._limits.max_memory):
             self._stopped = "max_memory"
         return self._stopped in ("max_seconds", "max_memory")
 
-    def _too_large(self, parents: int, level: int, more: int = 0) -> bool:
-        """Return whether memory, `more` bytes of it taken, does not suffice for such a block."""
-        memory = self._limits.max_memory
-        return memory is not None and self._taken(parents, level) + more > memory
-
-    def _taken(self, parents: int, level: int) -> int:
-        """Return the bytes that are taken with a block of so many parents."""
-        kept = self._points.count * self._points.point_bytes + self._held
-        return kept + parents * self._need(level)
+    def _too_large(self, parents: int, level: int, bound: int | None, more: int = 0) -> bool:
+        """Return whether a block, and `more` that is held, would take more bytes than a bound."""
+        kept = self._points.count * self._points.point_bytes + self._held + more
+        return bound is not None and kept + parents * self._need(level) > bound
 
     def _step(self, parents: int, level: int) -> int:
         """Return how many of the parents make a block."""
-        before = (self._limits.room or 0) // self._need(level)
-        if before and self._taken(min(before, parents), level) <= memory_bound(self._limits):
+        need, bound = self._need(level), memory_bound(self._limits)
+        before = max(1, (self._limits.room or 0) // need)
+        if self._limits.room and not self._too_large(min(before, parents), level, bound):
             return before
-        return max(1, block_room(self._limits) // self._need(level))
+        return max(1, block_room(self._limits) // need)
 
     @property
     def _left(self) -> float:
@@ -288,7 +283,8 @@ class ConstantSubdivision:
         new = self._points.unsolved()
 
         def stop(parents: int, level: int) -> bool:
-            return len(new) > self._left or self._too_large(parents, level, new.nbytes)
+            full = self._too_large(parents, level, self._limits.max_memory, new.nbytes)
+            return full or len(new) > self._left
 
         for block in self._tests(parts, level, stop):
             new.add(block.keys.ravel())
@@ -304,7 +300,7 @@ class ConstantSubdivision:
         """
         held, point = self._held, self._points.point_bytes
         children = math.prod(self._split(level))
-        leaves = children * (BYTES_PER_CELL + BYTES_PER_MIXED)
+        leaves = children * (BYTES_PER_ENTRY + BYTES_PER_MIXED)
         leaves += self._test_points.in_block(self._split(level)) * point
         labels = self._held + len(parts[0]) * leaves  # a block is made anew when all are solved
         self._held = labels
@@ -313,8 +309,8 @@ class ConstantSubdivision:
             keys, mixed = self._solve_and_tie(block, level, cells)
             tied.add(keys)
             reached += 1
-            labels += BYTES_PER_CELL * children * len(block.parents) + BYTES_PER_MIXED * mixed
-            self._held = labels + tied.nbytes + len(tied) * (BYTES_PER_MIXED + point)
+            labels += BYTES_PER_ENTRY * children * len(block.parents) + BYTES_PER_MIXED * mixed
+            self._held = labels + tied.nbytes + len(tied) * point
         self._held = held
         return parts[:reached], not self._exceeds(len(tied))
 
@@ -327,14 +323,13 @@ class ConstantSubdivision:
         return self._points.answer(question, level, self._max_level, cells).reshape(shape)
 
     def _solve_and_tie(self, block: _Block, level: int, cells: int) -> tuple[np.ndarray, int]:
-        """Solve a block's test points.
-
-        Returns the keys (K,) of its quarter rule, and how many cells are mixed without it.
-        """
+        """Solve a block's test points; return the quarter rule's keys (K,) and mixed cells at worst."""
         masks = self._solve(block, self._points.ask(block.keys.ravel()), level, cells)
         masks = masks[block.table.T]
         common = np.bitwise_and.reduce(masks, axis=0)
-        return self._tied(common, masks, block.parents, level)[0], int(np.sum(common == 0))
+        keys, child, parent = self._tied(common, masks, block.parents, level)
+        common[child, parent] = 0
+        return keys, int(np.sum(common == 0))
 
     def _label(
         self, block: _Block, masks: np.ndarray, level: int, cells: int, quarter: bool
@@ -401,4 +396,4 @@ class ConstantSubdivision:
 
 def _bytes(level: _Level) -> int:
     """Return what labelled cells take."""
-    return BYTES_PER_CELL * len(level.entries) + BYTES_PER_MIXED * len(level.mixed)
+    return BYTES_PER_ENTRY * len(level.entries) + BYTES_PER_MIXED * len(level.mixed)

@@ -23,7 +23,9 @@ BYTES_PER_MASK = 4
 byte of the masks of a cell's test points; measured and rounded up."""
 BYTES_PER_MIXED = 40
 BYTES_PER_BLOCK_CELL = 48
-"""Of constant leaves in blocks: what is kept of a mixed cell beside its entry, and of any cell."""
+BYTES_PER_ENTRY = 8
+"""Of constant leaves in blocks: what is kept of a mixed cell beside its entry, of any cell at
+worst, and of its entry, twice: while entries are joined."""
 BYTES_PER_CELL = 120
 ROUND_BYTES = 300_000_000
 ROOM = 4
@@ -163,7 +165,7 @@ def block_room(limits: Limits) -> int:
 
 
 def memory_bound(limits: Limits) -> int:
-    """Return what a run may take [bytes]: as given, else what is available; `ENDLESS` if unknown."""
+    """Return what a run may take [bytes]: as given, else what is available, if that is known."""
     for given in (limits.max_memory, limits.memory_limit, available_memory()):
         if given is not None:
             return given
