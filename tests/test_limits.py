@@ -262,7 +262,7 @@ def test_counting_stays_within_the_memory(share, monkeypatch):
     def label(states):
         return (sum((states[:, i] - 0.5) ** 2 for i in range(3)) < 0.16).astype(int)
 
-    options = {"partitions": 4, "max_level": 6, "max_memory": 4_000_000}
+    options = {"partitions": 4, "refinement": 4, "max_level": 4, "max_memory": 4_000_000}
     solves = subdivide(label, unit_box(3), 2, **options).statistics["solves"]
     tracemalloc.start()
     try:

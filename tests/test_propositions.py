@@ -150,6 +150,12 @@ def test_solves_that_are_said_to_fit_do(monkeypatch):
             props.check_memory(*PAPER, 9, CENTER, 1, limits, affine)
 
 
+def test_no_solves_are_advised_that_level_0_exceeds():
+    for affine, limit in ((False, 10**4), (True, 300_010_000)):
+        with pytest.raises(ProblemError, match="or bound it with `max_memory`$"):
+            props.check_memory(*PAPER, 9, CENTER, 1, Limits(memory_limit=limit), affine)
+
+
 def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
     calls = []
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capsyn import Alphabet, Box, lattice_points, subdivide
+from capsyn import Alphabet, Box, lattice_points, problems, subdivide, synthesize
 from capsyn.cell_points import CellPoints
 from capsyn.errors import ProblemError, SynthesisError
 from capsyn.propositions import worst_case_solves
@@ -411,6 +411,16 @@ def test_max_solves_stops_at_a_whole_level(ties):
             assert leaves == coarse_leaves
     assert levels == set(range(6))
     assert same(policy, whole)
+
+
+def test_a_wrong_leaf_error_is_told_before_memory():
+    for function in (
+        lambda **k: subdivide(halves, unit_box(), 2, **k),
+        lambda **k: synthesize(problems.get("cart-pendulum"), **k),
+    ):
+        for wrong in (2, -1, "x", np.nan):
+            with pytest.raises(ProblemError, match="^`leaf_error` must be "):
+                function(leaf_error=wrong, max_level=20, memory_limit=1000)
 
 
 def test_max_solves_below_the_root_grid_is_refused_before_any_work():

@@ -323,7 +323,7 @@ class ConstantSubdivision:
         return self._points.answer(question, level, self._max_level, cells).reshape(shape)
 
     def _solve_and_tie(self, block: _Block, level: int, cells: int) -> tuple[np.ndarray, int]:
-        """Solve a block's test points; return the quarter rule's keys (K,) and mixed cells at worst."""
+        """Solve test points; return the keys (K,) of the quarter rule, and mixed cells at worst."""
         masks = self._solve(block, self._points.ask(block.keys.ravel()), level, cells)
         masks = masks[block.table.T]
         common = np.bitwise_and.reduce(masks, axis=0)
