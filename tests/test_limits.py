@@ -29,7 +29,7 @@ def in_blocks(parents):
     """Let so many parents make a block."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("capsyn.constant_subdivision.block_bytes", lambda *rest: 1)
-        patch.setattr("capsyn.constant_subdivision.block_room", lambda limits: parents)
+        patch.setattr("capsyn.propositions.block_room", lambda limits: parents)
         yield
 
 

@@ -27,8 +27,7 @@ from capsyn.propositions import (
     BYTES_PER_ENTRY,
     BYTES_PER_MIXED,
     block_bytes,
-    block_room,
-    memory_bound,
+    block_parents,
     too_few_solves,
     worst_case_solves,
 )
@@ -193,7 +192,8 @@ class ConstantSubdivision:
         for all of them, or no block was labelled.
         """
         self._held = sum(map(_bytes, self._levels))
-        step = self._step(len(parents), level)
+        sizes = len(parents), self._need(level), self._leave(level), self._taken
+        step = block_parents(self._limits, *sizes)
         parts = [parents[i : i + step] for i in range(0, len(parents), step)]
         cells = math.prod(self._split(level)) * len(parents)
         quarter = level < self._max_level
@@ -242,22 +242,24 @@ class ConstantSubdivision:
         seconds = self._limits.max_seconds
         if seconds is not None and time.perf_counter() - self._started > seconds:
             self._stopped = "max_seconds"
-        if self._too_large(parents, level, self._limits.max_memory):
+        if self._too_large(parents, level):
             self._stopped = "max_memory"
         return self._stopped in ("max_seconds", "max_memory")
 
-    def _too_large(self, parents: int, level: int, bound: int | None, more: int = 0) -> bool:
-        """Return whether a block, and `more` that is held, would take more bytes than a bound."""
-        kept = self._points.count * self._points.point_bytes + self._held + more
-        return bound is not None and kept + parents * self._need(level) > bound
+    @property
+    def _taken(self) -> int:
+        """Bytes that are taken between blocks."""
+        return self._points.count * self._points.point_bytes + self._held
 
-    def _step(self, parents: int, level: int) -> int:
-        """Return how many of the parents make a block."""
-        need, bound = self._need(level), memory_bound(self._limits)
-        before = max(1, (self._limits.room or 0) // need)
-        if self._limits.room and not self._too_large(min(before, parents), level, bound):
-            return before
-        return max(1, block_room(self._limits) // need)
+    def _too_large(self, parents: int, level: int, more: int = 0) -> bool:
+        """Return whether memory, `more` bytes of it taken, does not suffice for such a block."""
+        bound = self._limits.max_memory
+        return bound is not None and self._taken + more + parents * self._need(level) > bound
+
+    def _leave(self, level: int) -> int:
+        """Return the bytes that the children of one cell leave at worst."""
+        points = self._test_points.in_block(self._split(level)) * self._points.point_bytes
+        return points + math.prod(self._split(level)) * (BYTES_PER_ENTRY + BYTES_PER_MIXED)
 
     @property
     def _left(self) -> float:
@@ -283,8 +285,7 @@ class ConstantSubdivision:
         new = self._points.unsolved()
 
         def stop(parents: int, level: int) -> bool:
-            full = self._too_large(parents, level, self._limits.max_memory, new.nbytes)
-            return full or len(new) > self._left
+            return len(new) > self._left or self._too_large(parents, level, new.nbytes)
 
         for block in self._tests(parts, level, stop):
             new.add(block.keys.ravel())
@@ -300,10 +301,7 @@ class ConstantSubdivision:
         """
         held, point = self._held, self._points.point_bytes
         children = math.prod(self._split(level))
-        leaves = children * (BYTES_PER_ENTRY + BYTES_PER_MIXED)
-        leaves += self._test_points.in_block(self._split(level)) * point
-        labels = self._held + len(parts[0]) * leaves  # a block is made anew when all are solved
-        self._held = labels
+        labels = self._held = held + len(parts[0]) * self._leave(level)  # it will be made anew
         tied, reached = self._points.unsolved(), 0
         for block in self._tests(parts, level, self._used_up):
             keys, mixed = self._solve_and_tie(block, level, cells)

@@ -164,6 +164,30 @@ def block_room(limits: Limits) -> int:
     return room if limits.max_seconds is None else min(room, TIMED_BYTES)
 
 
+def block_parents(limits: Limits, parents: int, need: int, left: int, taken: int) -> int:
+    """Return how many of the parents of a level make a block.
+
+    As many as before, where a run goes on; unless memory has become too little for that.
+
+    Parameters
+    ----------
+    limits : Limits
+        What the run may take.
+    parents : int
+        Cells whose children are to be labelled.
+    need, left : int
+        What labelling the children of one takes, and what it leaves at worst [bytes].
+    taken : int
+        What is taken now [bytes].
+    """
+    own = max(1, block_room(limits) // need)
+    if limits.room is None:
+        return own
+    before = max(1, limits.room // need)
+    fits = taken + parents * left + min(before, parents) * need <= memory_bound(limits)
+    return before if before <= own or fits else own
+
+
 def memory_bound(limits: Limits) -> int:
     """Return what a run may take [bytes]: as given, else what is available, if that is known."""
     for given in (limits.max_memory, limits.memory_limit, available_memory()):
