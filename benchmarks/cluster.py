@@ -11,6 +11,7 @@ import resource
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -84,6 +85,33 @@ def content(policy):
         return path.read_bytes()
 
 
+def bereft(run, seconds):
+    """Return rows: a policy made while one of two workers is killed after some time [s]."""
+    from dask_processes import processes, start_scheduler, start_worker
+
+    with tempfile.TemporaryDirectory() as directory, processes() as start:
+        address, _ = start_scheduler(start, Path(directory))
+        workers = [start_worker(start, address, name) for name in ("one", "two")]
+        with Client(address) as client:
+            client.wait_for_workers(2)
+            timer = threading.Timer(seconds, workers[0].kill)
+            timer.start()
+            found, wall, _ = timed(lambda: run(client))
+            left = len(client.nthreads())
+    print("one worker killed", round(wall, 3), "workers left", left, file=sys.stderr)
+    assert left == 1
+    what = f"one of 2 workers killed after {seconds:.0f} s"
+    return [
+        {"what": what, "value": wall, "unit": "s"},
+        {
+            "what": f"{what}: files that differ",
+            "value": int(content(found) != content(run(None))),
+            "unit": "",
+            "wanted": "<= 0",
+        },
+    ]
+
+
 def killed():
     """Return a row: of 20 random kills, how many runs ended with other bytes."""
     with tempfile.TemporaryDirectory() as directory:
@@ -113,6 +141,7 @@ def main():
 
     rows = [
         *compare(f"cart-pole level 4 in {STEPS} steps", synthesis(fine), content),
+        *bereft(synthesis(fine), 8.0),
         *compare("cart-pole level 4 in 20 steps", synthesis(problem), content),
         *compare("30,000 trials", trials, lambda found: found.final.tobytes()),
         killed(),

@@ -17,6 +17,11 @@ import capsyn
 from capsyn import checkpoint, problems
 
 
+def written(directory):
+    """Return how many blocks the checkpoint has."""
+    return len(list((directory / "kept").glob("block-*")))
+
+
 def main():
     directory, kills, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     checkpoint.INTERVAL = 0.01
@@ -37,10 +42,16 @@ def main():
         if not child:
             run("killed.cap", checkpoint=directory / "kept")
             os._exit(0)
-        time.sleep(rng.uniform(0, whole / 6))
-        os.kill(child, signal.SIGKILL)
-        finished += os.WIFEXITED(os.waitpid(child, 0)[1])
-        blocks.append(len(list((directory / "kept").glob("block-*"))))
+        time.sleep(rng.uniform(0, whole / 12))
+        wanted = rng.integers(0, 3) + (blocks[-1] if blocks else 0)  # on a busy machine, too
+        while written(directory) < wanted and not os.waitpid(child, os.WNOHANG)[0]:
+            time.sleep(rng.uniform(0, 0.01))
+        try:
+            os.kill(child, signal.SIGKILL)
+            finished += os.WIFEXITED(os.waitpid(child, 0)[1])
+        except (ProcessLookupError, ChildProcessError):
+            finished += 1
+        blocks.append(written(directory))
     run("killed.cap", checkpoint=directory / "kept")
     print(json.dumps({"seconds": whole, "finished": finished, "blocks": blocks}))
 

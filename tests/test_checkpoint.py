@@ -15,7 +15,7 @@ from safetensors.numpy import load_file, save_file
 from typer.testing import CliRunner
 
 import capsyn
-from capsyn import checkpoint, problems
+from capsyn import checkpoint, problems, propositions
 from capsyn.answers import Packed, digest
 from capsyn.checkpoint import Checkpoint
 from capsyn.cli import app
@@ -97,6 +97,70 @@ def test_max_solves_may_be_raised(tmp_path, labelled):
     all_of_it = capsyn.synthesize(PROBLEM, checkpoint=tmp_path / "kept")
     assert sum(map(len, labelled)) == all_of_it.statistics["solves"] - few.statistics["solves"]
     assert file_of(all_of_it, tmp_path) == file_of(capsyn.synthesize(PROBLEM), tmp_path)
+
+
+LIMITS = [
+    {},
+    {"max_memory": "3MB"},
+    {"memory_limit": "60MB"},
+    {"max_seconds": 1e4},
+    {"free": 2**27},
+]
+
+
+@pytest.fixture
+def small_blocks(monkeypatch):
+    """Blocks of few cells, and what makes a policy under limits and some free memory."""
+    monkeypatch.setattr(propositions, "ROOM", 100)
+    monkeypatch.setattr(propositions, "TIMED_BYTES", 45_000)
+
+    def run(free=2**29, **limits):
+        monkeypatch.setattr(propositions, "available_memory", lambda: free)
+        return capsyn.synthesize(PROBLEM, max_level=6, threads=1, **limits)
+
+    return run
+
+
+@pytest.mark.parametrize("second", range(len(LIMITS)))
+@pytest.mark.parametrize("first", range(len(LIMITS)))
+def test_other_limits_lose_nothing(tmp_path, labelled, small_blocks, first, second):
+    kept = tmp_path / "kept"
+    one = small_blocks(**LIMITS[first], checkpoint=kept)
+    chunks = list(map(len, labelled))
+    labelled.clear()
+    two = small_blocks(**LIMITS[second], checkpoint=kept)
+    assert not labelled
+    assert file_of(one, tmp_path) == file_of(two, tmp_path)
+    if first != second:  # blocks would have been others
+        small_blocks(**LIMITS[second])
+        assert chunks != list(map(len, labelled))
+        assert sum(chunks) == sum(map(len, labelled))
+
+
+def test_blocks_for_which_there_is_no_memory_are_cut_anew(tmp_path, labelled, small_blocks):
+    kept = tmp_path / "kept"
+    small_blocks(checkpoint=kept)
+    solved = sum(map(len, labelled))
+    little = {"max_memory": "400kB"}
+    labelled.clear()
+    again = small_blocks(**little, checkpoint=kept)
+    assert 0 < sum(map(len, labelled)) < solved
+    assert file_of(again, tmp_path) == file_of(small_blocks(**little), tmp_path)
+
+
+def test_settled_values_are_those_of_what_is_kept(tmp_path):
+    with Checkpoint(tmp_path, {}) as kept:
+        assert kept.settle("room", 5) == 5 == kept.settle("room", 6)
+    with Checkpoint(tmp_path, {}) as kept:  # nothing was kept
+        assert kept.settle("room", 7) == 7
+        kept.remember(lambda states: states[:, 0])(np.ones((3, 2)))
+    with Checkpoint(tmp_path, {}) as kept:
+        assert kept.settle("room", 8) == 7
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    for wrong in ([], {"room": 0}, {"room": "8"}, {"room": True}, {"room": 1.5}):
+        (tmp_path / "manifest.json").write_text(json.dumps(manifest | {"settled": wrong}))
+        with pytest.raises(ProblemError, match="no manifest of a checkpoint, or damaged"):
+            Checkpoint(tmp_path, {})
 
 
 @pytest.mark.parametrize(
@@ -193,6 +257,14 @@ DAMAGE = [
     forged(lambda a: a.pop("rows") is None),
     forged(lambda a: json.dumps([False, ["object"]])),
     forged(lambda a: json.dumps([False, 3])),
+    forged(lambda a: json.dumps([False, {"uint64": 1}])),
+    forged(lambda a: json.dumps([False, [["uint64"]]])),
+    forged(lambda a: json.dumps([0, ["uint64"]])),
+    forged(lambda a: json.dumps(["no", ["uint64"]])),
+    forged(lambda a: a.update(answer1=a["answer0"]) or json.dumps([False, ["uint64", "uint64"]])),
+    forged(lambda a: a.update(answer0=a["answer0"].astype(np.uint64)) or '[false, ["uint8"]]'),
+    forged(lambda a: a.update(answer0=a["answer0"].astype(np.float32)) or '[false, ["float64"]]'),
+    forged(lambda a: a.update(answer0=np.array(3, np.uint8))),
     forged(lambda a: "[" * 100_000),
 ]
 

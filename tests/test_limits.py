@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from capsyn import Box, Policy, lattice_points, problems, subdivide, synthesize
+from capsyn.constant_subdivision import ConstantSubdivision
 from capsyn.errors import ProblemError, SynthesisError
 from capsyn.lattice_points import LatticePoints, inserted, key_strides
 from capsyn.limits import Limits, memory
@@ -28,7 +29,7 @@ def in_blocks(parents):
     """Let so many parents make a block."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("capsyn.constant_subdivision.block_bytes", lambda *rest: 1)
-        patch.setattr("capsyn.constant_subdivision.block_room", lambda limits: parents)
+        patch.setattr("capsyn.propositions.block_room", lambda limits: parents)
         yield
 
 
@@ -193,6 +194,103 @@ def test_a_memory_budget_leaves_a_valid_coarser_policy(leaves, monkeypatch):
     assert same(policy, subdivide(scores, unit_box(3), 2, **options))
 
 
+@settings(max_examples=80, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    parents=st.integers(1, 40),
+    share=st.none() | st.floats(0.02, 1.1),
+    memory=st.none() | st.integers(2_000, 60_000),
+    seconds=st.none() | st.integers(1, 60),
+    points=st.sampled_from(["vertices+center", "vertices", "center+faces+random:1"]),
+)
+def test_what_is_solved_is_used_whatever_ends_the_run(
+    seed, parents, share, memory, seconds, points
+):
+    label = planar_masks(unit_box(), seed, 3, 0.02)
+    options = {"partitions": 2, "max_level": 6, "returns": "masks", "test_points": points}
+    most = None
+    if share is not None:
+        everything = subdivide(label, unit_box(), 3, **options).statistics["solves"]
+        most = max(20, int(share * everything))
+    recorded, batches = recorder(label)
+    clock = itertools.count()
+
+    class Clock:
+        perf_counter = staticmethod(lambda: float(next(clock)))
+
+    with in_blocks(parents), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("capsyn.constant_subdivision.time", Clock)
+        policy = subdivide(
+            recorded, unit_box(), 3, **options,
+            max_solves=most, max_memory=memory, max_seconds=seconds,
+        )  # fmt: skip
+    policy.cells.check(4)
+    solved, told = np.concatenate(batches), policy.statistics
+    assert len(np.unique(solved, axis=0)) == len(solved) == told["solves"]
+    assert most is None or told["solves"] <= most
+    assert sum(told["solves_by_role"].values()) == told["solves"]
+    quarter = told["solves_by_role"]["quarter"]
+    assert sum(level["solves"] for level in told["levels"]) + quarter == told["solves"]
+    for level, (cells, above) in enumerate(zip(told["levels"][1:], told["levels"])):
+        assert cells["solves"] > 0 or cells["cells"] == 4 * above["mixed"], level
+    if most is not None and most > 2 * everything and seconds is None:
+        with in_blocks(parents):
+            assert same(subdivide(label, unit_box(), 3, **options, max_memory=memory), policy)
+
+
+def test_budgets_of_memory_and_solves_together_keep_the_blocks_that_are_done():
+    label, batches = recorder(planar_masks(unit_box(), 11, 3, 0.004))
+    options = {"partitions": 5, "max_level": 6, "returns": "masks", "max_memory": 30_000}
+    with in_blocks(9):
+        alone = subdivide(label, unit_box(), 3, **options)
+        solves = alone.statistics["solves"]
+        assert alone.statistics["stopped_by"] == "max_memory"
+        levels = alone.statistics["levels"]
+        assert levels[-1]["cells"] < 4 * levels[-2]["mixed"]  # it stops within a level
+        for budget in (2 * solves, solves + 500, solves + 200):
+            batches.clear()
+            both = subdivide(label, unit_box(), 3, max_solves=budget, **options)
+            assert sum(map(len, batches)) == both.statistics["solves"]
+            assert both.statistics["stopped_by"] == "max_memory"
+            assert sum(both.statistics["leaves_by_level"][5:]) > 100
+
+
+@pytest.mark.parametrize("share", [0.4, 0.8, 1.05, 3.0])
+def test_counting_stays_within_the_memory(share, monkeypatch):
+    monkeypatch.setattr(lattice_points, "MERGED", 2**12)  # which is a constant beside all else
+
+    def label(states):
+        return (sum((states[:, i] - 0.5) ** 2 for i in range(3)) < 0.16).astype(int)
+
+    options = {"partitions": 4, "refinement": 4, "max_level": 4, "max_memory": 4_000_000}
+    solves = subdivide(label, unit_box(3), 2, **options).statistics["solves"]
+    tracemalloc.start()
+    try:
+        policy = subdivide(label, unit_box(3), 2, max_solves=int(share * solves), **options)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < options["max_memory"]
+    assert policy.statistics["solves"] <= share * solves
+    assert policy.statistics["stopped_by_max_solves"] == (share < 2)
+
+
+def test_solves_that_suffice_surely_are_not_counted(monkeypatch):
+    counted = []
+    count = ConstantSubdivision._count
+    monkeypatch.setattr(
+        ConstantSubdivision, "_count", lambda *a: (counted.append(a[2]), count(*a))[1]
+    )
+    label = planar_masks(unit_box(), 11, 3, 0.004)
+    with in_blocks(9):
+        whole = subdivide(label, unit_box(), 3, returns="masks")
+        solves = whole.statistics["solves"]
+        for budget, levels in ((100 * solves, 0), (solves, 2)):
+            counted.clear()
+            assert same(subdivide(label, unit_box(), 3, returns="masks", max_solves=budget), whole)
+            assert len(counted) <= levels and bool(counted) == bool(levels)
+
+
 @pytest.mark.parametrize("leaves", ["constant", "affine"])
 def test_a_time_budget_stops_after_a_block(leaves, monkeypatch, tmp_path):
     clock = itertools.count()
@@ -297,6 +395,31 @@ def test_no_two_points_of_a_lattice_beyond_64_bits_share_a_key():
     seam = np.full((1, n), count)
     wrapped = store.places(store.encode(seam, np.zeros((1, n), dtype=np.int64))[0])
     assert wrapped.tolist() == [[count, 0] * 6]
+
+
+@settings(max_examples=40)
+@given(
+    parts=st.lists(st.lists(st.integers(0, 80), max_size=30), max_size=6),
+    solved=st.lists(st.integers(0, 80), min_size=1, max_size=40),
+    wide=st.booleans(),
+)
+def test_keys_that_are_yet_to_be_solved_are_held_once(parts, solved, wide):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lattice_points, "WORD", 9 if wide else 2**63 - 1)
+        store = LatticePoints(lambda x: np.ones(len(x)), unit_box(), (8, 8), 1, None, None)
+
+        def keys(numbers):
+            places = np.array([divmod(k, 9) for k in numbers], dtype=np.int64).reshape(-1, 2)
+            found = store.encode(np.zeros((1, 2), dtype=np.int64), places)[0]
+            assert (store.places(found) == places).all() and store.places(found).shape[1] == 2
+            return found
+
+        store.answer(store.ask(keys(solved)), 0, 0, 1)
+        unsolved = store.unsolved()
+        for part in parts:
+            unsolved.add(keys(part))
+        assert len(unsolved) == len({k for part in parts for k in part} - set(solved))
+        assert unsolved.nbytes == (len(unsolved) + 1) * keys([1]).itemsize
 
 
 @settings(max_examples=40, deadline=None)

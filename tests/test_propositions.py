@@ -114,6 +114,19 @@ def test_blocks_do_not_follow_some_free_megabytes(monkeypatch):
     assert props.block_room(Limits(max_memory=10**7)) == 10**7 // props.ROOM
 
 
+def test_blocks_stay_as_they_were_while_there_is_memory_for_them():
+    def parents(room, limit, taken=0):
+        limits = Limits(memory_limit=limit, room=room)
+        return props.block_parents(limits, 1000, 100, 10, taken)
+
+    assert parents(None, 40_000) == 100  # a quarter of the memory
+    assert parents(4_000, 40_000) == 40 and parents(4_000, 40_000, 39_000) == 40
+    assert parents(20_000, 40_000) == 200 and parents(30_000, 40_000) == 300
+    assert parents(30_001, 40_000, 1) == 100 and parents(30_100, 40_000) == 100
+    assert parents(10**9, 120_000) == 10**7 and parents(10**9, 109_000) == 272
+    assert parents(1, 40_000) == parents(None, 1) == 1
+
+
 @pytest.mark.parametrize("max_solves", [None, 10**6])
 def test_too_large_max_level_says_how_much_and_what_would_fit(monkeypatch, max_solves):
     free = 20_000_000
@@ -148,6 +161,12 @@ def test_solves_that_are_said_to_fit_do(monkeypatch):
         with pytest.raises(ProblemError):
             limits = dataclasses.replace(limits, max_solves=3 * most)
             props.check_memory(*PAPER, 9, CENTER, 1, limits, affine)
+
+
+def test_no_solves_are_advised_that_level_0_exceeds():
+    for affine, limit in ((False, 10**4), (True, 300_010_000)):
+        with pytest.raises(ProblemError, match="or bound it with `max_memory`$"):
+            props.check_memory(*PAPER, 9, CENTER, 1, Limits(memory_limit=limit), affine)
 
 
 def test_too_large_max_level_is_refused_before_any_work(monkeypatch):

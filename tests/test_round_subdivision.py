@@ -422,8 +422,32 @@ def test_lattice_levels():
     assert lattice_level((100, 3), (2, 2), 1) == 11  # 204,800 and 6,144
     assert lattice_level((1000,), (2,), 10) == 13  # eight steps along a finest cell
     assert lattice_level((5,), (100,), 2) == 3
-    with pytest.raises(ProblemError, match="`max_level` 30 is too high for affine leaves"):
-        lattice_level((1,), (2,), 30)
+    assert lattice_level((1,), (2,), 22) == 25
+    too_high = "^`max_level` {} is too high for affine leaves: {}$"
+    for partitions, level, fits in (((1,), 30, 22), ((1,), 23, 22), ((1, 1), 22, 21)):
+        with pytest.raises(ProblemError, match=too_high.format(level, f"max_level <= {fits} fits")):
+            lattice_level(partitions, (2,) * len(partitions), level)
+        assert lattice_level(partitions, (2,) * len(partitions), fits) == fits + 3
+    with pytest.raises(ProblemError, match=too_high.format(0, "use fewer partitions")):
+        lattice_level((2**30,), (2,), 0)
+
+
+@pytest.mark.parametrize("level", [8, 20])
+def test_rows_follow_a_surface_at_any_level_that_is_allowed(level):
+    def scores(states):
+        height = states[:, 0] + 0.37 * states[:, 1] - 0.4 + 0.2 * states[:, 1] ** 2
+        return np.stack([np.zeros(len(states)), height], axis=1)
+
+    def run(level):
+        return subdivide(
+            scores, Box([0, 0], [1, 1]), 2, leaves="affine", returns="scores", partitions=3,
+            max_level=level, max_solves=2000,
+        )  # fmt: skip
+
+    states = np.random.default_rng(0).random((50_000, 2))
+    assert (run(level)(states) != scores(states).argmax(axis=1)).mean() < 2e-4
+    with pytest.raises(ProblemError, match="too high for affine leaves: max_level <= 20 fits"):
+        run(21)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from capsyn import Alphabet, Box, lattice_points, subdivide
+from capsyn import Alphabet, Box, lattice_points, problems, subdivide, synthesize
 from capsyn.cell_points import CellPoints
 from capsyn.errors import ProblemError, SynthesisError
 from capsyn.propositions import worst_case_solves
@@ -415,11 +415,29 @@ def test_max_solves_stops_at_a_whole_level(ties):
     assert same(policy, whole)
 
 
+def test_a_wrong_leaf_error_is_told_before_memory():
+    for function in (
+        lambda **k: subdivide(halves, unit_box(), 2, **k),
+        lambda **k: synthesize(problems.get("cart-pendulum"), **k),
+    ):
+        for wrong in (2, -1, "x", np.nan):
+            with pytest.raises(ProblemError, match="^`leaf_error` must be "):
+                function(leaf_error=wrong, max_level=20, memory_limit=1000)
+
+
 def test_max_solves_below_the_root_grid_is_refused_before_any_work():
     label, batches = recorder(halves)
-    with pytest.raises(ProblemError, match=r"`max_solves` must be at least the 181 .*; got 180$"):
-        subdivide(label, unit_box(), 2, max_solves=180)
+    told = (
+        r"^`max_solves` must be at least the 181 .*; got 180: use fewer partitions: 8 per axis fit"
+    )
+    for leaves in ("constant", "affine"):
+        with pytest.raises(ProblemError, match=told):
+            subdivide(label, unit_box(), 2, max_solves=180, leaves=leaves)
+    with pytest.raises(ProblemError, match="; got 4: no root grid fits$"):
+        subdivide(label, unit_box(), 2, max_solves=4)
     assert not batches
+    assert subdivide(label, unit_box(), 2, max_solves=180, partitions=8).statistics["solves"] == 145
+    batches.clear()
     policy = subdivide(label, unit_box(), 2, max_solves=181)
     assert policy.statistics["leaves_by_level"] == [81]
 

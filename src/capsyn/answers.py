@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.validation import describe
+
 Answer = Any
 """For B states: an array (B, ...), or a tuple of some."""
 Labelling = Callable[[np.ndarray], Answer]
@@ -76,9 +78,15 @@ class Packed:
         total = sum(self.rows.tolist())
         if not self.columns or len(self.columns) != len(self.dtypes):
             raise ValueError("it does not hold the arrays that it names")
+        if not isinstance(self.together, bool) or len(self.columns) > 1 > self.together:
+            raise ValueError("it does not say which arrays belong together")
         for column, dtype in zip(self.columns, self.dtypes):
-            if dtype not in DTYPES or column.dtype.kind != np.dtype(dtype).kind:
-                raise ValueError(f"it holds {column.dtype} for {dtype}")
+            if not isinstance(dtype, str) or dtype not in DTYPES:
+                raise ValueError(f"it names the type {describe(dtype)}")
+            had, has = np.dtype(dtype), column.dtype
+            narrowed = had.kind == has.kind == "u" and has.itemsize <= had.itemsize
+            if has != had and not narrowed:
+                raise ValueError(f"it holds {has} for {dtype}")
             if column.ndim < 1 or len(column) != total:
                 raise ValueError("its arrays are not as long as its rows say")
 

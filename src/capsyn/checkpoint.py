@@ -14,6 +14,7 @@ import os
 import threading
 import time
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -23,10 +24,10 @@ import numpy as np
 from capsyn.answers import Answer, Labelling, Packed, digest, kind, parts
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.files import atomic_write
-from capsyn.validation import describe, one_line
+from capsyn.validation import describe, one_line, whole_number
 
 FORMAT = "capsyn-checkpoint"
-VERSION = 1
+VERSION = 2
 INTERVAL = 1.0
 """Least time between two blocks [s]."""
 SHARE = 0.01
@@ -45,7 +46,8 @@ class Checkpoint:
     directory : path
         Made where it is not there.
     manifest : dict
-        What the answers depend on, as plain data. A directory with another one is refused.
+        What the answers depend on, as plain data, without the key ``settled``. A directory with
+        another one is refused.
 
     Raises
     ------
@@ -61,6 +63,7 @@ class Checkpoint:
         self._new_bytes = 0
         self._next = 0
         self._failed = False
+        self._settled: dict[str, int] = {}
         self.taken = 0
         """States whose answers were found here so far."""
         self._started = self._written = time.monotonic()
@@ -99,13 +102,11 @@ class Checkpoint:
             raise ProblemError(
                 f"the checkpoint '{self._directory}' cannot be locked: {error.strerror}"
             ) from None
-        own = {"format": FORMAT, "version": VERSION, **manifest}
+        self._manifest = {"format": FORMAT, "version": VERSION, **manifest}
         path = self._directory / MANIFEST
-        if path.exists():
-            self._compare(path, own)
-        else:
-            text = json.dumps(own, indent=1, sort_keys=True, allow_nan=False) + "\n"
-            atomic_write(path, lambda temporary: _write_text(temporary, text))
+        settled = self._compare(path, self._manifest) if path.exists() else None
+        if settled is None:
+            self._write_manifest()
         for left in self._directory.glob(".capsyn-*"):  # of a process that was killed
             left.unlink()
         for block in sorted(self._directory.glob("block-*.safetensors")):
@@ -113,18 +114,45 @@ class Checkpoint:
             if number.isdecimal():
                 self._next = max(self._next, int(number) + 1)
                 self._read(block)
+        if self._known and settled is not None:  # else there is nothing that it should fit
+            self._settled = settled
 
-    def _compare(self, path: Path, own: dict[str, Any]) -> None:
-        """Raise `ProblemError` unless the manifest there is our own."""
+    def settle(self, name: str, value: int) -> int:
+        """Return what a run began with: this value, unless what is kept here had another one.
+
+        For what may change from run to run without changing the result, but decides which chunks
+        are asked for.
+        """
+        with self._guard:
+            if name not in self._settled:
+                self._settled[name] = value
+                self._write_manifest()
+            return self._settled[name]
+
+    def _write_manifest(self) -> None:
+        text = json.dumps(
+            {**self._manifest, "settled": self._settled},
+            indent=1, sort_keys=True, allow_nan=False,
+        )  # fmt: skip
+        path = self._directory / MANIFEST
+        atomic_write(path, lambda temporary: _write_text(temporary, text + "\n"))
+
+    def _compare(self, path: Path, own: dict[str, Any]) -> dict[str, int]:
+        """Return what is settled there; `ProblemError` unless the manifest there is our own."""
         try:
             there = json.loads(path.read_text(encoding="utf-8"))
             if not isinstance(there, dict) or there.get("format") != FORMAT:
                 raise ValueError
-        except (OSError, ValueError, RecursionError):
+            settled = there.pop("settled", {})
+            if not isinstance(settled, dict):
+                raise ValueError
+            for name, value in settled.items():
+                whole_number(name, value, least=1)
+        except (OSError, ValueError, RecursionError, ProblemError):
             raise ProblemError(f"'{path}' is no manifest of a checkpoint, or damaged") from None
         own = json.loads(json.dumps(own))
         if own == there:
-            return
+            return settled
         told = [
             f"`{key}` is {describe(there.get(key), 40)} there, {describe(own.get(key), 40)} here"
             for key in dict.fromkeys([*own, *there])
@@ -162,24 +190,24 @@ class Checkpoint:
         else:
             self._known.update((key, (packed, i)) for i, key in enumerate(keys))
 
-    def remember(self, label: Labelling) -> Labelling:
+    def remember(self, label: Labelling) -> Remembered:
         """Return the labelling function that answers from here what is known, and keeps the rest.
 
         It is safe to call from threads.
         """
+        return Remembered(self, label)
 
-        def remembered(states: np.ndarray) -> Answer:
-            key = _key(states)
-            with self._guard:
-                packed, place = self._known.pop(key, (None, 0))  # a chunk is asked for once
-                if packed is not None and packed.rows[place] == len(states):
-                    self.taken += len(states)
-                    return packed.answer(place)
-            answer = label(states)
-            self._keep(key, answer)
-            return answer
-
-        return remembered
+    def answer(self, label: Labelling, states: np.ndarray) -> Answer:
+        """Return the answer of a labelling function for states, from here where it is known."""
+        key = _key(states)
+        with self._guard:
+            packed, place = self._known.pop(key, (None, 0))  # a chunk is asked for once
+            if packed is not None and packed.rows[place] == len(states):
+                self.taken += len(states)
+                return packed.answer(place)
+        answer = label(states)
+        self._keep(key, answer)
+        return answer
 
     def _keep(self, key: bytes, answer: Answer) -> None:
         with self._guard:
@@ -231,6 +259,18 @@ class Checkpoint:
         self.close()
 
 
+@dataclass(frozen=True)
+class Remembered:
+    """A labelling function whose answers a checkpoint keeps."""
+
+    checkpoint: Checkpoint
+    label: Labelling
+
+    def __call__(self, states: np.ndarray) -> Answer:
+        """Return the answer for states (B, n)."""
+        return self.checkpoint.answer(self.label, states)
+
+
 def _write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
@@ -263,9 +303,11 @@ def _read_block(path: Path) -> tuple[list[bytes], Packed]:
     if metadata["sha256"] != digest(arrays, about):
         raise ValueError("its content does not match its checksum")
     together, dtypes = json.loads(about)
+    if not isinstance(dtypes, list):
+        raise ValueError("its types are no list")
     keys, rows = arrays.pop("keys"), arrays.pop("rows")
     columns = tuple(arrays.pop(f"answer{i}") for i in range(len(arrays)))
-    packed = Packed(rows, columns, tuple(dtypes), bool(together))
+    packed = Packed(rows, columns, tuple(dtypes), together)
     packed.check()
     if keys.dtype != np.uint8 or keys.shape != (len(rows), HASH_BYTES):
         raise ValueError("its keys are no hashes")

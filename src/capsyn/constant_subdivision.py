@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,19 +19,18 @@ import numpy as np
 from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
 from capsyn.cell_points import CellPoints
 from capsyn.cells import CellTree
-from capsyn.errors import ProblemError, SynthesisError
+from capsyn.errors import SynthesisError
 from capsyn.lattice_points import MANY, LatticePoints, Question
 from capsyn.limits import Limits
 from capsyn.masks import most_voted, preferred, several
 from capsyn.propositions import (
+    BYTES_PER_ENTRY,
     BYTES_PER_MIXED,
     block_bytes,
-    block_room,
+    block_parents,
+    too_few_solves,
     worst_case_solves,
 )
-
-TIMED_BYTES = 10**8
-"""Memory of the blocks between which the clock is looked at."""
 
 
 @dataclass(eq=False)
@@ -101,13 +100,12 @@ class ConstantSubdivision:
         self._order, self._points = order, points
         self._blocks = CellBlocks(points, test_points, self._n, seed)
         self._offsets = test_points.offsets(self._n)
+        self._movable = np.flatnonzero((self._offsets != 1).any(axis=1))  # by the quarter rule
         self._roles = np.zeros(len(ROLES), dtype=np.int64)
         self._solves = np.zeros(max_level + 1, dtype=np.int64)  # of test points
         self._levels: list[_Level] = []
-        self._limits, self._room = limits, block_room(limits)
-        if self._room is not None and limits.max_seconds is not None:
-            self._room = min(self._room, TIMED_BYTES)
-        self._held = 0
+        self._limits = limits
+        self._held = 0  # bytes beside the solved points
         self._started = time.perf_counter()
         self._stopped = ""
 
@@ -193,82 +191,126 @@ class ConstantSubdivision:
         Those of the first blocks, where time or memory is used up; None where there are no solves
         for all of them, or no block was labelled.
         """
-        need = block_bytes(self._test_points, self._split(level), self._points.dtype(0).nbytes)
-        step = len(parents) if self._room is None else max(1, self._room // need)
+        self._held = sum(map(_bytes, self._levels))
+        sizes = len(parents), self._need(level), self._leave(level), self._taken
+        step = block_parents(self._limits, *sizes)
         parts = [parents[i : i + step] for i in range(0, len(parents), step)]
         cells = math.prod(self._split(level)) * len(parents)
         quarter = level < self._max_level
-        counted = self._limits.max_solves is not None and len(parts) > 1
-        if counted:  # whether the solves suffice for all blocks is known before the first one
-            new = self._count_new((b.keys.ravel() for b in self._tests(parts, level)), level)
-            if self._exceeds(new, level):
+        stop: Callable[[int, int], bool] | None = self._used_up
+        tests = len(parents) * self._test_points.in_block(self._split(level))
+        tied = cells * len(self._movable) * quarter
+        if len(parts) > 1 and tests + tied > self._left:  # else they suffice, surely
+            tests = self._count(parts, level)
+            if self._exceeds(tests, level):
                 return None
-            if quarter:
-                tied = (self._solve_and_tie(b, level, cells) for b in self._tests(parts, level))
-                quarter = not self._exceeds(self._count_new(tied, 1))
-        done = []
-        for block in self._tests(parts, level):
+            if quarter and tests + tied > self._left:
+                parts, quarter = self._solve_first(parts, level, cells)
+                stop = None
+        done: list[_Level] = []
+        for block in self._tests(parts, level, stop):
             question = self._points.ask(block.keys.ravel())
             if self._exceeds(int(question.new.sum()), level):
-                return None
+                break
             masks = self._solve(block, question, level, cells)
             done.append(self._label(block, masks, level, cells, quarter))
-            self._held = sum(_bytes(x) for x in [*self._levels, *done])
+            self._held += _bytes(done[-1])
         if done:
             self._points.check_finite(self._points.count, MANY)
         return _Level.joined(done) if done else None
 
-    def _tests(self, parts: list[np.ndarray], level: int) -> Iterator[_Block]:
+    def _tests(
+        self, parts: list[np.ndarray], level: int, stop: Callable[[int, int], bool] | None
+    ) -> Iterator[_Block]:
         """Yield the blocks of some parents, given by the keys of their corners.
 
-        No more, below the root grid, when time or memory is used up.
+        Below the root grid no more once ``stop(parents, level)`` says so.
         """
         rng, split = self._blocks.stream(level), np.array(self._split(level))
         for part in parts:
-            if level and self._used_up(len(part), level):
+            if level and stop and stop(len(part), level):
                 return
             corners = self._points.places(part)
             yield _Block(corners, *self._blocks.keys(corners, split, self._size(level), rng))
 
+    def _need(self, level: int) -> int:
+        """Return the bytes that labelling the children of one cell takes."""
+        return block_bytes(self._test_points, self._split(level), self._points.dtype(0).nbytes)
+
     def _used_up(self, parents: int, level: int) -> bool:
         """Return whether time or memory does not suffice for a block of so many parents."""
-        seconds, memory = self._limits.max_seconds, self._limits.max_memory
+        seconds = self._limits.max_seconds
         if seconds is not None and time.perf_counter() - self._started > seconds:
             self._stopped = "max_seconds"
-        if memory is not None:
-            need = block_bytes(self._test_points, self._split(level), self._points.dtype(0).nbytes)
-            kept = self._points.count * self._points.point_bytes + self._held
-            if kept + parents * need > memory:
-                self._stopped = "max_memory"
+        if self._too_large(parents, level):
+            self._stopped = "max_memory"
         return self._stopped in ("max_seconds", "max_memory")
 
-    def _exceeds(self, new: int, level: int = 1) -> bool:
-        """Return whether so many solves are more than are allowed."""
+    @property
+    def _taken(self) -> int:
+        """Bytes that are taken between blocks."""
+        return self._points.count * self._points.point_bytes + self._held
+
+    def _too_large(self, parents: int, level: int, more: int = 0) -> bool:
+        """Return whether memory, `more` bytes of it taken, does not suffice for such a block."""
+        bound = self._limits.max_memory
+        return bound is not None and self._taken + more + parents * self._need(level) > bound
+
+    def _leave(self, level: int) -> int:
+        """Return the bytes that the children of one cell leave at worst."""
+        points = self._test_points.in_block(self._split(level)) * self._points.point_bytes
+        return points + math.prod(self._split(level)) * (BYTES_PER_ENTRY + BYTES_PER_MIXED)
+
+    @property
+    def _left(self) -> float:
+        """Solves that are left."""
         allowed = self._limits.max_solves
-        if allowed is None or self._points.count + new <= allowed:
+        return math.inf if allowed is None else allowed - self._points.count
+
+    def _exceeds(self, new: int, level: int = 1) -> bool:
+        """Return whether so many solves are more than are left."""
+        if new <= self._left:
             return False
         if level == 0:
-            raise ProblemError(
-                f"`max_solves` must be at least the {new} solves of level 0; got {allowed}"
-            )
-        self._stopped = "max_solves"
+            raise too_few_solves(new, self._limits.max_solves, self._q, self._test_points)
+        self._stopped = self._stopped or "max_solves"
         return True
 
-    def _count_new(self, keys: Iterable[np.ndarray], level: int) -> int:
-        """Return how many of all the keys are new; below the root grid, at least if too many."""
-        allowed = self._limits.max_solves
-        left = 0 if allowed is None or not level else allowed - self._points.count
-        new = np.empty(0, dtype=np.int64)
-        parts: list[np.ndarray] = []
-        for some in keys:
-            question = self._points.ask(some)
-            parts.append(question.distinct[question.new])
-            if sum(map(len, parts)) > max(left, 2 * len(new)):
-                new = np.unique(np.concatenate(parts))
-                parts = [new]
-                if level and len(new) > left:
-                    break
-        return len(np.unique(np.concatenate(parts))) if parts else 0
+    def _count(self, parts: list[np.ndarray], level: int) -> int:
+        """Return how many test points of blocks are new.
+
+        Below the root grid it ends where they are too many; or where their keys fill the memory:
+        solved points take more, so that what follows would not be reached.
+        """
+        new = self._points.unsolved()
+
+        def stop(parents: int, level: int) -> bool:
+            return len(new) > self._left or self._too_large(parents, level, new.nbytes)
+
+        for block in self._tests(parts, level, stop):
+            new.add(block.keys.ravel())
+        return len(new)
+
+    def _solve_first(
+        self, parts: list[np.ndarray], level: int, cells: int
+    ) -> tuple[list[np.ndarray], bool]:
+        """Solve the test points of blocks, and then see whether solves suffice for ties.
+
+        Returns the blocks that time and memory sufficed for, and whether all their ties can have
+        the quarter rule. Memory is charged with all that they will leave.
+        """
+        held, point = self._held, self._points.point_bytes
+        children = math.prod(self._split(level))
+        labels = self._held = held + len(parts[0]) * self._leave(level)  # it will be made anew
+        tied, reached = self._points.unsolved(), 0
+        for block in self._tests(parts, level, self._used_up):
+            keys, mixed = self._solve_and_tie(block, level, cells)
+            tied.add(keys)
+            reached += 1
+            labels += BYTES_PER_ENTRY * children * len(block.parents) + BYTES_PER_MIXED * mixed
+            self._held = labels + tied.nbytes + len(tied) * point
+        self._held = held
+        return parts[:reached], not self._exceeds(len(tied))
 
     def _solve(self, block: _Block, question: Question, level: int, cells: int) -> np.ndarray:
         """Return the masks (U, M) of a block's test points."""
@@ -278,11 +320,14 @@ class ConstantSubdivision:
         block.keys = block.keys[:0]
         return self._points.answer(question, level, self._max_level, cells).reshape(shape)
 
-    def _solve_and_tie(self, block: _Block, level: int, cells: int) -> np.ndarray:
-        """Return the keys (K,) of the quarter rule of a block whose test points are solved."""
+    def _solve_and_tie(self, block: _Block, level: int, cells: int) -> tuple[np.ndarray, int]:
+        """Solve test points; return the keys (K,) of the quarter rule, and mixed cells at worst."""
         masks = self._solve(block, self._points.ask(block.keys.ravel()), level, cells)
         masks = masks[block.table.T]
-        return self._tied(np.bitwise_and.reduce(masks, axis=0), masks, block.parents, level)[0]
+        common = np.bitwise_and.reduce(masks, axis=0)
+        keys, child, parent = self._tied(common, masks, block.parents, level)
+        common[child, parent] = 0
+        return keys, int(np.sum(common == 0))
 
     def _label(
         self, block: _Block, masks: np.ndarray, level: int, cells: int, quarter: bool
@@ -320,10 +365,10 @@ class ConstantSubdivision:
 
         Only fixed points are looked at again; the centre stays where it is.
         """
-        movable = np.flatnonzero((self._offsets != 1).any(axis=1))
-        point, child, parent = np.nonzero(several(masks[movable]) & (common != 0))
+        point, child, parent = np.nonzero(several(masks[self._movable]) & (common != 0))
         corners = self._corners(parents, child, parent, level)
-        keys = self._blocks.quarter_keys(corners, self._size(level), self._offsets[movable[point]])
+        offsets = self._offsets[self._movable[point]]
+        keys = self._blocks.quarter_keys(corners, self._size(level), offsets)
         return keys, child, parent
 
     def _quarter_rule(
@@ -348,5 +393,5 @@ class ConstantSubdivision:
 
 
 def _bytes(level: _Level) -> int:
-    """Return what labelled cells take, their entries twice: while they are joined."""
-    return 2 * level.entries.nbytes + BYTES_PER_MIXED * len(level.mixed)
+    """Return what labelled cells take."""
+    return BYTES_PER_ENTRY * len(level.entries) + BYTES_PER_MIXED * len(level.mixed)

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from capsyn.affine_fit import Fits
-from capsyn.affine_leaves import AffineLeaves
-from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
+from capsyn.affine_leaves import LARGEST_SUM, AffineLeaves
+from capsyn.cells import CellTree, lattice_counts
 from capsyn.errors import ProblemError
 from capsyn.masks import several
 
@@ -20,6 +20,8 @@ LATTICE, FEW, MANY = 2**14, 2**12, 2**18
 axis has few: then many."""
 LEAST_STEPS = 8
 """Least steps along the edge of a finest cell."""
+MOST_STEPS = LARGEST_SUM // 16
+"""Most steps of the lattice, all axes together: slopes are whole numbers, and need some size."""
 
 
 def lattice_level(partitions: tuple[int, ...], refinement: tuple[int, ...], max_level: int) -> int:
@@ -28,13 +30,20 @@ def lattice_level(partitions: tuple[int, ...], refinement: tuple[int, ...], max_
     Raises
     ------
     ProblemError
-        There would be 2^31 steps or more along an axis.
+        Rows of whole numbers could not follow so many steps.
     """
     level = max_level
     while min(refinement) ** (level - max_level) < LEAST_STEPS:
         level += 1
-    if max(lattice_counts(partitions, refinement, level)) > MAX_COUNT:
-        raise ProblemError(f"`max_level` {max_level} is too high for affine leaves")
+    if sum(lattice_counts(partitions, refinement, level)) > MOST_STEPS:
+        finer = level - max_level
+        fits = [
+            k
+            for k in range(max_level)
+            if sum(lattice_counts(partitions, refinement, k + finer)) <= MOST_STEPS
+        ]
+        advice = f"max_level <= {fits[-1]} fits" if fits else "use fewer partitions"
+        raise ProblemError(f"`max_level` {max_level} is too high for affine leaves: {advice}")
     while True:
         least = min(lattice_counts(partitions, refinement, level))
         if max(lattice_counts(partitions, refinement, level + 1)) > (

@@ -135,7 +135,8 @@ class LatticePoints:
         if self._strides.shape[1] == 1:
             words = [keys]
         else:
-            parts = np.ascontiguousarray(keys).view(">i8").reshape(len(keys), -1)
+            parts = np.ascontiguousarray(keys).view(">i8")
+            parts = parts.reshape(len(keys), self._strides.shape[1])
             words = list(parts.T.astype(np.int64))
         found = np.empty((len(keys), self._domain.n), dtype=np.int64)
         for i, word in enumerate(self._word):
@@ -143,6 +144,10 @@ class LatticePoints:
             found[:, i] = words[word] // stride
             words[word] = words[word] - found[:, i] * stride
         return found
+
+    def unsolved(self) -> UnsolvedKeys:
+        """Return a set, empty as yet, of keys that are yet to be solved."""
+        return UnsolvedKeys(self, self._keys[-1:].copy())
 
     def ask(self, keys: np.ndarray) -> Question:
         """Return which of the keys (K,) are new, and how to spread the answers."""
@@ -310,6 +315,32 @@ def inserted(array: np.ndarray, places: np.ndarray, values: np.ndarray) -> None:
             array[start:end], places[low:top] - start, values[low:top], axis=0
         )
         end, top = start, low
+
+
+class UnsolvedKeys:
+    """Distinct keys of points that are yet to be solved, each held once and no array beside them.
+
+    `last` (1,) is larger than any key.
+    """
+
+    def __init__(self, points: LatticePoints, last: np.ndarray) -> None:
+        self._points, self._keys = points, last
+
+    def __len__(self) -> int:
+        return len(self._keys) - 1
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the keys."""
+        return self._keys.nbytes
+
+    def add(self, keys: np.ndarray) -> None:
+        """Put those of the keys (K,) in that are not solved."""
+        question = self._points.ask(keys)
+        found = question.distinct[question.new]
+        places = np.searchsorted(self._keys, found)
+        other = self._keys[places] != found
+        inserted(self._keys, places[other], found[other])
 
 
 @dataclass(frozen=True)

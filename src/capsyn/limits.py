@@ -25,12 +25,16 @@ class Limits:
         Budget of time [s].
     max_memory, memory_limit : int, optional
         Budget of memory, and what a run may need at worst [bytes].
+    room : int, optional
+        What a block of cells took before [bytes], where a run goes on: blocks stay as they were
+        unless there is no longer memory for them.
     """
 
     max_solves: int | None = None
     max_seconds: float | None = None
     max_memory: int | None = None
     memory_limit: int | None = None
+    room: int | None = None
 
     @staticmethod
     def of(max_solves: Any, max_seconds: Any, max_memory: Any, memory_limit: Any) -> Limits:

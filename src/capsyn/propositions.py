@@ -23,12 +23,18 @@ BYTES_PER_MASK = 4
 byte of the masks of a cell's test points; measured and rounded up."""
 BYTES_PER_MIXED = 40
 BYTES_PER_BLOCK_CELL = 48
-"""Of constant leaves in blocks: what is kept of a mixed cell beside its entry, and of any cell."""
+BYTES_PER_ENTRY = 8
+"""Of constant leaves in blocks: what is kept of a mixed cell beside its entry, of any cell at
+worst, and of its entry, twice: while entries are joined."""
 BYTES_PER_CELL = 120
 ROUND_BYTES = 300_000_000
 ROOM = 4
 """Of subdivision in rounds: per cell beside its rows, and for one round.
 One in so many bytes is for a block of cells."""
+TIMED_BYTES = 10**8
+"""Memory of the blocks between which the clock is looked at."""
+ENDLESS = 2**62
+"""Memory that is unknown [bytes]."""
 
 
 def level_for_precision(
@@ -150,14 +156,44 @@ def block_bytes(test_points: CellPoints, split: Sequence[int], mask: int) -> int
     return BYTES_PER_KEY * test_points.in_block(split) + BYTES_PER_MASK * masks
 
 
-def block_room(limits: Limits) -> int | None:
-    """Return what a block of cells may take [bytes]; None where memory is unknown."""
-    given = limits.max_memory if limits.max_memory is not None else limits.memory_limit
-    if given is not None:
-        return given // ROOM
-    free = available_memory()
-    # a power of two: what a checkpoint keeps must not depend on some free megabytes
-    return None if free is None else 1 << max(free // ROOM, 1).bit_length() - 1
+def block_room(limits: Limits) -> int:
+    """Return what a block of cells may take [bytes]; a lot where memory is unknown."""
+    room = max(memory_bound(limits) // ROOM, 1)
+    if limits.max_memory is None and limits.memory_limit is None:
+        room = 1 << room.bit_length() - 1  # blocks must not follow some free megabytes
+    return room if limits.max_seconds is None else min(room, TIMED_BYTES)
+
+
+def block_parents(limits: Limits, parents: int, need: int, left: int, taken: int) -> int:
+    """Return how many of the parents of a level make a block.
+
+    As many as before, where a run goes on; unless memory has become too little for that.
+
+    Parameters
+    ----------
+    limits : Limits
+        What the run may take.
+    parents : int
+        Cells whose children are to be labelled.
+    need, left : int
+        What labelling the children of one takes, and what it leaves at worst [bytes].
+    taken : int
+        What is taken now [bytes].
+    """
+    own = max(1, block_room(limits) // need)
+    if limits.room is None:
+        return own
+    before = max(1, limits.room // need)
+    fits = taken + parents * left + min(before, parents) * need <= memory_bound(limits)
+    return before if before <= own or fits else own
+
+
+def memory_bound(limits: Limits) -> int:
+    """Return what a run may take [bytes]: as given, else what is available, if that is known."""
+    for given in (limits.max_memory, limits.memory_limit, available_memory()):
+        if given is not None:
+            return given
+    return ENDLESS
 
 
 def worst_case_rounds_memory(
@@ -195,6 +231,21 @@ def rounds_memory(solves: int, cells: int, labels: int, n: int) -> int:
     solved = solves * (BYTES_PER_SOLVE + 24 * labels)
     # of the cells of all levels, twice: while they are put in order
     return solved + 2 * cells * (BYTES_PER_CELL + labels * (8 + 2 * n))
+
+
+def too_few_solves(
+    needed: int, allowed: int | None, partitions: Sequence[int], test_points: CellPoints
+) -> ProblemError:
+    """Return the error of a budget of solves that does not do for the root grid."""
+    k = bisect.bisect_right(
+        range(1, max(partitions)),
+        allowed or 0,
+        key=lambda k: test_points.in_block([min(q, k) for q in partitions]),
+    )
+    advice = f"use fewer partitions: {k} per axis fit at level 0" if k else "no root grid fits"
+    return ProblemError(
+        f"`max_solves` must be at least the {needed} solves of level 0; got {allowed}: {advice}"
+    )
 
 
 def available_memory() -> int | None:
@@ -260,7 +311,8 @@ def check_memory(
     choices = range(1, min(solves, 2**40))
     most = bisect.bisect_right(choices, limit, key=lambda k: need(max_level, most=k))
     most -= most % 10 ** (len(str(most)) - 1)  # its first digit
-    bound = f"`max_solves` (at most {most:,}) or " if most else ""
+    enough = most >= test_points.in_block(partitions)  # for level 0
+    bound = f"`max_solves` (at most {most:,}) or " if enough else ""
     allowed = "available" if limits.memory_limit is None else "allowed by `memory_limit`"
     raise ProblemError(
         f"`max_level` {max_level} may take {worst / 1e9:.3g} GB at worst ({solves:.3g} solves); "

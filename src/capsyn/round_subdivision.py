@@ -18,12 +18,12 @@ from capsyn.affine_fit import fit_cells
 from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
 from capsyn.cell_points import CellPoints
 from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
-from capsyn.errors import ProblemError, SynthesisError
+from capsyn.errors import SynthesisError
 from capsyn.growing_cells import GrowingCells, Rows, SplitCells, lattice_level
 from capsyn.lattice_points import MANY, LatticePoints, Question
 from capsyn.limits import Limits
 from capsyn.masks import most_voted, preferred, several
-from capsyn.propositions import ROUND_BYTES, rounds_memory, worst_case_solves
+from capsyn.propositions import ROUND_BYTES, rounds_memory, too_few_solves, worst_case_solves
 from capsyn.split_axes import SplitAxes
 
 ROUND_POINTS = 2**19
@@ -102,10 +102,7 @@ class RoundSubdivision:
         size = FINE * self._finest(np.zeros((1, self._n)))
         made = self._evaluate([SplitCells.roots(grid_places(self._q) * size)])
         if made is None:
-            raise ProblemError(
-                f"`max_solves` must be at least the {self._needed} solves of level 0; "
-                f"got {self._max_solves}"
-            )
+            raise too_few_solves(self._needed, self._max_solves, self._q, self._test_points)
         cells, spent = made, 0
         while not self._used_up(cells) and (chosen := self._next(cells, spent)).size:
             before, split = self._points.count, np.count_nonzero(cells.child >= 0)

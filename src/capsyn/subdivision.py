@@ -7,6 +7,7 @@ cells or levels share is solved once.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -17,6 +18,7 @@ from capsyn.alphabet import Alphabet
 from capsyn.cell_blocks import FINE
 from capsyn.cell_points import CellPoints
 from capsyn.cells import MAX_MASKED, grid_settings, lattice_counts
+from capsyn.checkpoint import Remembered
 from capsyn.constant_subdivision import ConstantSubdivision
 from capsyn.domain import Box
 from capsyn.errors import ProblemError
@@ -34,7 +36,7 @@ from capsyn.masks import (
 )
 from capsyn.policy import Outside, Policy, check_outside
 from capsyn.processors import pool_of
-from capsyn.propositions import check_memory
+from capsyn.propositions import block_room, check_memory
 from capsyn.round_subdivision import LeafRule, RoundSubdivision
 from capsyn.validation import describe, finite_number, is_list, one_of, whole_number
 
@@ -161,10 +163,12 @@ def subdivide(
     alphabet = symbols if isinstance(symbols, Alphabet) else Alphabet(range(_count(symbols)))
     n_symbols = len(alphabet)
     q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
+    leaf_error = checked_leaf_error(leaf_error)
     limits = Limits.of(max_solves, max_seconds, max_memory, memory_limit)
-    leaf_error = finite_number("leaf_error", leaf_error, least=0.0)
-    if leaf_error > 1:
-        raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
+    in_rounds = leaves == "affine" or refine == "adaptive"
+    if isinstance(label, Remembered) and not in_rounds:  # its chunks are those of blocks
+        room = label.checkpoint.settle("block_memory", block_room(limits))
+        limits = dataclasses.replace(limits, room=room)
     points, lattice = check_size(
         domain, n_symbols, q, r, max_level, test_points, limits, leaves, refine
     )
@@ -185,13 +189,13 @@ def subdivide(
             pool if threads > 1 else None,
             progress,
             affine,
-            limits.max_solves if affine or adaptive else None,
+            limits.max_solves if in_rounds else None,
         )
         given = (q, r, max_level, points, seed, order, store, limits)
-        work: ConstantSubdivision | RoundSubdivision = ConstantSubdivision(*given)
-        if affine or adaptive:
-            plain = not returns.endswith("scores")
-            work = RoundSubdivision(*given, LeafRule(affine, leaf_error, plain, adaptive))
+        rule = LeafRule(affine, leaf_error, not returns.endswith("scores"), adaptive)
+        work: ConstantSubdivision | RoundSubdivision = (
+            RoundSubdivision(*given, rule) if in_rounds else ConstantSubdivision(*given)
+        )
         cells = work.run()
     return Policy(
         name=name,
@@ -206,6 +210,14 @@ def subdivide(
             "subdivide": time.perf_counter() - started - store.seconds,
         },
     )
+
+
+def checked_leaf_error(value: Any) -> float:
+    """Return a `leaf_error` that is a share."""
+    leaf_error = finite_number("leaf_error", value, least=0.0)
+    if leaf_error > 1:
+        raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
+    return leaf_error
 
 
 def check_size(

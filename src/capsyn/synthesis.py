@@ -24,7 +24,7 @@ from capsyn.problem import Problem
 from capsyn.processors import processors
 from capsyn.settings import SsacSettings
 from capsyn.ssac import TIE, BatchController, batch_controller
-from capsyn.subdivision import check_size, subdivide
+from capsyn.subdivision import check_size, checked_leaf_error, subdivide
 from capsyn.transcription import transcribe, transcribe_target
 from capsyn.validation import describe, one_of, whole_number
 
@@ -98,7 +98,7 @@ def synthesize(
     checkpoint : path, optional
         A directory that keeps what is solved. A run that was killed goes on from there when it is
         started again, to the same policy; one of another problem or other settings is refused.
-        Threads, executor and `max_solves` may change.
+        Threads, executor, budgets and `memory_limit` may change.
     progress : callable, optional
         Called with a `Progress` now and then.
 
@@ -131,6 +131,7 @@ def synthesize(
     problem = problem.replace(**{k: v for k, v in overrides.items() if v is not None})
     threads = processors(threads)
     seed = whole_number("seed", seed, least=0)
+    leaf_error = checked_leaf_error(leaf_error)
     one_of("backend", backend, ["auto", "c", "numpy"])
     if executor is not None:
         check_client(executor)
