@@ -152,7 +152,7 @@ def test_archives(tmp_path):
     np.testing.assert_array_equal(found.masks, table.masks)
     assert read_npz(tmp_path / "t.npz", Alphabet([7, 8, 9])).alphabet.values[0] == 7
     np.savez(tmp_path / "u.npz", **arrays)
-    with pytest.raises(ProblemError, match="it has no 'alphabet'"):
+    with pytest.raises(ProblemError, match="there is no 'alphabet'"):
         read_npz(tmp_path / "u.npz")
     np.savez(tmp_path / "v.npz", **arrays | {"symbols": np.array([{}])}, alphabet=[1])
     for damaged in ((tmp_path / "t.npz").read_bytes()[:-40], b"x", b""):

@@ -251,17 +251,21 @@ def read_npz(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -> 
         with zipfile.ZipFile(io.BytesIO(data)) as archive, naming(path):
             for key in keys:
                 if f"{key}.npy" not in archive.namelist():
-                    raise ProblemError(f"must hold the arrays {', '.join(keys)}; it has no '{key}'")
+                    raise ProblemError(
+                        f"a table must have the arrays {', '.join(keys)}; there is no '{key}'"
+                    )
             first, step = _small_array(archive, "first"), _small_array(archive, "step")
             if alphabet is None:
                 alphabet = Alphabet(_small_array(archive, "alphabet"))
             check_symbols(*_header(archive, "symbols"), first, step, len(alphabet))
-            return Table.of(first, step, _array(archive, "symbols"), alphabet)
+            symbols = _array(archive, "symbols")
     except ProblemError:
         raise
     except Exception as error:  # damage of a foreign format comes as almost any of them
         reason = one_line(str(error)) or type(error).__name__
         raise ProblemError(f"'{path}' is no NumPy archive of arrays: {reason}") from None
+    with naming(path):
+        return Table.of(first, step, symbols, alphabet)
 
 
 def _header(archive: zipfile.ZipFile, key: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
