@@ -1,5 +1,7 @@
 """Callables and trained agents as labelling functions."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -69,16 +71,25 @@ def test_policies_and_trees_come_from_them():
          r"controls of the alphabet \(\(-1, 0\), .*\); got \[-0.99, 0.01\] at state \[0.5, -0.5\]"),
         (lambda x: np.zeros(3, int), {}, r"actions of shape \(2,\); got int64 of shape \(3,\)"),
         (lambda x: ["a", "b"], {}, "actions of shape"),
-        (lambda x: [[1, 2], [3]], {}, "actions of shape"),
+        (lambda x: [[1, 2], [3]], {}, "`controller` failed at 2 states, .*ValueError"),
+        (lambda x: [1] * round(4 * x[0]), {"batched": False}, "actions of shape .* from 2 calls"),
         (lambda x: None, {"batched": False}, "from 2 calls"),
         (lambda x: np.zeros(2), {"actions": "controls"}, r"actions of shape \(2, 2\)"),
-        (lambda x: 1 / 0, {}, "`controller` failed: ZeroDivisionError: division by zero"),
+        (lambda x: 1 / 0, {}, r"`controller` failed at 2 states, the first \[0.5, -0.5\]: "
+         "ZeroDivisionError: division by zero"),
+        (lambda x: {0.5: 0}[x[0]], {"batched": False},
+         r"`controller` failed at state \[0.25, 0.75\]: KeyError: "),
         (law, {"observation": lambda x: x[:1]}, "`observation` must return 2 observations; got 1"),
+        (law, {"observation": lambda x: None}, "must return 2 observations; got None"),
+        (law, {"observation": lambda x: np.array(3)}, "must return 2 observations; got array"),
+        (law, {"observation": lambda x: x[5]},
+         r"`observation` failed at 2 states, the first \[0.5, -0.5\]: IndexError"),
     ],
 )  # fmt: skip
 def test_wrong_actions_are_named_with_their_state(controller, options, words):
-    with pytest.raises(ProblemError, match=words):
+    with pytest.raises(ProblemError, match=words) as error:
         labels_of(controller, ALPHABET, **options)(np.array([[0.5, -0.5], [0.25, 0.75]]))
+    assert ("failed" in str(error.value)) == (error.value.__cause__ is not None)
 
 
 @pytest.mark.parametrize(
@@ -127,3 +138,29 @@ def test_controllers_that_work_in_place_move_nothing():
     states = np.array([[0.1], [0.3]])
     assert labels_of(controller, Alphabet([0, 1]))(states).tolist() == [0, 1]
     assert states.tolist() == [[0.1], [0.3]]
+
+
+def test_only_predict_gives_a_pair():
+    class Pair:
+        def __init__(self, found):
+            self.found = found
+
+        def predict(self, observation):
+            return self.found
+
+    states = np.zeros((2, 1))
+    alphabet = Alphabet([0, 1, 2])
+    assert labels_of(Pair((np.array([2, 1]), None)), alphabet)(states).tolist() == [2, 1]
+    assert labels_of(lambda x: (2, 1), alphabet)(states).tolist() == [2, 1]
+    with pytest.raises(ProblemError, match=r"actions of shape \(2,\); got float64 of shape \(0,\)"):
+        labels_of(Pair(()), alphabet)(states)
+
+
+def test_controls_beyond_half_precision_are_no_symbols():
+    label = labels_of(
+        lambda x: np.full(len(x), np.inf, np.float16), Alphabet([1e6, 2e6]), actions="controls"
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ProblemError, match="controls of the alphabet .* got \\[inf\\]"):
+            label(np.zeros((1, 1)))

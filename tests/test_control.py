@@ -43,15 +43,20 @@ def test_a_plant_in_continuous_time():
     np.testing.assert_allclose(found.outputs.T, held.states, atol=1e-7)
 
 
-def test_names_and_the_rule_outside():
+@pytest.mark.parametrize("compiler", [None, "no-such-compiler"])
+def test_names_and_the_rule_outside(compiler, monkeypatch):
     problem = problems.get("cart-pendulum")
     policy = synthesize(problem, max_level=1, outside="error")
+    if compiler:
+        monkeypatch.setenv("CC", compiler)
     system = policy_system(policy, name="law")
     assert system.input_labels == list(problem.domain.names) and system.name == "law"
     assert system.output_labels == list(problem.alphabet.inputs) and system.dt == 0
     assert system.output(0, [], [3.0, 1.0]) == policy.control([3.0, 1.0])
     with pytest.raises(OutsideDomainError):
         system.output(0, [], [3.0, 99.0])
+    with pytest.raises(ProblemError, match=r"`state` must have shape \(2,\); got \(1,\)"):
+        system.output(0, [], [3.0])
 
 
 def test_bad_arguments_are_named():

@@ -10,7 +10,7 @@ import pytest
 from capsyn import Alphabet, Box, Problem, SsacSettings, problems, simulate
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
 from capsyn.sources.callables import problem_policy
-from capsyn.sources.finite_control_set import TIE, finite_control_set
+from capsyn.sources.finite_control_set import MOST_DEPTH, TIE, finite_control_set
 
 BACKENDS = ("c", "numpy")
 
@@ -150,6 +150,7 @@ def test_without_a_compiler_numpy_does_it(monkeypatch):
     [
         ({"problem": 3}, "`problem` must be a capsyn.Problem; got 3"),
         ({"depth": 0}, "`depth` must be a whole number >= 1"),
+        ({"depth": 201}, "`depth` must be a whole number >= 1 and <= 200; got 201"),
         ({"depth": 13}, r"`depth` must give at most 1,000,000 sequences; got 13, 3\^13 of them"),
         ({"sample_time": 0}, "`sample_time` must be a finite number > 0"),
         ({"blocks": [1, 2]}, "`blocks` must be a whole number or 3 of them"),
@@ -164,6 +165,15 @@ def test_bad_arguments_are_named(options, words):
     given = {"problem": pendulum(), "depth": 3, "sample_time": 0.05} | options
     with pytest.raises(ProblemError, match=words):
         finite_control_set(given.pop("problem"), given.pop("depth"), **given)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_single_symbol_may_have_the_most_moves(backend):
+    problem = pendulum(symbols=[5.0])
+    states = problem.domain.sample(20, 1)
+    control = finite_control_set(problem, MOST_DEPTH, sample_time=1e-3, backend=backend)
+    once = finite_control_set(problem, 1, sample_time=1e-3, blocks=MOST_DEPTH, backend="numpy")
+    np.testing.assert_allclose(control.costs(states), once.costs(states), rtol=1e-9)
 
 
 @pytest.mark.parametrize("backend", ["c", "numpy"])

@@ -4,16 +4,18 @@ import subprocess
 import sys
 import warnings
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from capsyn import Alphabet, Box, problems, simulate, subdivide, synthesize
+from capsyn import Alphabet, Box, Problem, problems, simulate, subdivide, synthesize
 from capsyn.errors import OutsideDomainError, ProblemError
 
 gymnasium = pytest.importorskip("gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from capsyn.integrations.gymnasium import (  # noqa: E402
+    WORST_REWARD,
     Evaluation,
     environment,
     evaluate,
@@ -170,7 +172,15 @@ def test_the_interval_is_students():
         (gymnasium.spaces.MultiBinary(2), {}, "must have Discrete or Box actions"),
         (gymnasium.spaces.Discrete(2), {"observation": 3}, "`observation` must be a function"),
         (gymnasium.spaces.Discrete(2), {"observation": lambda o: [1]},
-         r"must return \(2,\) numbers; got \(1,\)"),
+         r"`observation` must give 2 numbers; got \[1\]"),
+        (gymnasium.spaces.Discrete(2), {"observation": lambda o: None},
+         "`observation` must give 2 numbers; got None"),
+        (gymnasium.spaces.Discrete(2), {"observation": lambda o: "ab"},
+         "`observation` must be numbers; got 'ab'"),
+        (gymnasium.spaces.Discrete(2), {"observation": lambda o: [o[5], 0]},
+         "`observation` failed: IndexError: "),
+        (gymnasium.spaces.Discrete(2), {"actions": 3}, "`actions` must be a list of actions; got"),
+        (None, {}, "`env` must have a space of actions; got None"),
         (gymnasium.spaces.Discrete(2), {"episodes": 0}, "`episodes` must be a whole number >= 1"),
     ],
 )  # fmt: skip
@@ -185,8 +195,16 @@ def test_other_bad_arguments_are_named():
     problem = problems.get("cart-pole")
     for call, words in (
         (lambda: evaluate(3, Counter(discrete)), "`policy` must be a capsyn.Policy"),
-        (lambda: evaluate(sign_policy(), 3), "`env` must be a gymnasium.Env or its name"),
-        (lambda: evaluate(sign_policy(), "No-v0"), "`env` must be a registered environment"),
+        (lambda: evaluate(sign_policy(), 3), "`env` must be a gymnasium.Env; got 3"),
+        (lambda: player(sign_policy(), "CartPole-v1"), "`env` must be a gymnasium.Env"),
+        (lambda: evaluate(sign_policy(), "No-v0"),
+         "`env` must be a registered environment; got 'No-v0': NameNotFound"),
+        (lambda: evaluate(sign_policy(), "no_such_module:No-v0"), "ModuleNotFoundError"),
+        (lambda: evaluate(sign_policy(), "a:b:c"), "`env` must be a registered environment"),
+        (lambda: environment(problem, rate=1e300, duration=1e300),
+         "`duration` must be at most 1,000,000,000 samples; got 1e.300 s at 1e.300 samples per"),
+        (lambda: environment(problem, rate=1e-310), "`1 / rate` must be a finite number"),
+        (lambda: environment(problem, substeps=10**9), "`substeps` must be .* <= 1000000"),
         (lambda: evaluate(sign_policy(), wide), "`observation` must be given where"),
         (lambda: environment(3), "`problem` must be a capsyn.Problem"),
         (lambda: environment(problem, rate=0), "`rate` must be a finite number > 0"),
@@ -194,9 +212,58 @@ def test_other_bad_arguments_are_named():
         (lambda: environment(problem, stop_at_target=True), "a problem without a target"),
         (lambda: environment(problem).reset(options={"state": [1]}), r"must have shape \(4,\)"),
         (lambda: environment(problem).step(2), r"`action` must be in Discrete\(2\); got 2"),
-    ):
-        with pytest.raises(ProblemError, match=words):
+    ):  # fmt: skip
+        with pytest.raises(ProblemError, match=words) as error:
             call()
+        assert "\n" not in str(error.value)
+
+
+class Broken(Counter):
+    """Does something else where it is told to."""
+
+    def __init__(self, **broken):
+        super().__init__(gymnasium.spaces.Discrete(2))
+        for name, method in broken.items():
+            setattr(self, name, method)
+
+
+@pytest.mark.parametrize(
+    "broken, words",
+    [
+        ({"reset": lambda seed: np.zeros(2)[5]}, r"failed to begin the episode of seed \d+: Index"),
+        ({"reset": lambda seed: np.zeros(3)}, "failed to begin the episode .*ValueError: too many"),
+        ({"reset": lambda seed: (np.zeros(1), {})}, "`observation` must give 2 numbers; got a"),
+        ({"reset": lambda seed: (None, {})}, "`observation` must give 2 numbers; got None"),
+        ({"step": lambda action: 1 / 0}, r"failed in step 1 of the episode of seed \d+: ZeroDiv"),
+        ({"step": lambda action: (np.zeros(2), None, True, False, {})}, "in step 1 .*: TypeError"),
+        ({"step": lambda action: (np.zeros(2), -np.inf, True, False, {})},
+         r"`env` must give finite rewards; got -inf in step 1 of the episode of seed \d+"),
+        ({"step": lambda action: (np.zeros(2), np.nan, True, False, {})}, "got nan in step 1"),
+    ],
+)  # fmt: skip
+def test_a_broken_environment_is_named_in_one_line(broken, words):
+    with pytest.raises(ProblemError, match=words) as error:
+        evaluate(sign_policy(outside="nearest"), Broken(**broken), 2)
+    assert "\n" not in str(error.value)
+    assert ("failed" in str(error.value)) == (error.value.__cause__ is not None)
+
+
+@pytest.mark.parametrize("what", ["state", "cost", "end"])
+def test_what_is_not_finite_ends_an_episode_with_the_worst_reward(what):
+    problem = Problem(
+        name="blow-up",
+        dynamics=lambda x, u: [(1e308 if what == "state" else 0) * x[0] ** 3 + u[0]],
+        domain=Box([-10], [10]), alphabet=Alphabet([-1, 1]), default=0.0, horizon=1.0,
+        running_cost=lambda x: ca.sqrt(x[0] + 5) if what == "cost" else x[0] ** 2,
+        terminal_cost=lambda x: ca.log(x[0] + 5) if what == "end" else 0 * x[0], outside="nearest",
+    )  # fmt: skip
+    env = environment(problem, rate=10.0, duration=0.1 if what == "end" else 1.0, substeps=1)
+    env.reset(options={"state": [-8.0]})
+    observed, reward, terminated, truncated, _ = env.step(0)
+    assert reward == WORST_REWARD and np.isfinite(np.float32(reward)) and (terminated or truncated)
+    assert env.observation_space.contains(observed)
+    env.reset(options={"state": [0.0]})
+    assert env.step(0)[1] > -2 or what == "state"
 
 
 @pytest.mark.parametrize("name", ["gymnasium", "control"])

@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import math
+import tracemalloc
+import warnings
 
 import numpy as np
 import pytest
@@ -285,6 +287,12 @@ def test_tables_of_symbols_and_of_booleans():
         ({"masks": np.full((2, 2), 8, np.uint64)}, "must hold symbols 0 to 1; got 0b1000 at state"),
         ({"alphabet": 3}, "`alphabet` must be a capsyn.Alphabet"),
         ({"names": ["a"]}, "`names` must be 2 printable"),
+        ({"masks": [[1, 2], [1]]}, "`masks` must be a grid, with rows of equal lengths"),
+        (
+            {"step": [1, 1e308]},
+            r"`first` and `step` must make a grid within \+-1e\+290; got \[0.0, ",
+        ),
+        ({"first": [0, 1e17]}, "`step` must be wider than floating point is fine near the points"),
     ],
 )
 def test_bad_tables_are_refused(change, words):
@@ -293,7 +301,8 @@ def test_bad_tables_are_refused(change, words):
         "alphabet": Alphabet([0, 1]),
     }  # fmt: skip
     Table(**good)
-    with pytest.raises(ProblemError, match=words):
+    with pytest.raises(ProblemError, match=words), warnings.catch_warnings():
+        warnings.simplefilter("error")
         Table(**good | change)
 
 
@@ -303,6 +312,15 @@ def test_bad_tables_are_refused(change, words):
         (np.array([[0, 2]]), r"`symbols` must be -1 to 1; got 2 at grid point \(0, 1\)"),
         (np.zeros((2, 2)), "`symbols` must be whole numbers or booleans"),
         (np.ones((2, 2, 3), bool), r"booleans of shape \(k1, .., kn, 2\); got \(2, 2, 3\)"),
+        (np.ones(2, bool), r"`symbols` must be those of a grid of points; got shape \(2,\)"),
+        (
+            [[0, 1], [1]],
+            r"`symbols` must be a grid, with rows of equal lengths; got \[\[0, 1\], \[1",
+        ),
+        ([[0, 1], [1, 2**70]], "`symbols` must be whole numbers or booleans; got object"),
+        (3, r"`symbols` must be those of a grid of points; got shape \(\)"),
+        (np.zeros((2, 0), int), "`symbols` must be those of a grid of points"),
+        (np.zeros(2, int), "`first` and `step` must have 1 entries, one per axis; got 2 and 2"),
     ],
 )
 def test_bad_symbols_are_refused(symbols, words):
@@ -310,10 +328,38 @@ def test_bad_symbols_are_refused(symbols, words):
         Table.of([0, 0], [1, 1], symbols, [0, 1])
 
 
-def test_too_many_points_are_refused():
-    masks = np.broadcast_to(np.ones(1, np.uint64), (1 << 13, 1 << 13))
-    with pytest.raises(ProblemError, match="at most 16,777,216 points; got 8,192 x 8,192"):
-        Table([0, 0], [1, 1], masks, Alphabet([0]))
+def test_grids_that_are_too_large_are_refused_unread():
+    words = "at most 16,777,216 points; got 8,192 x 8,192"
+    ones = np.broadcast_to(np.ones(1, np.uint64), (1 << 13, 1 << 13))
+    allowed = np.broadcast_to(np.ones(1, bool), (1 << 13, 1 << 13, 1))
+    tracemalloc.start()
+    with pytest.raises(ProblemError, match=words):
+        Table([0, 0], [1, 1], ones, Alphabet([0]))
+    for symbols in (ones.view(np.int64), allowed):
+        with pytest.raises(ProblemError, match=words):
+            Table.of([0, 0], [1, 1], symbols, [0])
+    many = [0.0] * 17
+    with pytest.raises(ProblemError, match="a table must have at most 16 axes; got 17"):
+        Table.of(many, np.ones(17), np.zeros((1,) * 17, int), [0])
+    assert tracemalloc.get_traced_memory()[1] < 1e6
+    tracemalloc.stop()
+
+
+def test_the_most_axes_make_a_policy_with_levels():
+    counts = (1,) * 14 + (4, 4)
+    symbols = np.zeros(counts, int)
+    symbols[..., 2:, :] = 1
+    table = Table.of(np.zeros(16), np.ones(16), symbols, [0, 1])
+    assert_same(table.policy(), table)
+
+
+def test_a_table_does_not_change_with_the_array_that_it_was_made_of():
+    masks = np.ones((2, 2), np.uint64)
+    table = Table([0, 0], [1, 1], masks, Alphabet([0, 1]))
+    masks[:] = 2
+    assert (table.symbols == 0).all()
+    with pytest.raises(ValueError, match="read-only"):
+        table.masks[0, 0] = 2
 
 
 @pytest.mark.parametrize("as_tree", [False, True])

@@ -63,7 +63,10 @@ def import_table(
     with working("reading the table"):
         table = read_table(file, symbols, missing)
         if states is not None:
-            table = dataclasses.replace(table, names=states.split(","))
+            named = states.split(",")
+            if len(named) != len(table.counts):
+                raise ProblemError(f"--states must name {len(table.counts)} states; got '{states}'")
+            table = dataclasses.replace(table, names=named)
         if periodic is not None:
             known = table.box().names
             turns = periodic.split(",")

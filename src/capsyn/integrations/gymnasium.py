@@ -14,8 +14,9 @@ from capsyn.plant import choose_substeps, plant_of
 from capsyn.policy import Policy
 from capsyn.problem import Problem
 from capsyn.random_streams import derived_seed
+from capsyn.sources.callables import foreign
 from capsyn.targets import target_program
-from capsyn.validation import describe, finite_array, finite_number, whole_number
+from capsyn.validation import describe, finite_array, finite_number, numbers, one_line, whole_number
 
 try:
     import gymnasium
@@ -30,6 +31,10 @@ PLAYING = 8
 """Purpose of the seeds of episodes."""
 HORIZONS = 10
 """Length of an episode of a problem, in prediction horizons."""
+MOST_SAMPLES = 1_000_000_000
+"""Most samples of an episode of a problem."""
+WORST_REWARD = -1e30
+"""Least reward of a problem's sample; finite in single precision too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,21 +114,30 @@ def player(
     Raises
     ------
     ProblemError
-        Spaces that do not fit the policy, or actions outside the environment's; when called, a
-        default control that has no action.
+        Spaces that do not fit the policy, or actions outside the environment's; when called, an
+        observation that makes no state, or a default control that has no action.
     """
     if not isinstance(policy, Policy):
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
-    n, count, space = policy.domain.n, len(policy.alphabet), env.action_space
+    if not isinstance(env, gymnasium.Env):
+        raise ProblemError(f"`env` must be a gymnasium.Env; got {describe(env)}")
+    n, count, space = policy.domain.n, len(policy.alphabet), getattr(env, "action_space", None)
+    if not isinstance(space, gymnasium.Space):
+        raise ProblemError(f"`env` must have a space of actions; got {describe(space)}")
     if observation is None:
-        seen = env.observation_space
+        seen = getattr(env, "observation_space", None)
         if not isinstance(seen, gymnasium.spaces.Box) or np.prod(seen.shape, dtype=int) != n:
             raise ProblemError(
                 f"`observation` must be given where observations are not {n} numbers; got {seen}"
             )
     elif not callable(observation):
         raise ProblemError(f"`observation` must be a function; got {describe(observation)}")
-    table = _actions(policy, space) if actions is None else list(actions)
+    try:
+        table = _actions(policy, space) if actions is None else list(actions)
+    except TypeError:
+        raise ProblemError(
+            f"`actions` must be a list of actions; got {describe(actions)}"
+        ) from None
     if len(table) not in (count, count + 1):
         raise ProblemError(
             f"`actions` must have {count} entries, or {count + 1} with that of the default "
@@ -132,17 +146,21 @@ def player(
     for k, action in enumerate(table):
         if not space.contains(action):
             name = policy.symbol_name(k if k < count else -1)
-            raise ProblemError(f"the action {action} of symbol '{name}' is not in {space}")
+            raise ProblemError(
+                f"the action {describe(action)} of symbol '{name}' is not in {one_line(str(space))}"
+            )
 
     look_up = single_lookup(policy)
 
     def act(observed: Any) -> Any:
-        if observation is None:
-            state = np.asarray(observed, dtype=float).reshape(-1)
-        else:
-            state = np.asarray(observation(observed), dtype=float)
-            if state.shape != (n,):
-                raise ProblemError(f"`observation` must return ({n},) numbers; got {state.shape}")
+        seen = observed
+        if observation is not None:
+            with foreign("`observation` failed"):
+                seen = observation(observed)
+        state = numbers("observation", seen)
+        state = state.reshape(-1) if observation is None else state
+        if state.shape != (n,):
+            raise ProblemError(f"`observation` must give {n} numbers; got {describe(seen)}")
         symbol = look_up(state)
         if symbol < 0 and len(table) == count:
             raise ProblemError(
@@ -202,18 +220,15 @@ def evaluate(
     Raises
     ------
     ProblemError
-        An argument that cannot be used; see `player`.
+        An argument that cannot be used; see `player`. What the environment raises is the
+        ``__cause__``.
     """
     episodes = whole_number("episodes", episodes, least=1, most=10_000_000)
     seed = whole_number("seed", seed, least=0)
     made = None
     if isinstance(env, str):
-        try:
+        with foreign(f"`env` must be a registered environment; got {describe(env)}"):
             env = made = gymnasium.make(env)
-        except gymnasium.error.Error as error:
-            raise ProblemError(f"`env` must be a registered environment: {error}") from None
-    if not isinstance(env, gymnasium.Env):
-        raise ProblemError(f"`env` must be a gymnasium.Env or its name; got {describe(env)}")
     try:
         act = player(policy, env, observation=observation, actions=actions)
         played = [
@@ -227,11 +242,18 @@ def evaluate(
 
 
 def _episode(act: Act, env: gymnasium.Env, seed: int) -> tuple[float, int, bool]:
-    observed, _ = env.reset(seed=seed)
+    with foreign(f"`env` failed to begin the episode of seed {seed}"):
+        observed, _ = env.reset(seed=seed)
     total, length = 0.0, 0
     while True:
-        observed, reward, terminated, truncated, _ = env.step(act(observed))
-        total, length = total + float(reward), length + 1
+        action, length = act(observed), length + 1
+        where = f"step {length} of the episode of seed {seed}"
+        with foreign(f"`env` failed in {where}"):
+            observed, reward, terminated, truncated, _ = env.step(action)
+            gain = float(reward)
+        if not np.isfinite(gain):
+            raise ProblemError(f"`env` must give finite rewards; got {gain} in {where}")
+        total += gain
         if terminated or truncated:
             return total, length, bool(terminated)
 
@@ -287,7 +309,8 @@ class Environment(gymnasium.Env):
         observation : (n,)
             The state; see `environment`.
         reward : float
-            Minus the cost of the sample, and where the episode ends the terminal cost.
+            Minus the cost of the sample, and where the episode ends the terminal cost;
+            `WORST_REWARD` at least, and where that cost or the state is not finite.
         terminated, truncated : bool
             Whether the episode ended by itself, or its time is over.
         info : dict
@@ -302,13 +325,14 @@ class Environment(gymnasium.Env):
         )  # fmt: skip
         self._state = x[:, 0]
         self._left -= 1
-        finite = bool(np.isfinite(self._state).all())
+        finite = bool(np.isfinite(self._state).all() and np.isfinite(cost[0]))
         left = self.problem.outside == "error" and not domain.contains(self._state[None])[0]
         arrived = self._stop and bool(self._inside.evaluate(self._state)[0][0] == 1)
         terminated, truncated = not finite or bool(left) or arrived, self._left <= 0
-        reward = -float(cost[0])
+        total = float(cost[0])
         if (terminated or truncated) and finite:
-            reward -= float(self._plant.terminal_cost.evaluate(self._state)[0][0])
+            total += float(self._plant.terminal_cost.evaluate(self._state)[0][0])
+        reward = max(-total, WORST_REWARD) if np.isfinite(total) else WORST_REWARD
         return self._observation(), reward, terminated, truncated, self._info()
 
     def _observation(self) -> np.ndarray:
@@ -334,8 +358,8 @@ def environment(
 
     An action is a symbol, held over a sample; an episode begins anywhere in the domain. The
     observation is the state, on periodic axes within a period, and beyond the domain its nearest
-    state; the state itself is in ``info``. An episode ends when the state is not finite, or leaves
-    the domain of a problem whose `outside` is ``"error"``.
+    state; the state itself is in ``info``. An episode ends when the state or the cost is not
+    finite, or the state leaves the domain of a problem whose `outside` is ``"error"``.
 
     Parameters
     ----------
@@ -360,13 +384,15 @@ def environment(
     rate = 1 / problem.settings.sample_time if rate is None else rate
     duration = HORIZONS * problem.horizon if duration is None else duration
     if substeps is not None:
-        substeps = whole_number("substeps", substeps, least=1)
+        substeps = whole_number("substeps", substeps, least=1, most=1_000_000)
+    rate = finite_number("rate", rate, above=0.0)
+    duration = finite_number("duration", duration, above=0.0)
+    finite_number("1 / rate", 1 / rate)
+    if duration * rate > MOST_SAMPLES:
+        raise ProblemError(
+            f"`duration` must be at most {MOST_SAMPLES:,} samples; got {duration:g} s at "
+            f"{rate:g} samples per second"
+        )
     if stop_at_target and problem.target is None:
         raise ProblemError("`stop_at_target` must be False for a problem without a target")
-    return Environment(
-        problem,
-        finite_number("rate", rate, above=0.0),
-        finite_number("duration", duration, above=0.0),
-        substeps,
-        stop_at_target,
-    )
+    return Environment(problem, rate, duration, substeps, stop_at_target)

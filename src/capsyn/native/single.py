@@ -8,21 +8,30 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.errors import KernelBuildError
+from capsyn.errors import KernelBuildError, ProblemError
 from capsyn.native.kernels import LookupKernel, TreeArguments
 from capsyn.policy import Policy
+from capsyn.validation import numbers
 
 
 def single_lookup(policy: Policy) -> Callable[[Any], int]:
     """Return ``state (n,) -> symbol``, the same as calling the policy, -1 for the default control.
 
-    It is compiled where there is a compiler, and then takes some microseconds. Not for threads.
+    It is compiled where there is a compiler, and then takes some microseconds. Not for threads. A
+    state of another shape, or that is no numbers, is a `ProblemError`.
     """
     n, count = policy.domain.n, len(policy.alphabet)
+
+    def checked(state: Any) -> np.ndarray:
+        array = numbers("state", state)
+        if array.shape != (n,):
+            raise ProblemError(f"`state` must have shape ({n},); got {array.shape}")
+        return array
+
     try:
         function = LookupKernel.build(n).function
     except KernelBuildError:
-        return lambda state: int(policy(state))
+        return lambda state: int(policy(checked(state)))
     buffer, label = np.empty(n), np.empty(1, dtype=np.int32)
     tree = TreeArguments.of(policy.domain, policy.cells)
     nearest = policy.outside == "nearest"
@@ -30,7 +39,7 @@ def single_lookup(policy: Policy) -> Callable[[Any], int]:
     keep = (buffer, label, tree)
 
     def look_up(state: Any) -> int:
-        keep[0][:] = state
+        keep[0][:] = checked(state)
         function(1, *places)
         found = int(label[0])
         return found if 0 <= found < count else int(policy(keep[0]))  # by its rules

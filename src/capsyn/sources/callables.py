@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -50,10 +51,12 @@ def labels_of(
     Raises
     ------
     ProblemError
-        When called: an action that is no symbol, and at which state; or another shape.
+        When called: an action that is no symbol, and at which state; another shape; or whatever
+        the controller or `observation` raises, which is then its ``__cause__``.
     """
     predict = getattr(controller, "predict", None)
-    ask = predict if callable(predict) else controller
+    predicts = callable(predict)
+    ask = predict if predicts else controller
     if not callable(ask):
         raise ProblemError(
             "`controller` must be a function of states or have a method predict; got "
@@ -64,30 +67,35 @@ def labels_of(
     one_of("actions", actions, ["symbols", "controls"])
     if observation is not None and not callable(observation):
         raise ProblemError(f"`observation` must be a function; got {describe(observation)}")
-    knows = predict is not None and ask is predict and _takes(predict, "deterministic")
-    fixed = {"deterministic": True} if knows else {}
+    fixed = {"deterministic": True} if predicts and _takes(ask, "deterministic") else {}
     find = _symbols if actions == "symbols" else _symbols_of_controls
 
-    def act(observed: Any) -> Any:
-        try:
+    def act(observed: Any, states: np.ndarray) -> np.ndarray:
+        with foreign(f"`controller` failed at {_at(states)}"):
             found = ask(observed, **fixed)
-        except Exception as error:  # a user's function may raise anything
-            reason = one_line(f"{type(error).__name__}: {error}")
-            raise ProblemError(f"`controller` failed: {reason}") from error
-        return found[0] if isinstance(found, tuple) else found
+            return np.asarray(
+                found[0] if predicts and isinstance(found, tuple) and found else found
+            )
 
     def label(states: np.ndarray) -> np.ndarray:
-        given = states.copy()  # what works in place must not move the caller's states
-        observed = given if observation is None else observation(given)
-        if len(observed) != len(states):
-            raise ProblemError(
-                f"`observation` must return {len(states)} observations; got {len(observed)}"
-            )
-        found = act(observed) if batched else [np.asarray(act(one)) for one in observed]
-        try:
-            array = np.asarray(found)
-        except ValueError:
-            array = np.zeros(0, dtype=object)
+        observed = states.copy()  # what works in place must not move the caller's states
+        if observation is not None:
+            with foreign(f"`observation` failed at {_at(states)}"):
+                observed = observation(observed)
+            try:
+                got: Any = len(observed)
+            except TypeError:
+                got = describe(observed)
+            if got != len(states):
+                raise ProblemError(
+                    f"`observation` must return {len(states)} observations; got {got}"
+                )
+        if batched:
+            array = act(observed, states)
+        else:
+            found = [act(one, states[k : k + 1]) for k, one in enumerate(observed)]
+            same = len({one.shape for one in found}) < 2
+            array = np.asarray(found) if same else np.zeros(0, dtype=object)
         size = 1 if actions == "symbols" else alphabet.m
         shapes = [(len(states), size)] + [(len(states),)] * (size == 1)
         if array.dtype.kind not in "iuf" or array.shape not in shapes:
@@ -99,6 +107,35 @@ def labels_of(
         return find(array.reshape(len(states), size), states, alphabet)
 
     return label
+
+
+@contextlib.contextmanager
+def foreign(failed: str) -> Iterator[None]:
+    """Make any error of somebody else's code a `ProblemError` in one line, with its cause.
+
+    Parameters
+    ----------
+    failed : str
+        What has failed, and where.
+
+    Raises
+    ------
+    ProblemError
+        What was raised within.
+    """
+    try:
+        yield
+    except Exception as error:  # it may be any
+        reason = one_line(f"{type(error).__name__}: {error}")
+        raise ProblemError(f"{failed}: {reason}") from error
+
+
+def _at(states: np.ndarray) -> str:
+    """Return which states (B, n) something was asked for."""
+    if not len(states):
+        return "no states"
+    first = states[0].tolist()
+    return f"state {first}" if len(states) == 1 else f"{len(states)} states, the first {first}"
 
 
 def _takes(function: Callable[..., Any], name: str) -> bool:
@@ -124,12 +161,13 @@ def _symbols(found: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.nd
 
 
 def _symbols_of_controls(found: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.ndarray:
-    symbols = np.full(len(found), -1)
+    symbols, finite = np.full(len(found), -1), np.isfinite(found).all(axis=1)
     for symbol in range(len(alphabet) - 1, -1, -1):
         value = alphabet.values[symbol]
         if found.dtype.kind == "f":  # as a float32 agent writes it
-            value = value.astype(found.dtype)
-        symbols[(found == value).all(axis=1)] = symbol
+            with np.errstate(over="ignore"):
+                value = value.astype(found.dtype)
+        symbols[finite & (found == value).all(axis=1)] = symbol
     lost = np.flatnonzero(symbols < 0)
     if len(lost):
         i = int(lost[0])

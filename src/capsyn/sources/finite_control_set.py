@@ -30,6 +30,8 @@ TIE = 1e-9
 """Share of the least cost by which another symbol's may be larger and still tie with it."""
 MOST_SEQUENCES = 1_000_000
 """Most sequences of symbols that are tried at a state."""
+MOST_DEPTH = 200
+"""Most moves of a sequence, which only a single symbol comes near."""
 BLOCK = 4096
 """States that NumPy handles at once, and least that a thread gets."""
 
@@ -128,7 +130,7 @@ def finite_control_set(
     problem : Problem
         System, costs and alphabet.
     depth : int
-        Moves of a sequence, 1 or more.
+        Moves of a sequence, 1 to `MOST_DEPTH`.
     sample_time : float
         Time of a sample [s].
     blocks : int or (depth,) ints
@@ -153,7 +155,7 @@ def finite_control_set(
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
     values = problem.alphabet.values
     count = len(values)
-    depth = whole_number("depth", depth, least=1, most=1000)
+    depth = whole_number("depth", depth, least=1, most=MOST_DEPTH)
     if count**depth > MOST_SEQUENCES:
         raise ProblemError(
             f"`depth` must give at most {MOST_SEQUENCES:,} sequences; got {depth}, {count}^{depth} "

@@ -7,6 +7,7 @@ domain: the state's index, then those of its valid inputs. Indices run with the 
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 
@@ -14,10 +15,11 @@ import numpy as np
 
 from capsyn.alphabet import MAX_SYMBOLS, Alphabet
 from capsyn.errors import ProblemError
-from capsyn.sources.table import Table, check_points
-from capsyn.sources.text import fail, read_bytes
+from capsyn.sources.table import MOST_AXES, Table, check_points
+from capsyn.sources.text import check_alphabet, fail, naming, path_text, read_bytes
 
-MOST_AXES = 64
+MOST_INPUTS = 1 << 53
+"""Most points of an input grid; an index of more does not fit a float exactly."""
 MOST_DIGITS = 15
 """Digits of an index; more of them do not fit a float exactly."""
 
@@ -32,7 +34,7 @@ class _Grid:
 
     @property
     def size(self) -> int:
-        return int(np.prod(self.counts, dtype=float))
+        return math.prod(self.counts)
 
     def points(self, indices: np.ndarray) -> np.ndarray:
         """Return the points (K, n) with indices (K,), the first axis fastest."""
@@ -101,9 +103,10 @@ class _Lines:
                 f"'{self.path}': the grid above line {self.number + 1} must have distances above 0 "
                 "and a lower left point that is not above the upper right one"
             )
-        counts = np.rint((last - first) / step) + 1
-        off = np.abs(first + (counts - 1) * step - last) > 1e-6 * step
-        if off.any() or counts.max() > 2**31:
+        with np.errstate(all="ignore"):
+            counts = np.rint((last - first) / step) + 1
+            near = np.abs(first + (counts - 1) * step - last) <= 1e-6 * step
+        if not near.all() or counts.max() > 2**31:
             raise ProblemError(
                 f"'{self.path}': the grid above line {self.number + 1} must have corners that are "
                 f"whole steps apart; got {first.tolist()} and {last.tolist()}, {step.tolist()} each"
@@ -127,13 +130,20 @@ def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
     ProblemError
         Another format, or a damaged file: the line, and what was expected there.
     """
-    path = os.fspath(path)
+    path = path_text(path)
+    check_alphabet(alphabet)
     text = read_bytes(path)
     lines = _Lines(path, text)
     lines.expect("#SCOTS:v0.2")
     lines.expect("#TYPE:STATICCONTROLLER")
     states, inputs = lines.grid("STATE_SPACE"), lines.grid("INPUT_SPACE")
-    check_points(states.counts)
+    with naming(path):
+        check_points(states.counts)
+    if inputs.size > MOST_INPUTS:
+        counts = " x ".join(f"{k:,}" for k in inputs.counts)
+        raise ProblemError(
+            f"'{path}' must have an input grid of at most {MOST_INPUTS:,} points; got {counts}"
+        )
     lines.expect("#TYPE:WINNINGDOMAIN")
     lines.expect("#SCOTS:i (state) j_0 ... j_n (valid inputs)")
     lines.expect("#MATRIX:DATA")
@@ -148,7 +158,8 @@ def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
             f"'{path}' uses {len(kept)} inputs; an alphabet has at most {MAX_SYMBOLS} symbols"
         )
     if alphabet is None:
-        alphabet = Alphabet(inputs.points(kept))
+        with naming(path):
+            alphabet = Alphabet(inputs.points(kept))
     elif len(alphabet) != len(kept):
         raise ProblemError(
             f"`alphabet` must have {len(kept)} symbols like the input grid; got {len(alphabet)}"
@@ -157,7 +168,8 @@ def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
     bit = np.uint64(1) << np.searchsorted(kept, column).astype(np.uint64)
     np.bitwise_or.at(masks, row, bit)
     grid = masks.reshape(states.counts, order="F")
-    return Table(states.first, states.step, np.ascontiguousarray(grid), alphabet)
+    with naming(path):
+        return Table(states.first, states.step, grid, alphabet)
 
 
 def _pairs(

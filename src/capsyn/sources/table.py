@@ -11,7 +11,7 @@ import numpy as np
 
 from capsyn.alphabet import Alphabet
 from capsyn.cells import MAX_COUNT, CellTree
-from capsyn.domain import Box
+from capsyn.domain import LARGEST, Box
 from capsyn.errors import ProblemError
 from capsyn.masks import preferred, several
 from capsyn.policy import Outside, Policy, check_outside
@@ -19,6 +19,8 @@ from capsyn.validation import describe, finite_array
 
 MOST_POINTS = 1 << 24
 """Most points of a grid."""
+MOST_AXES = 16
+"""Most axes of a grid: a cell of n axes has 2^n children or more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +32,8 @@ class Table:
     first, step : (n,)
         The grid's first point, and its distances along each axis [state units].
     masks : (k1, .., kn) uint64
-        The symbols that are allowed at each point, as bit masks; 0 where there is none.
+        The symbols that are allowed at each point, as bit masks; 0 where there is none. They are
+        copied, and read-only.
     alphabet : Alphabet
         The symbols.
     names, units : n strings, optional
@@ -41,7 +44,8 @@ class Table:
     Raises
     ------
     ProblemError
-        Wrong shapes, steps that are not above 0, or unknown symbols.
+        Wrong shapes, more than `MOST_POINTS` points or `MOST_AXES` axes, steps that are not above
+        0, or unknown symbols.
     """
 
     first: Any
@@ -54,17 +58,10 @@ class Table:
 
     def __post_init__(self) -> None:
         first, step = finite_array("first", self.first, 1), finite_array("step", self.step, 1)
-        masks = np.asarray(self.masks)
+        masks = _array("masks", self.masks)
         if masks.dtype != np.uint64 or masks.ndim == 0 or not masks.size:
             raise ProblemError(f"`masks` must be a grid of uint64; got {masks.dtype}{masks.shape}")
-        if not len(first) == len(step) == masks.ndim:
-            raise ProblemError(
-                f"`first` and `step` must have {masks.ndim} entries, one per axis; got "
-                f"{len(first)} and {len(step)}"
-            )
-        if (step <= 0).any():
-            raise ProblemError(f"`step` must be above 0; got {describe(self.step)}")
-        check_points(masks.shape)
+        _check_grid(first, step, masks.shape)
         if not isinstance(self.alphabet, Alphabet):
             raise ProblemError(
                 f"`alphabet` must be a capsyn.Alphabet; got {describe(self.alphabet)}"
@@ -76,6 +73,8 @@ class Table:
                 f"`masks` must hold symbols 0 to {len(self.alphabet) - 1}; got "
                 f"{int(masks[tuple(point)]):#b} at state {_text(first + step * point)}"
             )
+        masks = masks.copy()
+        masks.flags.writeable = False
         for key, value in {"first": first, "step": step, "masks": masks}.items():
             object.__setattr__(self, key, value)
         self.box()
@@ -104,15 +103,13 @@ class Table:
         """
         if not isinstance(alphabet, Alphabet):
             alphabet = Alphabet(alphabet)
-        array, count = np.asarray(symbols), len(alphabet)
-        bits = np.uint64(1) << np.arange(count, dtype=np.uint64)
+        array, count = _array("symbols", symbols), len(alphabet)
+        check_symbols(array.shape, array.dtype, first, step, count)
         if array.dtype == bool:
-            if array.ndim < 2 or array.shape[-1] != count:
-                raise ProblemError(
-                    f"`symbols` must be booleans of shape (k1, .., kn, {count}); got {array.shape}"
-                )
-            masks = (array * bits).sum(axis=-1, dtype=np.uint64)
-        elif np.issubdtype(array.dtype, np.integer):
+            masks = np.zeros(array.shape[:-1], dtype=np.uint64)
+            for k in range(count):
+                masks |= array[..., k].astype(np.uint64) << np.uint64(k)
+        else:
             wrong = (array < -1) | (array >= count)
             if wrong.any():
                 point = np.argwhere(wrong)[0]
@@ -120,11 +117,8 @@ class Table:
                     f"`symbols` must be -1 to {count - 1}; got {array[tuple(point)]} at grid point "
                     f"{tuple(point.tolist())}"
                 )
+            bits = np.uint64(1) << np.arange(count, dtype=np.uint64)
             masks = np.where(array < 0, np.uint64(0), bits[array])
-        else:
-            raise ProblemError(
-                f"`symbols` must be whole numbers or booleans; got {describe(symbols)}"
-            )
         return Table(first, step, masks, alphabet, **names)
 
     @property
@@ -214,8 +208,56 @@ class Table:
         )
 
 
+def check_symbols(
+    shape: tuple[int, ...], dtype: np.dtype[Any], first: Any, step: Any, count: int
+) -> None:
+    """Raise `ProblemError` where an array is no table of symbols, before its entries are read.
+
+    `shape` and `dtype` are those of the ``symbols`` of `Table.of`, `first` and `step` its own, and
+    `count` is the number of symbols.
+    """
+    if dtype.kind not in "biu":
+        raise ProblemError(f"`symbols` must be whole numbers or booleans; got {dtype}")
+    allowed = dtype.kind == "b"
+    if allowed and shape[-1:] != (count,):
+        raise ProblemError(
+            f"`symbols` must be booleans of shape (k1, .., kn, {count}); got {shape}"
+        )
+    counts = shape[:-1] if allowed else shape
+    if not counts or not math.prod(counts):
+        raise ProblemError(f"`symbols` must be those of a grid of points; got shape {shape}")
+    _check_grid(finite_array("first", first, 1), finite_array("step", step, 1), counts)
+
+
+def _check_grid(first: np.ndarray, step: np.ndarray, counts: Sequence[int]) -> None:
+    """Raise `ProblemError` where points (k1, .., kn), the first and their distances do not fit."""
+    check_points(counts)
+    if not len(first) == len(step) == len(counts):
+        raise ProblemError(
+            f"`first` and `step` must have {len(counts)} entries, one per axis; got {len(first)} "
+            f"and {len(step)}"
+        )
+    if (step <= 0).any():
+        raise ProblemError(f"`step` must be above 0; got {describe(step.tolist())}")
+    with np.errstate(over="ignore"):
+        last = first + step * counts
+    if not (np.maximum(np.abs(first), np.abs(last)) <= LARGEST).all():
+        raise ProblemError(
+            f"`first` and `step` must make a grid within +-{LARGEST:g}; got "
+            f"{describe(first.tolist())} and {describe(step.tolist())}"
+        )
+    finest = np.maximum(32 * np.spacing(np.maximum(np.abs(first), np.abs(last))), 1e-300)
+    if (step < finest).any():
+        raise ProblemError(
+            f"`step` must be wider than floating point is fine near the points, {finest.tolist()}; "
+            f"got {describe(step.tolist())}"
+        )
+
+
 def check_points(counts: Sequence[int]) -> None:
-    """Raise `ProblemError` for a grid of too many points."""
+    """Raise `ProblemError` for a grid of too many points or axes."""
+    if len(counts) > MOST_AXES:
+        raise ProblemError(f"a table must have at most {MOST_AXES} axes; got {len(counts)}")
     if math.prod(counts) > MOST_POINTS:
         shape = " x ".join(f"{k:,}" for k in counts)
         raise ProblemError(f"a table must have at most {MOST_POINTS:,} points; got {shape}")
@@ -297,7 +339,8 @@ def _merged(
 ) -> CellTree:
     """Return the cells of a grid of masks; label `gap` where its bit is set."""
     n = masks.ndim
-    children = np.stack(np.unravel_index(np.arange(math.prod(refinement)), refinement), axis=1)
+    size = math.prod(refinement) if level else 0
+    children = np.stack(np.unravel_index(np.arange(size), refinement), axis=1)
     cells = np.stack(np.unravel_index(np.arange(math.prod(partitions)), partitions), axis=1)
     entries, mixed, sets = [], [], []
     start = 0
@@ -321,6 +364,16 @@ def _merged(
         np.concatenate(mixed),
         np.concatenate(sets),
     )
+
+
+def _array(name: str, value: Any) -> np.ndarray:
+    """Return an array of any kind; `ProblemError` where lists are ragged."""
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):
+        raise ProblemError(
+            f"`{name}` must be a grid, with rows of equal lengths; got {describe(value)}"
+        ) from None
 
 
 def _text(state: np.ndarray) -> str:
