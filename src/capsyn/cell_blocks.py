@@ -1,15 +1,19 @@
-"""Blocks of sibling cells and the keys of their test points."""
+"""What a subdivision works on: its task, blocks of sibling cells, the keys of their test points."""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from capsyn.cell_points import CellPoints
 from capsyn.lattice_points import LatticePoints
+from capsyn.limits import Limits
+from capsyn.propositions import worst_case_solves
 
 FINE = 8
 """Lattice units along the edge of a finest cell: of vertices, centres and edge midpoints, and of
@@ -121,3 +125,68 @@ class CellBlocks:
         # offset / 2 + (1 / 2 - offset / 2) / 4 = (3 offset + 1) / 8 of the cell, offset in halves
         places = corners + (3 * offsets + 1) * (size // FINE)
         return self.points.encode(np.zeros((1, self.n), dtype=np.int64), places)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class SubdivisionTask:
+    """What is to be subdivided, and how far.
+
+    Parameters
+    ----------
+    partitions, refinement : (n,) ints
+        Cells of the root grid, and children of a split cell, per axis.
+    max_level : int
+        Most times that a cell is split along an axis.
+    test_points : CellPoints
+        Which points of a cell are tested.
+    seed : int
+        Seed of random test points.
+    order : list of int
+        Symbols and the default, most preferred first, to break ties.
+    points : LatticePoints
+        Where test points are solved.
+    limits : Limits
+        What it may take.
+    """
+
+    partitions: tuple[int, ...]
+    refinement: tuple[int, ...]
+    max_level: int
+    test_points: CellPoints
+    seed: int
+    order: list[int]
+    points: LatticePoints
+    limits: Limits
+
+    @property
+    def n(self) -> int:
+        """Number of axes."""
+        return len(self.partitions)
+
+    @functools.cached_property
+    def blocks(self) -> CellBlocks:
+        """Where blocks get their test points."""
+        return CellBlocks(self.points, self.test_points, self.n, self.seed)
+
+    def statistics(self, roles: np.ndarray, stopped: str) -> dict[str, Any]:
+        """Return the counts of what was solved as plain data.
+
+        `roles` counts solves by `ROLES`; `stopped` names the limit that ended the work, if any.
+        """
+        points = self.points
+        return ({"stopped_by": stopped} if stopped not in ("", "max_solves") else {}) | {
+            "solves": points.count,
+            "solves_by_role": dict(zip(ROLES, roles.tolist())),
+            "stopped_by_max_solves": stopped == "max_solves",
+            "indifferent_points": points.indifferent,
+            "not_finite_points": points.not_finite,
+            "not_finite_example": points.example,
+            "test_points": str(self.test_points),
+            "seed": self.seed,
+            "worst_case_solves": worst_case_solves(
+                self.partitions,
+                self.refinement,
+                self.max_level,
+                self.test_points.interior(self.n),
+            ),
+        }

@@ -16,12 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
-from capsyn.cell_points import CellPoints
+from capsyn.cell_blocks import FINE, ROLES, SubdivisionTask, grid_places
 from capsyn.cells import CellTree
 from capsyn.errors import SynthesisError
-from capsyn.lattice_points import MANY, LatticePoints, Question
-from capsyn.limits import Limits
+from capsyn.lattice_points import MANY, Question
 from capsyn.masks import most_voted, preferred, several
 from capsyn.propositions import (
     BYTES_PER_ENTRY,
@@ -29,7 +27,6 @@ from capsyn.propositions import (
     block_bytes,
     block_parents,
     too_few_solves,
-    worst_case_solves,
 )
 
 
@@ -84,27 +81,20 @@ class ConstantSubdivision:
     all work on masks runs along contiguous memory.
     """
 
-    def __init__(
-        self,
-        partitions: tuple[int, ...],
-        refinement: tuple[int, ...],
-        max_level: int,
-        test_points: CellPoints,
-        seed: int,
-        order: list[int],
-        points: LatticePoints,
-        limits: Limits,
-    ) -> None:
-        self._n, self._q, self._r = len(partitions), partitions, refinement
-        self._max_level, self._test_points, self._seed = max_level, test_points, seed
-        self._order, self._points = order, points
-        self._blocks = CellBlocks(points, test_points, self._n, seed)
-        self._offsets = test_points.offsets(self._n)
+    def __init__(self, task: SubdivisionTask) -> None:
+        self._task, self._points, self._blocks = task, task.points, task.blocks
+        self._n, self._q, self._r = task.n, task.partitions, task.refinement
+        self._max_level, self._test_points, self._order = (
+            task.max_level,
+            task.test_points,
+            task.order,
+        )
+        self._offsets = task.test_points.offsets(task.n)
         self._movable = np.flatnonzero((self._offsets != 1).any(axis=1))  # by the quarter rule
         self._roles = np.zeros(len(ROLES), dtype=np.int64)
-        self._solves = np.zeros(max_level + 1, dtype=np.int64)  # of test points
+        self._solves = np.zeros(task.max_level + 1, dtype=np.int64)  # of test points
         self._levels: list[_Level] = []
-        self._limits = limits
+        self._limits = task.limits
         self._held = 0  # bytes beside the solved points
         self._started = time.perf_counter()
         self._stopped = ""
@@ -143,12 +133,8 @@ class ConstantSubdivision:
 
     def statistics(self) -> dict[str, Any]:
         """Return the counts of the subdivision as plain data."""
-        points = self._points
         leaves = [len(x.entries) - x.split for x in self._levels]
-        stopped = {"stopped_by": self._stopped} if self._stopped not in ("", "max_solves") else {}
-        return stopped | {
-            "solves": points.count,
-            "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
+        return self._task.statistics(self._roles, self._stopped) | {
             "cells": sum(leaves),
             "leaves_by_level": leaves,
             "mixed_cells": sum(len(x.mixed) for x in self._levels),
@@ -156,15 +142,6 @@ class ConstantSubdivision:
                 {"cells": len(x.entries), "mixed": x.count, "solves": solves}
                 for x, solves in zip(self._levels, self._solves.tolist())
             ],
-            "stopped_by_max_solves": self._stopped == "max_solves",
-            "indifferent_points": points.indifferent,
-            "not_finite_points": points.not_finite,
-            "not_finite_example": points.example,
-            "test_points": str(self._test_points),
-            "seed": self._seed,
-            "worst_case_solves": worst_case_solves(
-                self._q, self._r, self._max_level, self._test_points.interior(self._n)
-            ),
         }
 
     def _split(self, level: int) -> tuple[int, ...]:

@@ -15,15 +15,13 @@ from typing import Any
 import numpy as np
 
 from capsyn.affine_fit import fit_cells
-from capsyn.cell_blocks import FINE, ROLES, CellBlocks, grid_places
-from capsyn.cell_points import CellPoints
+from capsyn.cell_blocks import FINE, ROLES, SubdivisionTask, grid_places
 from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
 from capsyn.errors import SynthesisError
 from capsyn.growing_cells import GrowingCells, Rows, SplitCells, lattice_level
-from capsyn.lattice_points import MANY, LatticePoints, Question
-from capsyn.limits import Limits
+from capsyn.lattice_points import MANY, Question
 from capsyn.masks import most_voted, preferred, several
-from capsyn.propositions import ROUND_BYTES, rounds_memory, too_few_solves, worst_case_solves
+from capsyn.propositions import ROUND_BYTES, rounds_memory, too_few_solves
 from capsyn.split_axes import SplitAxes
 
 ROUND_POINTS = 2**19
@@ -61,34 +59,26 @@ class LeafRule:
 class RoundSubdivision:
     """Algorithm 1 in rounds."""
 
-    def __init__(
-        self,
-        partitions: tuple[int, ...],
-        refinement: tuple[int, ...],
-        max_level: int,
-        test_points: CellPoints,
-        seed: int,
-        order: list[int],
-        points: LatticePoints,
-        limits: Limits,
-        rule: LeafRule,
-    ) -> None:
-        self._n, self._q, self._r = len(partitions), partitions, refinement
-        self._max_level, self._test_points, self._seed = max_level, test_points, seed
-        self._order, self._points = order, points
-        self._blocks = CellBlocks(points, test_points, self._n, seed)
-        self._offsets = test_points.offsets(self._n)
-        self._limits, self._started = limits, time.perf_counter()
-        self._max_solves, self._rule = limits.max_solves, rule
+    def __init__(self, task: SubdivisionTask, rule: LeafRule) -> None:
+        self._task, self._points, self._blocks = task, task.points, task.blocks
+        self._n, self._q, self._r = task.n, task.partitions, task.refinement
+        self._max_level, self._test_points, self._order = (
+            task.max_level,
+            task.test_points,
+            task.order,
+        )
+        self._offsets = task.test_points.offsets(task.n)
+        self._limits, self._started = task.limits, time.perf_counter()
+        self._max_solves, self._rule = task.limits.max_solves, rule
         self._axes = SplitAxes.of(self._offsets) if rule.adaptive else None
         # without vertices, cells whose test points agree may have others in their corners
-        self._everywhere = rule.affine and not (rule.plain or test_points.vertices)
-        self._lattice_level = max_level
+        self._everywhere = rule.affine and not (rule.plain or task.test_points.vertices)
+        self._lattice_level = task.max_level
         if rule.affine:
-            self._lattice_level = lattice_level(partitions, refinement, max_level)
-        self._counts = lattice_counts(partitions, refinement, self._lattice_level)
+            self._lattice_level = lattice_level(self._q, self._r, task.max_level)
+        self._counts = lattice_counts(self._q, self._r, self._lattice_level)
         self._roles = np.zeros(len(ROLES), dtype=np.int64)
-        most = max_level * (self._n if rule.adaptive else 1)
+        most = task.max_level * (self._n if rule.adaptive else 1)
         self._solves = np.zeros(most + 1, dtype=np.int64)
         self._streams = 0
         self._needed = 0
@@ -356,25 +346,9 @@ class RoundSubdivision:
 
     def statistics(self) -> dict[str, Any]:
         """Return the counts of the subdivision as plain data."""
-        points, rule = self._points, self._rule
-        stopped = {"stopped_by": self._stopped} if self._stopped not in ("", "max_solves") else {}
-        affine = {"leaves": "affine", "leaf_error": rule.most_error} if rule.affine else {}
-        return (
-            self._summary
-            | stopped
-            | affine
-            | ({"refine": "adaptive"} if rule.adaptive else {})
-            | {
-                "solves": points.count,
-                "solves_by_role": dict(zip(ROLES, self._roles.tolist())),
-                "stopped_by_max_solves": self._stopped == "max_solves",
-                "indifferent_points": points.indifferent,
-                "not_finite_points": points.not_finite,
-                "not_finite_example": points.example,
-                "test_points": str(self._test_points),
-                "seed": self._seed,
-                "worst_case_solves": worst_case_solves(
-                    self._q, self._r, self._max_level, self._test_points.interior(self._n)
-                ),
-            }
-        )
+        rule, found = self._rule, self._task.statistics(self._roles, self._stopped)
+        if rule.affine:
+            found |= {"leaves": "affine", "leaf_error": rule.most_error}
+        if rule.adaptive:
+            found["refine"] = "adaptive"
+        return found | self._summary

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.alphabet import Alphabet
-from capsyn.cell_blocks import FINE
+from capsyn.cell_blocks import FINE, SubdivisionTask
 from capsyn.cell_points import CellPoints
 from capsyn.cells import MAX_MASKED, grid_settings, lattice_counts
 from capsyn.checkpoint import Remembered
@@ -191,10 +191,10 @@ def subdivide(
             affine,
             limits.max_solves if in_rounds else None,
         )
-        given = (q, r, max_level, points, seed, order, store, limits)
+        task = SubdivisionTask(q, r, max_level, points, seed, order, store, limits)
         rule = LeafRule(affine, leaf_error, not returns.endswith("scores"), adaptive)
         work: ConstantSubdivision | RoundSubdivision = (
-            RoundSubdivision(*given, rule) if in_rounds else ConstantSubdivision(*given)
+            RoundSubdivision(task, rule) if in_rounds else ConstantSubdivision(task)
         )
         cells = work.run()
     return Policy(
