@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from capsyn.errors import ProblemError
 from capsyn.exports.c_language import Part, rows
 from capsyn.exports.plan import Plan
@@ -46,13 +44,12 @@ int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now);
 
 def functions(plan: Plan, prefix: str) -> Part:
     """Return ``_init`` and ``_hold``."""
-    # equal controls are no change, whatever their symbols
-    _, classes = np.unique(plan.policy.controls + 0.0, axis=0, return_inverse=True)
-    classes = classes.ravel()
+    classes = list(range(plan.labels))
+    classes[-1] = (plan.like_default or classes)[-1]
     same, table, reads = "symbol == state->symbol", "", set()
-    if len(set(classes.tolist())) < plan.labels:
+    if plan.like_default:
         kind, integer = ("BYTE", "uint8_t") if plan.labels <= 256 else ("INT16", "int16_t")
-        entries = rows([f"{k}u" if kind == "BYTE" else str(k) for k in classes.tolist()])
+        entries = rows([f"{k}u" if kind == "BYTE" else str(k) for k in classes])
         table = (
             f"    /* symbols of the same number have the same control */\n"
             f"    static const {integer} {prefix}_same[{plan.labels}] CAPSYN_ROM = {{\n{entries}\n"

@@ -115,6 +115,12 @@ class Plan:
         return self.labels - 1 if self.policy.gaps else -1
 
     @property
+    def like_default(self) -> list[int]:
+        """Symbols whose control is the default one: between them and the default is no switch."""
+        controls = self.policy.controls
+        return np.flatnonzero((controls[:-1] == controls[-1]).all(axis=1)).tolist()
+
+    @property
     def symbol_names(self) -> tuple[str, ...]:
         """Names of the labels, "default" last."""
         return (*self.policy.alphabet.names, "default")

@@ -355,9 +355,7 @@ END_FUNCTION""".splitlines()
 
     def _dwelling(self) -> list[str]:
         """Return the rule of the closed loop for the minimum dwell time."""
-        plan, controls = self.plan, self.plan.policy.controls
-        same = [k for k in range(plan.labels - 1) if (controls[k] == controls[-1]).all()]
-        default = plan.labels - 1
+        plan, default = self.plan, self.plan.labels - 1
         lines = [
             f"(* A control is held for {plan.dwell!r} s at least, rounded up to whole calls, *)",
             "(* whatever the status; a millionth of a call is forgiven for rounding. *)",
@@ -370,7 +368,7 @@ END_FUNCTION""".splitlines()
             "        elapsed := elapsed + cycle;",
             "    END_IF;",
         ]
-        for k in same:  # the default control is that of a symbol: no switch between the two
+        for k in plan.like_default:  # no switch between the two
             lines.append("    IF")
             lines.append(f"        ((wanted = {k}) AND (symbol = {default}))")
             lines.append(f"        OR ((wanted = {default}) AND (symbol = {k}))")

@@ -321,10 +321,9 @@ class _Module:
             found += [f"    assign symbol = {wanted};"]
             found += [f"    assign outside = {outside};"] * self.tells
             return found + ["    assign valid_out = valid_end;"] * self.clocked
-        controls, default = plan.policy.controls, plan.labels - 1
-        same = [k for k in range(default) if (controls[k] == controls[-1]).all()]
+        default = plan.labels - 1
         tests = ["wanted != symbol_held"]
-        for k in same:  # the default control is that of a symbol: no switch between the two
+        for k in plan.like_default:  # no switch between the two
             one, other = f"{self.symbol_bits}'d{k}", f"{self.symbol_bits}'d{default}"
             tests.append(f"!(wanted == {one} && symbol_held == {other})")
             tests.append(f"!(wanted == {other} && symbol_held == {one})")
