@@ -67,8 +67,12 @@ def test_a_second_run_solves_nothing(tmp_path, labelled, backend):
     assert plain == first == second
 
 
-def test_affine_leaves_go_on(tmp_path):
-    options = {"max_level": 3, "leaves": "affine"}
+@pytest.mark.parametrize(
+    "options",
+    [{"leaves": "affine"}, {"refine": "adaptive"}, {"leaves": "affine", "refine": "adaptive"}],
+)
+def test_subdivision_in_rounds_goes_on(tmp_path, options):
+    options = {"max_level": 3, **options}
     plain = file_of(capsyn.synthesize(PROBLEM, **options), tmp_path)
     few = capsyn.synthesize(PROBLEM, max_solves=1000, checkpoint=tmp_path / "kept", **options)
     assert few.statistics["solves"] <= 1000
@@ -168,6 +172,7 @@ def test_settled_values_are_those_of_what_is_kept(tmp_path):
     [
         ({"seed": 1}, "`seed` is 0 there, 1 here"),
         ({"leaves": "affine"}, "`leaves` is 'constant' there, 'affine' here"),
+        ({"refine": "adaptive"}, "`refine` is 'isotropic' there, 'adaptive' here"),
         ({"max_level": 3}, "run: `max_level` is 2 there, 3 here"),
         ({"partitions": [8, 9]}, "run: `partitions` is [9, 9] there, [8, 9] here"),
         (

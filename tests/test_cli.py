@@ -76,16 +76,19 @@ def test_synth_writes_a_policy_and_says_nothing_on_stderr_when_piped(tmp_path):
 def test_synth_takes_overrides(tmp_path):
     options = "--max-level 1 --partitions 3,4 --rule steepest --control-weight 0 --steps 12"
     more = "--outside error --min-dwell 0.05 --test-points vertices+random:2 --seed 3 --json"
+    more += " --leaves affine --refine adaptive --leaf-error 0.1"
     out, _ = capsyn(
         "synth", "cart-pendulum", "-o", "p.cap", *options.split(), *more.split(), cwd=tmp_path
     )
     data, policy = json.loads(out), Policy.load(tmp_path / "p.cap")
     assert data["file"] == "p.cap" and data["statistics"] == policy.statistics
-    assert policy.cells.partitions == (3, 4) and policy.cells.max_level == 1
+    assert policy.cells.partitions == (3, 4) and data["max_level"] == 1
     assert policy.settings.rule == "steepest" and policy.settings.steps == 12
     assert policy.settings.control_weight == 0 and policy.min_dwell == 0.05
     assert policy.outside == "error"
     assert policy.statistics["test_points"] == "vertices+random:2"
+    assert policy.statistics["leaf_error"] == 0.1
+    assert policy.statistics["refine"] == "adaptive" and policy.cells.splits is not None
 
 
 def test_synth_alpha_d_replaces_the_problems_gamma(tmp_path):

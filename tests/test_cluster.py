@@ -71,16 +71,19 @@ def file_of(policy, directory):
 
 @pytest.mark.parametrize("backend", ["c", "numpy"])
 @pytest.mark.parametrize(
-    "name, level, leaves",
+    "name, level, leaves, refine",
     [
-        ("cart-pendulum-4", 4, "constant"),
-        ("double-tank-a", 3, "constant"),
-        ("cart-pole", 1, "affine"),
+        ("cart-pendulum-4", 4, "constant", "isotropic"),
+        ("double-tank-a", 3, "constant", "adaptive"),
+        ("cart-pole", 1, "affine", "isotropic"),
+        ("cart-pole", 1, "affine", "adaptive"),
     ],
 )
-def test_the_same_bytes_as_without_a_cluster(client, tmp_path, name, level, leaves, backend):
+def test_the_same_bytes_as_without_a_cluster(
+    client, tmp_path, name, level, leaves, refine, backend
+):
     seen = []
-    options = {"max_level": level, "leaves": leaves, "backend": backend}
+    options = {"max_level": level, "leaves": leaves, "refine": refine, "backend": backend}
     local = capsyn.synthesize(problems.get(name), **options)
     remote = capsyn.synthesize(problems.get(name), executor=client, progress=seen.append, **options)
     assert file_of(remote, tmp_path) == file_of(local, tmp_path)

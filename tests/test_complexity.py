@@ -1,6 +1,7 @@
 """Figures of complexity against what they must be."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from capsyn import Box, compress, problems, subdivide, synthesize
 from capsyn.complexity import complexity, entropy, switching_entropy
 from capsyn.errors import CapsynWarning
 from capsyn.packing import packed_bytes, smallest_type
-from trees import random_policy
+from trees import GRIDS, random_policy
 
 
 def test_entropies():
@@ -30,6 +31,28 @@ def test_entropies():
 )  # fmt: skip
 def test_the_smallest_type_that_holds_all_values(values, kind):
     assert smallest_type(np.array(values, dtype=np.int32)) == np.dtype(kind)
+
+
+def most_comparisons(tree):
+    """Return the most comparisons of a lookup, path by path."""
+
+    def below(place):
+        if tree.entries[place] < 0:
+            return 0
+        factors = tree.factors(np.array([place]))[0].tolist()
+        own = sum((factor - 1).bit_length() for factor in factors)
+        start = tree.entries[place]
+        return own + max(below(start + k) for k in range(math.prod(factors)))
+
+    root = sum((count - 1).bit_length() for count in tree.partitions)
+    return root + max(below(place) for place in range(math.prod(tree.partitions)))
+
+
+@pytest.mark.parametrize("some_axes", [False, True])
+@pytest.mark.parametrize("grid", range(len(GRIDS)))
+def test_comparisons_of_a_table(grid, some_axes):
+    policy = random_policy(grid, seed=grid, some_axes=some_axes)
+    assert complexity(policy)["table"]["comparisons"] == most_comparisons(policy.cells)
 
 
 def test_a_policy_of_cells_and_its_tree():

@@ -239,6 +239,18 @@ def test_levels_show_what_the_algorithm_knew(name, tmp_path):
     assert mixed
 
 
+@pytest.mark.parametrize("name", ["cart-pendulum", "random 7", "random 7 adaptive", "exact"])
+def test_levels_are_as_many_as_the_slider_shows(name, tmp_path):
+    policy = POLICIES[name]()
+    levels = node(tmp_path, LOOKUP + "print(lookup.levels);", policy)
+    if not isinstance(policy.cells, CellTree):
+        assert levels == 0
+    else:
+        adaptive = policy.cells.splits is not None
+        assert levels == (policy.cells.depth if adaptive else policy.cells.max_level)
+        assert not adaptive or levels > policy.cells.max_level
+
+
 def test_places_are_those_of_cells(tmp_path):
     policy = built_in("cart-pendulum")
     view = next(views_of(policy))

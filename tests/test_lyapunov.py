@@ -20,7 +20,7 @@ from capsyn.verification.loop_derivative import LoopDerivative
 from capsyn.verification.lyapunov import lyapunov, lyapunov_grid
 
 
-def loop(dynamics, box, label=None, alphabet=(1.0, -1.0), default=0.0, partitions=4, max_level=2):
+def loop(dynamics, box, label=None, alphabet=(1.0, -1.0), default=0.0, **options):
     """Return a policy with a model; `label` gives symbols of states (B, n), -1 the default."""
     n = box.n
     problem = Problem(
@@ -30,8 +30,7 @@ def loop(dynamics, box, label=None, alphabet=(1.0, -1.0), default=0.0, partition
         label or (lambda x: np.zeros(len(x), dtype=int)),
         box,
         len(problem.alphabet),
-        partitions=partitions,
-        max_level=max_level,
+        **{"partitions": 4, "max_level": 2, **options},
     )
     return dataclasses.replace(
         policy,
@@ -412,6 +411,36 @@ def test_a_finest_cell_whose_test_points_disagree_is_a_boundary_cell():
     found = lyapunov(policy, lambda x: x[0]).violated_cells
     assert (found.symbols == 0).all()
     assert found.boundary.tolist() == [False, True, False, False]
+
+
+def test_only_finest_cells_are_boundary_cells():
+    # the uniform cell [0, 2) has a neighbour of another symbol, but is not finest
+    policy = loop(
+        lambda x, u: [1.0],
+        Box([0.0], [4.0]),
+        lambda x: ((x[:, 0] > 2) & (x[:, 0] < 3.2)).astype(int),
+        partitions=2,
+        max_level=1,
+    )
+    found = lyapunov(policy, lambda x: x[0]).violated_cells
+    assert found.lower[:, 0].tolist() == [0.0, 2.0, 3.0]
+    assert found.boundary.tolist() == [False, True, True]
+
+
+def test_mixed_cells_of_adaptive_splits_are_boundary_cells():
+    # finest along the first axis, along which labels vary, and never split along the second
+    policy = loop(
+        lambda x, u: [1.0, 0.0],
+        Box([0.0, 0.0], [4.0, 4.0]),
+        lambda x: (x[:, 0] > 2.7).astype(int),
+        partitions=1,
+        max_level=2,
+        refine="adaptive",
+    )
+    found = lyapunov(policy, lambda x: x[0]).violated_cells
+    assert found.lower[:, 0].tolist() == [0.0, 2.0, 3.0]
+    assert (found.upper - found.lower)[:, 1].tolist() == [4.0] * 3
+    assert found.boundary.tolist() == [False, True, True]
 
 
 def test_grid_of_the_paper(pendulum):

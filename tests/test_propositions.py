@@ -185,7 +185,7 @@ def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
 
 
 def test_root_grid_that_does_not_fit_asks_for_fewer_partitions(monkeypatch):
-    free = 4000
+    free = 2**13  # so that a fourth of it is a power of two, as blocks of unknown limits are
     monkeypatch.setattr(props, "available_memory", lambda: free)
     fits = max(
         k
@@ -230,9 +230,12 @@ def test_available_memory_is_read_or_unknown(monkeypatch, tmp_path):
         (2, 200, 0, 3, "vertices", None),
     ],
 )
-@pytest.mark.parametrize("refine", ["isotropic", "adaptive"])
-def test_worst_case_memory_of_affine_leaves(
-    n, partitions, level, n_symbols, points, max_solves, refine
+@pytest.mark.parametrize(
+    ("leaves", "refine"),
+    [("affine", "isotropic"), ("affine", "adaptive"), ("constant", "adaptive")],
+)
+def test_worst_case_memory_of_rounds(
+    n, partitions, level, n_symbols, points, max_solves, leaves, refine
 ):
     def label(states):
         found = noise(states, 1)
@@ -243,7 +246,7 @@ def test_worst_case_memory_of_affine_leaves(
     tracemalloc.start()
     try:
         subdivide(
-            label, unit_box(n), n_symbols, **grid, leaves="affine", returns="scores",
+            label, unit_box(n), n_symbols, **grid, leaves=leaves, returns="scores",
             max_solves=max_solves, refine=refine,
         )  # fmt: skip
         peak = tracemalloc.get_traced_memory()[1]
@@ -254,7 +257,7 @@ def test_worst_case_memory_of_affine_leaves(
         (2,) * n,
         level,
         CellPoints.parse(points),
-        n_symbols + 1,
+        n_symbols + 1 if leaves == "affine" else 0,
         max_solves,
         refine == "adaptive",
     )

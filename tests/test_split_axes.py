@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from capsyn import Box, subdivide
 from capsyn.cell_points import CellPoints
 from capsyn.errors import PolicyFormatError, ProblemError
-from capsyn.policy_file import content_hash
+from capsyn.policy_file import arrays_of
+from capsyn.round_subdivision import RoundSubdivision
 from capsyn.split_axes import SplitAxes
 from test_policy_file import refuse, rewrite
 from test_subdivision import planar_masks, recorder
@@ -111,7 +112,44 @@ def test_leaves_agree_or_are_finest_along_the_axes_that_vary(n, seed, partitions
     assert statistics["refine"] == "adaptive" and statistics["cells"] == tree.leaf_count
     assert sum(statistics["leaves_by_level"]) == tree.leaf_count
     assert sum(level["solves"] for level in statistics["levels"]) == statistics["solves"]
-    assert sum(statistics["solves_by_role"].values()) == statistics["solves"]
+    roles = statistics["solves_by_role"]
+    assert sum(roles.values()) == statistics["solves"]
+    assert statistics["solves"] - roles["quarter"] <= statistics["worst_case_solves"]
+
+
+def test_splits_one_after_the_other_may_take_more_solves_than_all_at_once():
+    labels = {(0.0, 0.0): 0, (0.0, 1.0): 0, (1.0, 0.0): 1, (1.0, 1.0): 1, (0.5, 1.0): 1}
+
+    def label(states):
+        return np.array([labels.get(tuple(state), 0) for state in states.tolist()])
+
+    options = {"partitions": 1, "max_level": 1}
+    found = [
+        subdivide(label, unit_box(2), 2, refine=refine, **options).statistics
+        for refine in ("isotropic", "adaptive")
+    ]
+    assert [x["solves"] for x in found] == [13, 15]
+    assert [x["worst_case_solves"] for x in found] == [14, 17]
+
+
+def test_cells_go_in_rounds_whose_blocks_are_as_small_as_their_splits(monkeypatch):
+    rounds, evaluate = [], RoundSubdivision._evaluate
+
+    def counting(self, groups):
+        rounds.append(len(groups))
+        return evaluate(self, groups)
+
+    monkeypatch.setattr(RoundSubdivision, "_evaluate", counting)
+
+    def label(states):
+        return (np.abs(states[:, 0] - 0.43) < 0.2 * states[:, 5]).astype(int)
+
+    policy = subdivide(
+        label, unit_box(8), 2, partitions=1, max_level=5, refine="adaptive", max_memory="4GB"
+    )
+    assert policy.statistics["solves"] > 10_000
+    # blocks of 2^8 cells in rounds of 2^19 test points would be many times more
+    assert len(rounds) < 12
 
 
 def test_an_axis_that_does_not_matter_is_not_split():
@@ -158,7 +196,10 @@ def test_the_result_depends_on_neither_rounds_nor_threads(leaves, monkeypatch):
     monkeypatch.setattr("capsyn.round_subdivision.ROUND_POINTS", 3_000)
     monkeypatch.setattr("capsyn.round_subdivision.CHUNK_SCORES", 2_000)
     again = subdivide(curved, unit_box(4), 2, **options)
-    assert content_hash(again) == content_hash(whole)
+    assert again.statistics["solves"] == whole.statistics["solves"]
+    found, wanted = arrays_of(again), arrays_of(whole)
+    assert found.keys() == wanted.keys()
+    assert all(np.array_equal(found[name], wanted[name]) for name in wanted)
 
 
 @pytest.mark.parametrize("leaves", ["constant", "affine"])

@@ -84,9 +84,9 @@ class CellBlocks:
             Indices into `ROLES`.
         """
         grid, offsets = grid_places(split), self.test_points.offsets(self.n)
-        local = 2 * grid[:, None, :] + offsets[None, :, :]
         extents = tuple(2 * split + 1)
-        numbers = np.ravel_multi_index(tuple(np.moveaxis(local, -1, 0)), extents)
+        places = (np.ravel_multi_index(tuple(points.T), extents) for points in (2 * grid, offsets))
+        numbers = np.add.outer(*places)
         distinct, table = np.unique(numbers, return_inverse=True)
         table = table.reshape(numbers.shape)
         halves = np.stack(np.unravel_index(distinct, extents), axis=1)
@@ -168,10 +168,11 @@ class SubdivisionTask:
         """Where blocks get their test points."""
         return CellBlocks(self.points, self.test_points, self.n, self.seed)
 
-    def statistics(self, roles: np.ndarray, stopped: str) -> dict[str, Any]:
+    def statistics(self, roles: np.ndarray, stopped: str, adaptive: bool = False) -> dict[str, Any]:
         """Return the counts of what was solved as plain data.
 
-        `roles` counts solves by `ROLES`; `stopped` names the limit that ended the work, if any.
+        `roles` counts solves by `ROLES`; `stopped` names the limit that ended the work, if any;
+        `adaptive`: cells were split along some axes only.
         """
         points = self.points
         return ({"stopped_by": stopped} if stopped not in ("", "max_solves") else {}) | {
@@ -188,5 +189,6 @@ class SubdivisionTask:
                 self.refinement,
                 self.max_level,
                 self.test_points.interior(self.n),
+                adaptive,
             ),
         }

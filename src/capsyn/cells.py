@@ -213,6 +213,11 @@ class CellTree:
         """Highest level of a cell."""
         return max(cells.level for cells in self.levels())
 
+    def times(self, cells: Cells) -> np.ndarray:
+        """Return how often cells have been split along each axis, (M, n)."""
+        shares = np.log(self.sizes(0) / cells.sizes) / np.log(self.refinement)
+        return np.rint(shares).astype(np.int64)
+
     def volumes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the leaf entries (M,) and their volumes (M,) [finest cells]."""
         leaves = list(self.leaves())

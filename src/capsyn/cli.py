@@ -102,7 +102,9 @@ def synth(
     default: Annotated[
         str | None, typer.Option(metavar="U[,U..]", help="Control of the prediction.")
     ] = None,
-    max_level: Annotated[int | None, typer.Option(help="Most times that a cell is split.")] = None,
+    max_level: Annotated[
+        int | None, typer.Option(help="Most times that a cell is split along an axis.")
+    ] = None,
     partitions: Annotated[
         str | None, typer.Option(metavar="Q[,Q..]", help="Cells of the root grid per axis.")
     ] = None,

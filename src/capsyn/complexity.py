@@ -75,21 +75,16 @@ def switching_entropy(rates: np.ndarray) -> float:
 
 
 def _table(cells: CellTree) -> dict[str, int]:
-    """Return the size of a table of cells; a lookup halves each axis at each level."""
+    """Return the size of a table of cells; a lookup halves each axis that a cell is split along."""
 
-    def halvings(sizes: tuple[int, ...]) -> int:
-        return sum(math.ceil(math.log2(size)) for size in sizes)
+    def halvings(sizes: tuple[int, ...]) -> np.ndarray:
+        return np.array([math.ceil(math.log2(size)) for size in sizes])
 
-    comparisons = halvings(cells.partitions)
-    if (cells.entries >= 0).any():
-        comparisons += _levels(cells) * halvings(cells.refinement)
+    most = max(int((cells.times(x) @ halvings(cells.refinement)).max()) for x in cells.levels())
+    comparisons = int(halvings(cells.partitions).sum()) + most
     if cells.affine is not None:  # the rows of a leaf, one after the other
         comparisons += int(np.diff(cells.affine.starts).max()) - 1
     return {"bytes": packed_bytes(cells), "comparisons": comparisons}
-
-
-def _levels(cells: CellTree) -> int:
-    return cells.depth
 
 
 def mean_depth(tree: DecisionTree) -> float | None:

@@ -270,7 +270,8 @@ def print_report(data: dict[str, Any]) -> None:
         )
         line(
             "cells",
-            f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}; {mixed}",
+            f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}"
+            f"{', split along some axes' if data['adaptive'] else ''}; {mixed}",
         )
         if data["affine_leaves"]:
             steps = " x ".join(str(state["steps"]) for state in data["states"])

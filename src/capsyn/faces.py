@@ -54,10 +54,10 @@ def shared_faces(
         Axes whose ends meet. Default: none.
     """
     boxes, counts = cells.boxes(), cells.counts
-    level = np.zeros(cells.node_count, dtype=np.int8)
-    level[boxes.places] = boxes.levels
     found = []
     nested = isinstance(cells, CellTree) and cells.splits is None  # of two cells one is the smaller
+    level = np.zeros(cells.node_count, dtype=np.int16)
+    level[boxes.places] = boxes.levels
     for axis in range(cells.n):
         wraps = periodic is not None and periodic[axis]
         for side in (-1, 1) if nested else (1,):

@@ -47,7 +47,7 @@ def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
     ----------
     policy : Policy
         A policy of two states.
-    axes : max_level + 1 Axes
+    axes : max_level + 1 Axes, or depth + 1 if that is more
         Where to draw, layer 0 first.
 
     Raises
@@ -60,8 +60,9 @@ def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
     domain, tree = policy.domain, cell_tree(policy)
     if domain.n != 2:
         raise ProblemError(f"`policy` must have two states to draw its layers; got {domain.n}")
-    if len(axes) != tree.max_level + 1:
-        raise ProblemError(f"`axes` must be {tree.max_level + 1} Axes; got {len(axes)}")
+    layers = 1 + max(tree.max_level, tree.depth)
+    if len(axes) != layers:
+        raise ProblemError(f"`axes` must be {layers} Axes; got {len(axes)}")
     colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
 
     def add(ax: Axes, level: int, corners: np.ndarray, faces: Any, edges: str) -> None:

@@ -54,7 +54,7 @@ class Problem:
     partitions, refinement : int or (n,)
         Cells of the root grid, and children of a split cell, per axis.
     max_level : int
-        Most times that a cell is split.
+        Most times that a cell is split along an axis.
     description : str
         One line for ``capsyn list``.
 

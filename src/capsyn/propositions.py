@@ -26,11 +26,15 @@ BYTES_PER_BLOCK_CELL = 48
 BYTES_PER_ENTRY = 8
 """Of constant leaves in blocks: what is kept of a mixed cell beside its entry, of any cell at
 worst, and of its entry, twice: while entries are joined."""
-BYTES_PER_CELL = 120
+BYTES_PER_PLACE = 64
+"""Of the layout of one block: per child and test point, while it is made."""
+BYTES_PER_CELL = 60
+BYTES_PER_CELL_AXIS = 10
+BYTES_PER_SCORE = 24
 ROUND_BYTES = 300_000_000
 ROOM = 4
-"""Of subdivision in rounds: per cell beside its rows, and for one round.
-One in so many bytes is for a block of cells."""
+"""Of subdivision in rounds: per cell beside its rows, and for each of its axes; per score that is
+kept or fitted; for one round. One in so many bytes is for a block of cells."""
 TIMED_BYTES = 10**8
 """Memory of the blocks between which the clock is looked at."""
 ENDLESS = 2**62
@@ -67,7 +71,11 @@ def level_for_precision(
 
 
 def worst_case_solves(
-    partitions: Sequence[int], refinement: Sequence[int], max_level: int, interior_points: int = 1
+    partitions: Sequence[int],
+    refinement: Sequence[int],
+    max_level: int,
+    interior_points: int = 1,
+    adaptive: bool = False,
 ) -> int:
     """Return the number of solves of Proposition 2, eq. (10), counted as the paper does.
 
@@ -79,13 +87,18 @@ def worst_case_solves(
     partitions, refinement : (n,) ints
         Cells of the root grid, and children of a split cell, per axis.
     max_level : int
-        Most times that a cell is split.
+        Most times that a cell is split along an axis.
     interior_points : int
         Test points of a cell beside its vertices.
+    adaptive : bool
+        Cells are split along some axes only: one after the other, this makes fewer than twice as
+        many cells as there are finest ones.
     """
     counts = lattice_counts(tuple(partitions), tuple(refinement), max_level)
     vertices = math.prod(count + 1 for count in counts)
     cells = (1 + math.prod(refinement) ** max_level) * math.prod(partitions)
+    if adaptive:
+        cells = 2 * math.prod(counts)
     return vertices + cells * interior_points
 
 
@@ -105,7 +118,7 @@ def worst_case_memory(
     partitions, refinement : (n,) ints
         Cells of the root grid, and children of a split cell, per axis.
     max_level : int
-        Most times that a cell is split.
+        Most times that a cell is split along an axis.
     test_points : CellPoints
         Test points of a cell.
     n_symbols : int
@@ -125,13 +138,14 @@ def worst_case_memory(
         cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
     need = block_bytes(test_points, split, mask_bytes(n_symbols))
     step = -(-cells // children) * need
-    whole = BYTES_PER_SOLVE * solves + step
+    layout = layout_bytes(test_points, split)
+    whole = BYTES_PER_SOLVE * solves + step + layout
     if room is None:
         return whole
     lattice = math.prod(8 * k for k in lattice_counts(tuple(partitions), tuple(refinement), 0))
     words = 1 + (lattice * children**max_level).bit_length() // 56
     kept = (8 * words + mask_bytes(n_symbols)) * solves + BYTES_PER_BLOCK_CELL * cells
-    return min(whole, kept + max(need, min(step, room)))
+    return min(whole, kept + max(need, min(step, room)) + layout)
 
 
 def _cells_per_solve(test_points: CellPoints, children: int) -> int:
@@ -150,10 +164,19 @@ def mask_bytes(n_symbols: int) -> int:
 
 def block_bytes(test_points: CellPoints, split: Sequence[int], mask: int) -> int:
     """Return what labelling the children of one cell takes, whose masks take `mask` bytes each."""
-    n = len(split)
-    tests = 2**n * test_points.vertices + test_points.interior(n)
-    masks = math.prod(split) * tests * mask
+    masks = block_tests(test_points, split) * mask
     return BYTES_PER_KEY * test_points.in_block(split) + BYTES_PER_MASK * masks
+
+
+def block_tests(test_points: CellPoints, split: Sequence[int]) -> int:
+    """Return the test points of all children of one cell, shared ones as often as they are."""
+    n = len(split)
+    return math.prod(split) * (2**n * test_points.vertices + test_points.interior(n))
+
+
+def layout_bytes(test_points: CellPoints, split: Sequence[int]) -> int:
+    """Return what it takes to find out which test points the children of a cell share."""
+    return BYTES_PER_PLACE * block_tests(test_points, split)
 
 
 def block_room(limits: Limits) -> int:
@@ -213,14 +236,23 @@ def worst_case_rounds_memory(
     """
     n, children, root = len(partitions), math.prod(refinement), math.prod(partitions)
     cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
-    solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
+    interior = test_points.interior(n)
+    solves = worst_case_solves(partitions, refinement, max_level, interior, adaptive)
     if adaptive:
-        solves, cells = solves + cells * test_points.interior(n), 2 * cells
+        cells *= 2
     if max_solves is not None:
         solves = min(solves, max_solves)
         cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
-    first = root * test_points.in_block((1,) * n) * (BYTES_PER_KEY + 24 * labels)
-    return rounds_memory(solves, min(cells, 4 * solves), labels, n) + max(ROUND_BYTES, first)
+    first = root * test_points.in_block((1,) * n) * (BYTES_PER_KEY + BYTES_PER_SCORE * labels)
+    split = tuple(refinement) if max_level else (1,) * n
+    own = max(first, round_bytes(test_points, split, labels))
+    return rounds_memory(solves, min(cells, 4 * solves), labels, n) + own
+
+
+def round_bytes(test_points: CellPoints, split: Sequence[int], labels: int) -> int:
+    """Return what a round takes: of one block at least, with the scores of so many labels."""
+    scores = block_tests(test_points, split) * BYTES_PER_SCORE * labels
+    return max(ROUND_BYTES, layout_bytes(test_points, split) + scores)
 
 
 def rounds_memory(solves: int, cells: int, labels: int, n: int) -> int:
@@ -228,9 +260,9 @@ def rounds_memory(solves: int, cells: int, labels: int, n: int) -> int:
 
     Labels are 0 where leaves are constant.
     """
-    solved = solves * (BYTES_PER_SOLVE + 24 * labels)
-    # of the cells of all levels, twice: while they are put in order
-    return solved + 2 * cells * (BYTES_PER_CELL + labels * (8 + 2 * n))
+    solved = solves * (BYTES_PER_SOLVE + BYTES_PER_SCORE * labels)
+    cell = BYTES_PER_CELL + BYTES_PER_CELL_AXIS * n + labels * (8 + 2 * n)
+    return solved + 2 * cells * cell  # of all levels, twice: while they are put in order
 
 
 def too_few_solves(
@@ -306,7 +338,7 @@ def check_memory(
     fits = max((k for k in range(max_level) if need(k) <= limit), default=None)
     advice = fewer(limit) if fits is None else f"max_level <= {fits} fits"
     solves = worst_case_solves(
-        partitions, refinement, max_level, test_points.interior(len(partitions))
+        partitions, refinement, max_level, test_points.interior(len(partitions)), adaptive
     )
     choices = range(1, min(solves, 2**40))
     most = bisect.bisect_right(choices, limit, key=lambda k: need(max_level, most=k))

@@ -60,16 +60,23 @@ def _grid(cells: CellTree, axis: int) -> dict[str, int]:
 
 
 def _cells(policy: Policy, cells: CellTree) -> dict[str, Any]:
-    rows = {} if cells.affine is None else cells.affine.arrays()
+    arrays = [*(() if cells.affine is None else cells.affine.arrays().values())]
+    arrays += [] if cells.splits is None else [cells.splits]
     return {
-        "max_level": cells.max_level if cells.affine is None else cells.depth,
+        "max_level": cells.max_level if cells.affine is None else _most_times(cells),
+        "adaptive": cells.splits is not None,
         "cells": cells.leaf_count,
         "affine_leaves": 0 if cells.affine is None else len(cells.affine),
-        "table_bytes": cells.entries.nbytes + sum(array.nbytes for array in rows.values()),
+        "table_bytes": cells.entries.nbytes + sum(array.nbytes for array in arrays),
         "packed_bytes": packed_bytes(cells),
         "mixed_cells": len(cells.mixed_cells),
         "mixed_share": policy.mixed_share,
     }
+
+
+def _most_times(cells: CellTree) -> int:
+    """Return how often a cell has been split along one axis, at most."""
+    return max(int(cells.times(some).max()) for some in cells.levels())
 
 
 def _tree(tree: DecisionTree) -> dict[str, Any]:

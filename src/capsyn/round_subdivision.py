@@ -21,7 +21,7 @@ from capsyn.errors import SynthesisError
 from capsyn.growing_cells import GrowingCells, Rows, SplitCells, lattice_level
 from capsyn.lattice_points import MANY, Question
 from capsyn.masks import most_voted, preferred, several
-from capsyn.propositions import ROUND_BYTES, rounds_memory, too_few_solves
+from capsyn.propositions import round_bytes, rounds_memory, too_few_solves
 from capsyn.split_axes import SplitAxes
 
 ROUND_POINTS = 2**19
@@ -128,7 +128,7 @@ class RoundSubdivision:
             self._stopped = "max_seconds"
         labels = max(self._order) + 1 if self._rule.affine else 0
         taken = rounds_memory(self._points.count, len(cells.level), labels, self._n)
-        if memory is not None and taken + ROUND_BYTES > memory:
+        if memory is not None and taken + round_bytes(self._test_points, self._r, labels) > memory:
             self._stopped = "max_memory"
         return bool(self._stopped)
 
@@ -149,14 +149,24 @@ class RoundSubdivision:
         largest.
         """
         chosen = np.flatnonzero(self._open(cells))
-        block = self._test_points.in_block(self._r)
-        room = max(1, ROUND_POINTS // block)
+        left = math.inf
         if self._max_solves is not None:
-            left = self._max_solves - self._points.count
-            room = min(room, max(1, left // (ROUND_SHARE * max(1, spent or block))))
+            left = (self._max_solves - self._points.count) // ROUND_SHARE
             shares = 1 / np.prod(np.array(self._r, dtype=float) ** cells.times[chosen], axis=1)
             chosen = chosen[np.argsort(-cells.error[chosen] * shares, kind="stable")]
-        return chosen[:room]
+        tests = np.cumsum(self._tests(cells.axes[chosen]))
+        solves = spent * np.arange(1, len(chosen) + 1) if spent else tests
+        return chosen[: max(1, np.count_nonzero((tests <= ROUND_POINTS) & (solves <= left)))]
+
+    def _tests(self, axes: np.ndarray) -> np.ndarray:
+        """Return the test points of the blocks (M,) of cells that are split along axes (M, n)."""
+        if not self._rule.adaptive:
+            return np.full(len(axes), self._test_points.in_block(self._r))
+        _, first, kind = np.unique(
+            axes @ (1 << np.arange(self._n)), return_index=True, return_inverse=True
+        )
+        blocks = [self._test_points.in_block(np.where(axes[k], self._r, 1).tolist()) for k in first]
+        return np.array(blocks, dtype=np.int64)[kind]
 
     def _split(self, cells: GrowingCells, chosen: np.ndarray) -> GrowingCells | None:
         """Split the cells, or fewer where there are too few solves left; None where for none."""
@@ -346,7 +356,8 @@ class RoundSubdivision:
 
     def statistics(self) -> dict[str, Any]:
         """Return the counts of the subdivision as plain data."""
-        rule, found = self._rule, self._task.statistics(self._roles, self._stopped)
+        rule = self._rule
+        found = self._task.statistics(self._roles, self._stopped, rule.adaptive)
         if rule.affine:
             found |= {"leaves": "affine", "leaf_error": rule.most_error}
         if rule.adaptive:

@@ -82,7 +82,7 @@ def subdivide(
     partitions, refinement : int or (n,)
         Cells of the root grid, and children of a split cell, per axis.
     max_level : int
-        Most times that a cell is split.
+        Most times that a cell is split along an axis.
     leaves : "constant" or "affine"
         One symbol for each cell, or for cells on a switching surface rows that are affine in the
         state: the symbol of the largest. Rows are fitted to the scores at the cell's test points,
@@ -121,8 +121,9 @@ def subdivide(
         Stop likewise before a block that may exceed so much memory [bytes, or text as ``"2GB"``].
     memory_limit : int or str, optional
         Refuse, before any work, what may take more memory at worst [bytes, or text]; default: what
-        is available. A budget of solves or memory bounds the worst case. Levels that would take
-        more than a quarter are labelled in blocks, with the same result.
+        is available. A budget of solves or memory bounds the worst case. Levels of
+        constant cells, split along all axes, that would take more than a quarter are labelled in
+        blocks, with the same result.
     threads : int
         Threads that call `label`; the result does not depend on it.
     progress : callable, optional

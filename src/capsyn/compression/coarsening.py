@@ -25,8 +25,10 @@ def cut_off(policy: Policy, level: int) -> Policy:
     masks = np.where(cells.entries < 0, np.uint64(1) << leaf.astype(np.uint64), np.uint64(0))
     masks[cells.mixed_cells] |= cells.mixed_labels
     volumes = np.zeros((len(leaf), labels))
-    inside, sizes = cells.volumes()  # in finest cells: whole numbers, so that equals are equal
-    volumes[inside, leaf[inside]] = sizes
+    leaves = list(cells.leaves())
+    least = np.min([x.sizes.min(axis=0) for x in leaves if len(x.places)], axis=0)
+    for x in leaves:  # whole numbers, so that equals are equal
+        volumes[x.places, leaf[x.places]] = np.prod(x.sizes // least, axis=1, dtype=float)
     layers = [layer.places for layer in cells.levels()]
     for places, children in reversed(list(zip(layers[level:], layers[level + 1 :]))):
         blocks = places[cells.entries[places] >= 0]

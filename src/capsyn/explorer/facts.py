@@ -43,9 +43,10 @@ def _size(data: dict[str, Any]) -> list[Row]:
             ("guarantee", data["guarantee"]["text"]),
         ]
     root = " x ".join(str(state["partitions"]) for state in data["states"])
+    way = "along some axes" if data["adaptive"] else "along all axes"
     return [
         ("cells", f"{data['cells']:,}"),
-        ("root grid", f"{root}, split up to {data['max_level']} times"),
+        ("root grid", f"{root}, split up to {data['max_level']} times {way}"),
         ("finest grid", grid),
         ("mixed", f"{data['mixed_cells']:,} cells, {data['mixed_share']:.2%} of the volume"),
         ("packed", f"{data['packed_bytes']:,} bytes"),

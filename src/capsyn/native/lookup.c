@@ -63,12 +63,6 @@ static double face(double lower, double upper, int64_t count, int64_t k)
     return k >= count ? upper : lower + (upper - lower) * ((double)k / (double)count);
 }
 
-/* The axes that a cell is split along, as a bit mask. */
-static inline uint32_t axes_of(const tree *cells, int64_t entry)
-{
-    return cells->splits ? cells->splits[entry] : UINT32_MAX;
-}
-
 /* The entry of the leaf that holds the finest cell k, with digits by division. */
 static int32_t leaf_of(const uint32_t *restrict k, const tree *cells, const measures *m)
 {
@@ -80,7 +74,7 @@ static int32_t leaf_of(const uint32_t *restrict k, const tree *cells, const meas
         rest[i] = k[i] % size[i];
     }
     while (cells->entries[entry] >= 0) {
-        const uint32_t axes = axes_of(cells, entry);
+        const uint32_t axes = cells->splits ? cells->splits[entry] : UINT32_MAX;
         int64_t child = 0;
         for (int i = 0; i < STATES; ++i) {
             if (!(axes >> i & 1))
@@ -120,7 +114,7 @@ static int32_t leaf_of_some_bits(const uint32_t *restrict k, const tree *cells, 
         entry = entry * cells->partitions[i] + (k[i] >> level);
     }
     while (cells->entries[entry] >= 0) {
-        const uint32_t axes = axes_of(cells, entry);
+        const uint32_t axes = cells->splits[entry];
         uint32_t child = 0;
         for (int i = 0; i < STATES; ++i)
             if (axes >> i & 1)

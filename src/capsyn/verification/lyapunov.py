@@ -332,9 +332,14 @@ class _Cells:
         )
 
     def _finest(self, cells: np.ndarray) -> np.ndarray:
-        if not isinstance(self.policy.cells, CellTree):
+        tree, boxes = self.policy.cells, self.boxes
+        if not isinstance(tree, CellTree):
             return np.ones(len(cells), dtype=bool)
-        return (self.boxes.upper[cells] - self.boxes.lower[cells] == 1).all(axis=1)
+        finest = boxes.upper[cells] - boxes.lower[cells] == 1
+        if tree.splits is None:
+            return finest.all(axis=1)
+        # mixed cells are as fine as they get along the axes along which labels vary
+        return finest.any(axis=1) | np.isin(self.entries[cells], tree.mixed_cells)
 
     def _differing(self, cells: np.ndarray) -> np.ndarray:
         """Return which cells are mixed or have a neighbour with another symbol."""

@@ -171,7 +171,7 @@ function cellTree({ partitions, refinement, max_level: maxLevel, ...packed }) {
 
   /** The most times that a cell is split. */
   function deepest() {
-    const levels = new Uint8Array(entries.length);
+    const levels = new Uint16Array(entries.length);
     for (let place = 0; place < entries.length; place++) {
       if (entries[place] < 0) continue;
       const axes = axesOf(place);
