@@ -272,14 +272,12 @@ def save_growth_plot(path):
 
     styles = {"constant": ("--", "s", "white"), "affine": ("-", "o", None)}
     with reproducible():
-        figure = Figure(figsize=(8.5, 10), layout="constrained")
+        figure = Figure(figsize=(8.5, 8), layout="constrained")
         grid = figure.subplots(2, 2, sharex=True, sharey="col")
         for (n, leaves, refine), points in ball_curves().items():
-            axes = grid[("isotropic", "adaptive").index(refine)]
             line, marker, face = styles[leaves]
             color = PALETTE[n - 2]
-            slopes = exponents(points)
-            for k, ax in enumerate(axes):
+            for k, ax in enumerate(grid[("isotropic", "adaptive").index(refine)]):
                 ax.plot(
                     points[:, 0],
                     points[:, 1 + k],
@@ -288,23 +286,22 @@ def save_growth_plot(path):
                     markersize=4,
                     color=color,
                     markerfacecolor=face or color,
-                    label=f"{n}, {leaves}: {slopes[k]:.1f}",
+                    label=f"{n}, {leaves}",
                 )
-        for ax, name in zip(grid.ravel(), ("solves", "leaves") * 2):
-            ax.set(xscale="log", yscale="log", xlabel="disagrees [% of the volume]", ylabel=name)
-            ax.set_title("isotropic" if ax in grid[0] else "adaptive", fontsize="medium")
-            ax.xaxis.set_major_formatter("{x:g}")
-            ax.grid(True, which="major", linewidth=0.3)
-            ax.legend(
-                frameon=False,
-                fontsize=7,
-                title="n, leaves: exponent",
-                title_fontsize=7,
-                ncols=2,
-                loc="upper center",
-                bbox_to_anchor=(0.5, -0.14),
-            )
+        for row, name in zip(grid, ("all axes split", "split along some axes")):
+            for ax, counted in zip(row, ("solves", "leaves")):
+                ax.set(xscale="log", yscale="log", ylabel=counted, title=name)
+                ax.xaxis.set_major_formatter("{x:g}")
+                ax.tick_params(labelbottom=True)
+                ax.grid(True, which="major", linewidth=0.3)
+        for ax in grid[1]:
+            ax.set_xlabel("disagrees [% of the volume]")
         grid[0, 0].invert_xaxis()
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        figure.legend(
+            handles, labels, title="states, leaves", frameon=False, ncols=5,
+            loc="outside lower center",
+        )  # fmt: skip
         save_figure(figure, path)
 
 
