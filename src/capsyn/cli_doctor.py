@@ -54,6 +54,7 @@ EXTRAS: dict[str, tuple[str, str, str]] = {
     "networkx": ("graphs", "`Automaton.to_networkx`", "DOT, JSON and drawings"),
     "gymnasium": ("gymnasium", "`capsyn.integrations.gymnasium`", "all else"),
     "control": ("control", "`capsyn.integrations.control`", "all else"),
+    "distributed": ("distributed", "clusters: `--dask`, `executor=`", "threads of this machine"),
     "scikit-learn": ("bench", "CART in the benchmarks", "all else"),
     "fmpy": ("dev", "tests of the FMU", "exporting it"),
     "jsonschema": ("dev", "tests of exported JSON", "exporting it"),
