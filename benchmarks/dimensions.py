@@ -148,6 +148,7 @@ def adaptive():
         ("double-pendulum", 95, (5_000, 20_000, 100_000), "", {}),
     ):
         problem, needed = problems.get(name).replace(**changes), {}
+        called = f"{name}, R = 0" if changes else name
         for refine in ("isotropic", "adaptive"):
             curve = []
             for budget in budgets:
@@ -155,11 +156,11 @@ def adaptive():
                 policy, _, agreeing = made(problem, refine=refine, **options)
                 solves = policy.statistics["solves"]
                 curve.append((solves, agreeing))
-                what = f"{name}, affine, {refine}, {solves:,} solves: agreement"
+                what = f"{called}, affine, {refine}, {solves:,} solves: agreement"
                 found.append({"what": what, "value": agreeing, "unit": "%"})
             needed[refine] = solves_for(curve, share)
         saved = 100 * (1 - needed["adaptive"] / needed["isotropic"])
-        what = f"{name}, {share} %: solves that adaptive splits save"
+        what = f"{called}, {share} %: solves that adaptive splits save"
         found.append(
             {"what": what, "value": saved, "unit": "%"} | ({"wanted": wanted} if wanted else {})
         )

@@ -1,7 +1,6 @@
 """A boat that drifts in one dimension, with two on/off thrusters and water that brakes it."""
 
 import casadi as ca
-import numpy as np
 
 import capsyn
 
@@ -20,18 +19,9 @@ problem = capsyn.Problem(
 )
 
 
-def drive(policy, state, seconds=40.0, period=0.01):
-    """Return where the boat is after some time under the policy (explicit Euler)."""
-    state = np.array(state, dtype=float)
-    for _ in range(round(seconds / period)):
-        stern, bow = policy.control(state)
-        speed = state[1]
-        state += period * np.array([speed, stern - bow - 0.5 * speed * abs(speed)])
-    return state
-
-
 if __name__ == "__main__":
     policy = capsyn.synthesize(problem)
     for start in ([8.0, 0.0], [-5.0, 2.0], [9.0, -3.0]):
-        position, speed = drive(policy, start)
+        run = capsyn.simulate(policy, start, duration=40.0, rate=100.0)
+        position, speed = run.states[-1]
         print(f"from {start}: {position:+.2f} m, {speed:+.2f} m/s after 40 s")

@@ -21,7 +21,7 @@ problem = capsyn.Problem(
         names=["angle", "rate"],
         units=["rad", "rad/s"],
         periodic=[True, False],
-    ),  # fmt: skip
+    ),
     alphabet=capsyn.Alphabet([-2, 0, 2], inputs=["torque"], units=["N m"]),
     default=0.0,
     horizon=1.8,

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -238,6 +239,17 @@ def imported(name):
 def test_every_module_is_in_the_list_once():
     assert len(set(ORDER)) == len(ORDER)
     assert set(INNER) == set(ORDER)
+
+
+def test_contributors_find_every_module_in_the_order_of_the_list():
+    text = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text()
+    first_column = " ".join(re.findall(r"^\| (`.*?) \|", text, re.MULTILINE))
+    told = re.findall(r"`(\w+)`", first_column)
+    folders = set(re.findall(r"`(\w+)/`", first_column))
+    assert folders == {name.split(".")[0] for name in ORDER if "." in name}
+    commands = {name for name in ORDER if name.startswith("cli_")} - {"cli_options"}
+    single = [name for name in ORDER if name.split(".")[0] not in folders]
+    assert told == [name for name in single if name not in commands | {"__main__"}]
 
 
 @pytest.mark.parametrize("name", INNER)

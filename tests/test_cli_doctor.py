@@ -112,4 +112,6 @@ def test_the_lists_are_those_of_code_and_package():
         for text in metadata.requires("capsyn")
         if "extra ==" in text
     }
-    assert {(name, extra) for name, (extra, *_) in cli_doctor.EXTRAS.items()} <= offered
+    listed = {(name, extra) for name, (extra, *_) in cli_doctor.EXTRAS.items()}
+    assert listed <= offered
+    assert {extra for _, extra in listed} == {extra for _, extra in offered} - {"all"}

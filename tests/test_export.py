@@ -279,6 +279,16 @@ def test_command_writes_files_and_tells_costs(file, tmp_path):
     assert [(s["scale"], s["offset"]) for s in data["states"]] == [(-1.0, 0.25), (2.0, 0.25)]
 
 
+def test_command_takes_several_targets_and_reads_certificates_only(file, tmp_path):
+    out, _ = capsyn("export", file, "--to", "python, json", "-o", tmp_path, "--json")
+    found = json.loads(out)
+    certificates = found["certificate"]
+    assert {name: data["target"] for name, data in certificates.items()} == {
+        name: name for name in ("python", "json")
+    }
+    assert "measured" not in found
+
+
 def test_command_takes_trees(file, tmp_path):
     capsyn("compress", file, "-o", tmp_path / "t.cap")
     capsyn("export", tmp_path / "t.cap", "--to", "python", "-o", tmp_path)

@@ -291,8 +291,11 @@ def test_the_command_names_what_is_wrong(tmp_path):
     capsyn("import", path, "--periodic", "x", cwd=tmp_path)
     assert Policy.load(out).domain.periodic == (True, False) and Policy.load(out).name == "t"
     assert "--periodic must name states among x, v; got 'w'" in error_of(
-        "import", path, "-o", out, "--periodic", "w"
-    )
+        "import", path, "-o", out, "--periodic", "x,w,q,r,s,t"
+    )  # the first that is none
+    for option in ("--alphabet", "--default"):
+        wanted = f"`{option}` must be a number; got 'p'"
+        assert wanted in error_of("import", path, "-o", out, option, "1,p")
     assert "the output must be another file" in error_of("import", path, "-o", path)
     assert "--states must name 2 states; got 'a'" in error_of(
         "import", path, "-o", out, "--states", "a"

@@ -225,6 +225,7 @@ UFUNCS = {
     **{name: (lambda f: lambda x: f(x[0], x[1]))(getattr(np, name)) for name in
        "hypot arctan2 maximum minimum fmax fmin power add multiply copysign less".split()},
     "where": lambda x: np.where(x[0] > x[1], x[0] ** 2, np.exp(x[1])),
+    "interp": lambda x: np.interp(x[0], [0.0, 0.5, 1.0], [0.1, 0.9, 0.3]),
     "clip": lambda x: np.clip(x[0] * 9, 0.2, 0.7),
     "logical_and": lambda x: np.logical_and(x[0] > 0, x[1] > 0) * x[0],
     "norm": lambda x: np.hypot(np.sin(x[0]), np.sqrt(np.abs(x[1]))),

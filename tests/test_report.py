@@ -14,8 +14,8 @@ def hinted(problem, word, **options):
     return any(word in hint for hint in hints(synthesize(problem, **options)))
 
 
-def test_the_built_in_problems_have_no_hints():
-    for name in ("cart-pendulum", "double-tank-a", "double-tank-b"):
+def test_policies_with_fine_boundaries_have_no_hints():
+    for name in ("cart-pendulum", "double-tank-a", "double-tank-b", "boost-converter"):
         assert hints(synthesize(problems.get(name))) == []
 
 
@@ -32,15 +32,21 @@ def test_hints_name_what_smells():
     pendulum = problems.get("cart-pendulum")
     assert hinted(pendulum, "max_level", max_level=1)
     assert hinted(pendulum, "max_solves", max_solves=400)
-    assert hinted(
-        pendulum, "never used", settings=SsacSettings(control_weight=1e9), max_level=1
-    ) is (False)  # two symbols of the same effort
+    same = SsacSettings(control_weight=1e9)  # two symbols of the same effort
+    assert not hinted(pendulum, "never used", settings=same, max_level=1)
     four = problems.get("cart-pendulum-4")
     heavy = SsacSettings(rule="steepest", control_weight=1e9)
     assert hinted(four, "never used: -5, 5", settings=heavy, max_level=1)
     assert hinted(four, "control_weight decides", settings=heavy, max_level=1)
     assert hinted(pendulum, "weakest symbols win", settings=SsacSettings(gamma=-1e-6), max_level=1)
     assert hinted(pendulum, "not scaled", settings=SsacSettings(alpha_d=-1e12), max_level=1)
+
+
+def test_coarse_boundaries_in_many_dimensions_are_told_of_affine_leaves():
+    pole = problems.get("cart-pole")
+    assert hinted(pole, "raise max_level, or take affine leaves", max_level=0)
+    assert not hinted(pole, "boundaries", max_level=0, leaves="affine")
+    assert not hinted(problems.get("cart-pendulum"), "affine", max_level=1)
 
 
 def test_hints_see_a_weak_alphabet_and_a_blind_cost():

@@ -18,9 +18,6 @@ from capsyn import __version__
 from capsyn.cli_options import Json
 from capsyn.console import show
 from capsyn.errors import CapsynError
-from capsyn.native.build import cache_directory, cache_trouble, find_compiler, usual_flags
-from capsyn.native.kernels import LookupKernel
-from capsyn.processors import processors
 
 DATA = {
     "native": ("action.c", "finite_control_set.c", "lookup.c", "simulate.c", "ssac.c"),
@@ -54,6 +51,7 @@ EXTRAS: dict[str, tuple[str, str, str]] = {
     "networkx": ("graphs", "`Automaton.to_networkx`", "DOT, JSON and drawings"),
     "gymnasium": ("gymnasium", "`capsyn.integrations.gymnasium`", "all else"),
     "control": ("control", "`capsyn.integrations.control`", "all else"),
+    "distributed": ("distributed", "clusters: `--dask`, `executor=`", "threads of this machine"),
     "scikit-learn": ("bench", "CART in the benchmarks", "all else"),
     "fmpy": ("dev", "tests of the FMU", "exporting it"),
     "jsonschema": ("dev", "tests of exported JSON", "exporting it"),
@@ -89,6 +87,8 @@ def examine() -> dict[str, Any]:
         ``extras`` that are optional, whose ``version`` is None where they are absent; ``broken``:
         a sentence for each thing that the installation lacks.
     """
+    from capsyn.processors import processors
+
     packages = [_package(text) for text in metadata.requires("capsyn") or [] if ";" not in text]
     root = Path(__file__).parent
     missing = [f"{folder}/{name}" for folder, names in DATA.items() for name in names]
@@ -160,6 +160,9 @@ def _version(command: str) -> str | None:
 
 def _compiler(broken: bool) -> dict[str, Any]:
     """Return the C compiler, and whether a kernel that it builds can be loaded."""
+    from capsyn.native.build import find_compiler, usual_flags
+    from capsyn.native.kernels import LookupKernel
+
     found: dict[str, Any] = {"command": None, "version": None, "lanes": None, "trouble": None}
     try:
         compiler = find_compiler()
@@ -190,6 +193,8 @@ def _lanes(command: list[str]) -> int | None:
 
 def _cache() -> dict[str, Any]:
     """Return where kernels are kept, how many, and their bytes; nothing is made."""
+    from capsyn.native.build import cache_directory, cache_trouble
+
     found: dict[str, Any] = {"directory": None, "kernels": 0, "bytes": 0, "trouble": None}
     try:
         directory = cache_directory()

@@ -73,7 +73,7 @@ def export(
     }
     own = {"style": style, "arithmetic": arithmetic, "name": name}
     options |= {key: value for key, value in own.items() if value is not None}
-    targets = TARGETS.split(", ") if to == "all" else to.split(",")
+    targets = TARGETS.split(", ") if to == "all" else [part.strip() for part in to.split(",")]
     check_options(targets, options)
     given = {
         "safe": safe,
@@ -88,9 +88,10 @@ def export(
     one = len(targets) == 1
     with working(f"exporting to {to}"):
         written = export(policy, targets[0] if one else targets, output, **options)
-    read = {path: json.loads(path.read_bytes()) for path in written if path.suffix == ".json"}
-    found = [data for path, data in read.items() if path.name == CERTIFICATE]
-    measured = [data for path, data in read.items() if path.name == MEASURED]
+    found, measured = (
+        [json.loads(path.read_bytes()) for path in written if path.name == name]
+        for name in (CERTIFICATE, MEASURED)
+    )
     data = {
         "files": [str(path) for path in written],
         "certificate": found[0] if one else dict(zip(targets, found)),

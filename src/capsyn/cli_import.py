@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from capsyn.cli_options import Json, number_list
+from capsyn.cli_options import Json, check_states, number_list
 from capsyn.console import print_report, show, working
 from capsyn.errors import ProblemError
 
@@ -59,7 +59,7 @@ def import_table(
     check_writable(path)
     symbols = None
     if alphabet is not None:
-        symbols = Alphabet([number_list("alphabet", row) for row in alphabet.split(";")])
+        symbols = Alphabet([number_list("--alphabet", row) for row in alphabet.split(";")])
     with working("reading the table"):
         table = read_table(file, symbols, missing)
         if states is not None:
@@ -70,14 +70,11 @@ def import_table(
         if periodic is not None:
             known = table.box().names
             turns = periodic.split(",")
-            for unknown in set(turns) - set(known):
-                raise ProblemError(
-                    f"--periodic must name states among {', '.join(known)}; got '{unknown}'"
-                )
+            check_states("--periodic", turns, known)
             table = dataclasses.replace(table, periodic=[axis in turns for axis in known])
         policy = table.policy(
             Path(file).stem if name is None else name,
-            default=None if default is None else number_list("default", default),
+            default=None if default is None else number_list("--default", default),
             outside=outside,
         )
     policy.save(path)

@@ -143,14 +143,19 @@ def assignments(name: str, items: list[str]) -> dict[str, str]:
     return found
 
 
+def check_states(name: str, given: Sequence[str], known: Sequence[str]) -> None:
+    """Raise `ProblemError` at the first name that is not that of a state."""
+    for unknown in (text for text in given if text not in known):
+        raise ProblemError(f"{name} must name states among {', '.join(known)}; got '{unknown}'")
+
+
 def region(
     name: str, text: str, known: Sequence[str], tolerance: float | None = None
 ) -> Ball | Box:
     """Return the box of ``NAME=LOW:HIGH,..``, or the ball around ``NAME=VALUE,..``."""
     parts = assignments(name, text.split(","))
     names = list(parts)
-    for unknown in set(names) - set(known):
-        raise ProblemError(f"{name} must name states among {', '.join(known)}; got '{unknown}'")
+    check_states(name, names, known)
     bounds = [[number(key, value) for value in parts[key].split(":")] for key in names]
     if all(len(pair) == 2 for pair in bounds) and tolerance is None:
         lower, upper = zip(*bounds)

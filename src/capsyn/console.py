@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from capsyn.evidence_text import circumstances, headlines
+from capsyn.evidence_text import circumstances, evidence_rows, headlines
 
 if TYPE_CHECKING:
     from capsyn.lattice_points import Progress
@@ -328,12 +328,7 @@ def print_report(data: dict[str, Any]) -> None:
     if data["target"]:
         line("target", data["target"])
     line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
-    evidence = data["evidence"]
-    for name, sentence in headlines(evidence).items():
+    for name, sentence in evidence_rows(data["evidence"]):
         line(name, sentence)
-    if "monte_carlo" in evidence:
-        conditions = evidence["monte_carlo"].get("conditions", {})
-        line("", ", ".join(f"{k} {conditions[k]}" for k in ("target", "within") if k in conditions))
-        line("", circumstances(conditions))
     for hint in data["hints"]:
         line("hint", hint)

@@ -30,6 +30,16 @@ def headlines(found: dict[str, Any]) -> dict[str, str]:
     return lines
 
 
+def evidence_rows(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the headlines, and behind that of trials what they were about, without a name."""
+    conditions = found.get("monte_carlo", {}).get("conditions", {})
+    units = {"target": "", "within": " s"}
+    goal = (f"{k} {_short(conditions[k])}{units[k]}" for k in units if k in conditions)
+    rows = list(headlines(found).items())
+    rows[1:1] = [("", text) for text in (", ".join(goal), circumstances(conditions)) if text]
+    return rows
+
+
 def circumstances(conditions: dict[str, Any]) -> str:
     """Return what was unusual about trials: all but 0, None and what the policy says itself."""
     usual = {"controller", "duration", "within", "hold", "target", "initial", "substeps"}

@@ -110,9 +110,10 @@ def hints(policy: Policy) -> list[str]:
         weights = "control_weight" if steepest else "gamma and control_weight"
         found.append(f"never used: {', '.join(unused)}; drop them, or look at {weights}")
     if policy.mixed_share > 0.1 and not policy.has_planes and not table:
+        affine = ", or take affine leaves" if policy.domain.n > 2 else ""
         found.append(
             f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "
-            "the boundaries are coarse; raise max_level"
+            f"the boundaries are coarse; raise max_level{affine}"
         )
     count, solves = (policy.statistics.get(k, 0) for k in ("not_finite_points", "solves"))
     if count:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from capsyn.evidence_text import circumstances, headlines
+from capsyn.evidence_text import evidence_rows
 
 ROLES = {
     "vertices": "at vertices",
@@ -24,7 +24,7 @@ def facts(data: dict[str, Any]) -> list[dict[str, Any]]:
     sections = {
         "Solves": _solves(data["statistics"]),
         "Size": _size(data),
-        "Evidence": _evidence(data["evidence"]),
+        "Evidence": evidence_rows(data["evidence"]),
         "Controller": _controller(data),
         "Hints": [("", hint) for hint in data["hints"]],
     }
@@ -72,19 +72,6 @@ def _solves(statistics: dict[str, Any]) -> list[Row]:
 
 def _counted(count: int, what: str) -> str:
     return f"{count:,} {what}{'' if count == 1 else 's'}"
-
-
-def _evidence(evidence: dict[str, Any]) -> list[Row]:
-    rows = [(name, sentence) for name, sentence in headlines(evidence).items()]
-    conditions = evidence.get("monte_carlo", {}).get("conditions", {})
-    told = [
-        f"target {conditions['target']}" if "target" in conditions else "",
-        f"within {conditions['within']} s" if "within" in conditions else "",
-        circumstances(conditions),
-    ]
-    if any(told):
-        rows.insert(1, ("", ", ".join(text for text in told if text)))
-    return rows
 
 
 def _controller(data: dict[str, Any]) -> list[Row]:

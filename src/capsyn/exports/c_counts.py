@@ -39,7 +39,6 @@ class CountAxis:
     ----------
     falling : bool
         Whether the state falls as the count rises: counts are turned around.
-    start, first, top : int
     first, top : int
         Turned counts from ``first`` on are places 0 .. top; others are taken as the nearest place,
         or, where ``turn`` is given, brought into the turn.

@@ -29,9 +29,9 @@ of their headers, and targets that CMake keeps for itself."""
 LONGEST_PREFIX = 18
 """Names that differ do so within 31 characters, as C99 and MISRA ask: a prefix gets this many."""
 WIDTH = 100
+"""Columns of a line."""
 BYTES_IN_LINE = 22
 """Entries of a table of bytes in a line."""
-"""Columns of a line."""
 ENTRIES = {
     "BYTE": "pgm_read_byte(place)",
     "INT16": "((int16_t)pgm_read_word(place))",

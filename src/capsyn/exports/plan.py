@@ -74,6 +74,11 @@ class Plan:
             Default: the policy's.
         scale, offset : (n,) or float, optional
             Default: 1 and 0: readings are states.
+
+        Raises
+        ------
+        ProblemError
+            An argument that cannot be used, or readings that do not tell lattice steps apart.
         """
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")

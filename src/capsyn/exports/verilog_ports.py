@@ -20,12 +20,12 @@ MAX_TURNS = 16
 """Most turns of a periodic axis that a port may hold."""
 SHARED = 100_000
 """Random states at which the effect of the quantisation is counted."""
+QUANTISED = 8
+"""Purpose of these states."""
 LEAST_STEP = 1e-200
 """Finest lattice step in readings."""
 MOST_STEPS = 1 << 20
 """Most lattice steps of an axis that sums of an oblique tree may take from a port."""
-QUANTISED = 8
-"""Purpose of these states."""
 MAX_SHIFT = 40
 
 

@@ -310,7 +310,22 @@ def _small_array(archive: zipfile.ZipFile, key: str) -> np.ndarray:
 def read_table(
     path: str | os.PathLike[str], alphabet: Alphabet | None = None, missing: str = "error"
 ) -> Table:
-    """Return the table in a .scs, .csv or .npz file, by its ending; see the readers of each."""
+    """Return the table in a ``.scs``, ``.csv`` or ``.npz`` file, by its ending.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    alphabet : Alphabet, optional
+        The symbols, see the reader of each format.
+    missing : "error" or "outside"
+        Of a CSV file, see `read_csv`.
+
+    Raises
+    ------
+    ProblemError
+        Another ending, or what the reader refuses.
+    """
     from capsyn.sources.scots import read_scots
 
     path = path_text(path)

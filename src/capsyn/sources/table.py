@@ -171,6 +171,11 @@ class Table:
         min_dwell : float
             Least time between switches [s].
 
+        Raises
+        ------
+        ProblemError
+            An argument that cannot be used, or a grid finer than floating point at its bounds.
+
         Notes
         -----
         Equal points are merged into larger cells. An axis of a table with gaps is refined by two,

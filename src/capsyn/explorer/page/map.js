@@ -9,10 +9,11 @@ const FINE = 1 / 200, COARSE = 1 / 40;
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif';
 
 /**
- * Return the map of the page: {draw, sweep, redraw}. `draw` paints all, `sweep` what moves.
+ * Return the map of the page: {draw, sweep, redraw, zoomed, shown}. `draw` paints all, `sweep` what
+ * moves; `redraw` tells how long a picture takes, and `shown` what is drawn.
  *
- * `app` has data, lookup, theme, view, tracks (a list), active, progress(track) and the callbacks
- * point(state), start(state), move(state), changed().
+ * `app` has data, lookup, model, theme, view, tracks (a list), active, pointed, progress(track) and
+ * the callbacks point(state), start(state), move(state), note(text), changed().
  */
 export function makeMap(app) {
   const { data, lookup, view } = app;
