@@ -1,8 +1,7 @@
 """What a cluster costs: two worker processes of one thread against two threads of one process.
 
-Not part of ``make bench``, since it takes minutes: ``python benchmarks/cluster.py``, with the extra
-``distributed``. On a busy machine the wall times say little; the processor times of all processes
-together are told beside them.
+It takes some minutes, and the extra ``distributed``. On a busy machine the wall times say little;
+the processor times of all processes together are told beside them.
 """
 
 import dataclasses

@@ -12,7 +12,7 @@ from capsyn.native.build import find_compiler
 HERE = Path(__file__).parent
 QUESTIONS = (
     "solve synthesis dimensions lookup compression sources closed_loop explorer command counts "
-    "exports"
+    "exports cluster"
 ).split()
 
 INTRODUCTION = """# Benchmarks
