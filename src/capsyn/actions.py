@@ -185,11 +185,6 @@ def outside_label(policy: Policy) -> int:
 
 def predicted_labels(policy: Policy, states: np.ndarray) -> np.ndarray:
     """Return labels (B,) of predicted states; the default where a rule would raise."""
-    count = len(policy.alphabet)
     rule = outside_label(policy)
-    labels = np.full(len(states), count if rule < 0 else rule)
-    known = np.isfinite(states).all(axis=1)
-    if rule >= 0:
-        known &= policy.domain.contains(states)
-    labels[known] = policy(states[known], "nearest", backend="numpy") % (count + 1)
-    return labels
+    labels = policy.leaves(states, rule < 0, "numpy")
+    return np.where(labels < 0, len(policy.alphabet) if rule < 0 else rule, labels)

@@ -221,10 +221,11 @@ class OnlineController:
         }
         if isinstance(policy, Policy):
             outside, lost = outside_label(policy), len(policy.alphabet)
+            gap = lost if policy.gaps else -1
             arrays["table"] = policy.controls
             cells = TreeArguments.of(policy.domain, policy.cells)
         else:
-            outside, lost, cells = -1, -1, TreeArguments()
+            outside, lost, gap, cells = -1, -1, -1, TreeArguments()
             arrays["feed"] = self._feed(0.0)
         options = ActionOptions(
             horizon=self.horizon,
@@ -243,6 +244,7 @@ class OnlineController:
             backtracks=settings.max_backtracks,
             outside=outside,
             lost=lost,
+            gap=gap,
             cells=cells,
             **{name: array.ctypes.data for name, array in arrays.items()},
         )
