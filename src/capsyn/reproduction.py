@@ -66,10 +66,13 @@ def reproduce(
         tell("policies and their counts")
         rows = _counts(threads)
         others: list[Row] = []
-        pendulums = [synthesize(problems.get(f"cart-pendulum{end}")) for end in ("", "-4")]
+        pendulums = [
+            synthesize(problems.get(name), threads=threads)
+            for name in ("cart-pendulum", "cart-pendulum-4")
+        ]
         tell("pendulum: figures 3 and 4, Lyapunov, swing-up")
-        for policy, name in zip(pendulums, ("cart-pendulum", "cart-pendulum-4")):
-            keep_policy(policy, name)
+        for policy in pendulums:
+            keep_policy(policy, policy.name)
         keep_figure("figure-3", paper_pendulum.figure_3(pendulums[0]))
         keep_figure("figure-4a", paper_pendulum.figure_4a(pendulums[1]))
         rows += paper_pendulum.compare_with_law(pendulums[0])
