@@ -82,14 +82,10 @@ def _table(cells: CellTree) -> dict[str, int]:
 
     comparisons = halvings(cells.partitions)
     if (cells.entries >= 0).any():
-        comparisons += _levels(cells) * halvings(cells.refinement)
+        comparisons += cells.depth * halvings(cells.refinement)
     if cells.affine is not None:  # the rows of a leaf, one after the other
         comparisons += int(np.diff(cells.affine.starts).max()) - 1
     return {"bytes": packed_bytes(cells), "comparisons": comparisons}
-
-
-def _levels(cells: CellTree) -> int:
-    return cells.depth
 
 
 def mean_depth(tree: DecisionTree) -> float | None:

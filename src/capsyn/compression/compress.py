@@ -137,7 +137,7 @@ def compress(
                 CapsynWarning,
                 stacklevel=2,
             )
-        tree = _linear_tree(judge, target)
+        tree = linear_tree(judge, target)
     elif agreement is None:
         (tree,) = free_trees(judge, level, (node_price,))
     else:
@@ -206,7 +206,8 @@ def _smallest_free_tree(judge: Judge, level: int | None, target: float) -> Decis
     return judge.judged(best, target, len(tried) + 1)
 
 
-def _linear_tree(judge: Judge, target: float) -> DecisionTree:
+def linear_tree(judge: Judge, target: float) -> DecisionTree:
+    """Return the tree of mode linear that `fit_tree` finds for a target, judged."""
     policy = judge.policy
     labels, kept = len(policy.alphabet) + 1, {"seed": judge.seed, "states": judge.states}
     fit = fit_tree(judge.masks, policy.domain, labels, target, **kept)
