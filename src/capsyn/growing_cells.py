@@ -13,7 +13,7 @@ from capsyn.affine_fit import Fits
 from capsyn.affine_leaves import LARGEST_SUM, AffineLeaves
 from capsyn.cells import CellTree, lattice_counts
 from capsyn.errors import ProblemError
-from capsyn.masks import several
+from capsyn.masks import masks_of_members, several
 
 LATTICE, FEW, MANY = 2**14, 2**12, 2**18
 """Steps along an axis that the lattice of rows has at most, unless the cells need more, or another
@@ -126,9 +126,7 @@ class GrowingCells:
         self.error[cells] = fits.error
         self.axes[cells] &= fits.axes
         single = np.where(several(masks), masks.dtype.type(0), masks)
-        bits = np.uint64(1) << np.arange(fits.used.shape[1], dtype=np.uint64)
-        own = np.bitwise_or.reduce(np.where(fits.used, bits, np.uint64(0)), axis=1)
-        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64) | own
+        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64) | masks_of_members(fits.used)
         self.seen[cells] = np.where(fits.wrong == 0, np.uint64(0), seen)
         kept = fits.used & ~one[:, None]
         self.rows[cells] = kept.sum(axis=1)

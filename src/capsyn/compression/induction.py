@@ -16,6 +16,7 @@ import numpy as np
 from capsyn.cells import CellTree
 from capsyn.compression.optimal import FORBIDDEN, optimal_splits, sub_box_count
 from capsyn.faces import Faces, shared_faces
+from capsyn.masks import members
 from capsyn.split_tree import LEAF, SplitTree
 
 CUT_PENALTY = 0.1
@@ -66,13 +67,8 @@ class Prices:
             known = self.priced[place] == entries
             whole = np.minimum(volumes[known], MAX_VOLUME).astype(np.int64)
             found[known] = self.prices[place[known]] * whole[:, None]
-        found[~allowed(self.masks[entries], found.shape[1])] = FORBIDDEN
+        found[~members(self.masks[entries], found.shape[1])] = FORBIDDEN
         return found
-
-
-def allowed(masks: np.ndarray, labels: int) -> np.ndarray:
-    """Return whether each mask (B,) holds each of so many labels, (B, L)."""
-    return (masks[:, None] >> np.arange(labels, dtype=np.uint64)) & np.uint64(1) != 0
 
 
 def induce(cells: CellTree, prices: Prices, budget: int | None = None) -> SplitTree:
@@ -281,7 +277,7 @@ def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:
     np.add.at(penalty, leaf, np.minimum(prices.of(entries, volume), FORBIDDEN // 2**20))
     np.add.at(own, (leaf, boxes.labels[box]), volume)
     np.bitwise_and.at(common, leaf, prices.masks[entries])
-    can = allowed(common, labels)
+    can = members(common, labels)
     leaves = tree.split == LEAF
     if not can[leaves].any(axis=1).all():
         raise AssertionError("a leaf has no label that all its cells allow")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.masks import Label
+from capsyn.masks import Label, masks_of_members, members
 from capsyn.random_streams import stream
 
 NEEDLES = (0.05, 0.2, 0.8)
@@ -100,8 +100,7 @@ def draw_samples(masks: Label, n: int, labels: int, count: int, seed: list[int])
         Seed of the states.
     """
     states = stream(*seed).random((count, n))
-    right = (masks(states)[:, None] >> np.arange(labels, dtype=np.uint64)) & np.uint64(1)
-    return Samples(states, right != 0)
+    return Samples(states, members(masks(states), labels))
 
 
 def find_surface(masks: Label, samples: Samples, seed: list[int]) -> Surface:
@@ -115,8 +114,7 @@ def find_surface(masks: Label, samples: Samples, seed: list[int]) -> Surface:
     # E|cos| of the angle between a random direction and an axis, in n dimensions
     mean_cosine = math.exp(math.lgamma(n / 2) - math.lgamma((n + 1) / 2)) / math.sqrt(math.pi)
     rng = stream(*seed)
-    bits = np.uint64(1) << np.arange(samples.right.shape[1], dtype=np.uint64)
-    known = np.where(samples.right, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
+    known = masks_of_members(samples.right)
     size = -(-len(samples) // BATCHES)
     for length in NEEDLES:
         hits, needles = [np.empty((0, n))], 0

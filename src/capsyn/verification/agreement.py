@@ -17,7 +17,7 @@ import numpy as np
 from capsyn.cells import CellTree
 from capsyn.errors import ProblemError
 from capsyn.lattice_points import CHUNK
-from capsyn.masks import Label, masks_of_symbols, preferred, several
+from capsyn.masks import Label, holds, masks_of_symbols, preferred, several
 from capsyn.policy import Policy, cell_tree
 from capsyn.processors import processors
 from capsyn.ssac import policy_controller
@@ -278,7 +278,7 @@ class _Tally:
         self._ties += int(several(masks).sum())
         self._not_finite += int((masks == 0).sum())
         masks = np.where(masks == 0, np.uint64(1 << default), masks)
-        agree = (masks >> own.astype(np.uint64)) & np.uint64(1) != 0
+        agree = holds(masks, own)
         other = np.where(agree, own, preferred(masks, preference))
         np.add.at(self._pairs, (own, other), 1)
         places, counts = np.unique(cells, return_counts=True)
