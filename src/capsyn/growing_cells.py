@@ -11,7 +11,7 @@ import numpy as np
 
 from capsyn.affine_fit import Fits
 from capsyn.affine_leaves import LARGEST_SUM, AffineLeaves
-from capsyn.cells import CellTree, lattice_counts
+from capsyn.cells import CellTree, lattice_counts, ragged
 from capsyn.errors import ProblemError
 from capsyn.masks import masks_of_members, several
 
@@ -159,9 +159,8 @@ class GrowingCells:
         while here.size:
             yield here
             split = here[self.child[here] >= 0]
-            counts = self.children(split, refinement)
-            before = np.repeat(self.child[split] - np.cumsum(counts) + counts, counts)
-            here = before + np.arange(len(before))
+            parent, number = ragged(self.children(split, refinement))
+            here = self.child[split][parent] + number
 
     def tree(
         self,
@@ -201,9 +200,9 @@ class GrowingCells:
 
     def _affine(self, cells: np.ndarray, first: int, rows: list[Rows]) -> AffineLeaves:
         """Return the affine leaves of cells (A,)."""
-        count, row = self.rows[cells], self.row[cells]
-        ends = np.cumsum(count)
-        picked = np.repeat(row - ends + count, count) + np.arange(ends[-1])
+        count = self.rows[cells]
+        cell, number = ragged(count)
+        picked = self.row[cells][cell] + number
         symbols, constants, slopes = (np.concatenate(table)[picked] for table in zip(*rows))
         return AffineLeaves.of(first, count, symbols, constants, slopes)
 
