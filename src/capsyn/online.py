@@ -36,7 +36,7 @@ from capsyn.settings import SsacSettings
 from capsyn.ssac import TIE, batch_controller
 from capsyn.targets import Target
 from capsyn.transcription import transcribe, transcribe_target
-from capsyn.validation import describe, finite_number, numbers, one_of
+from capsyn.validation import BACKENDS, describe, finite_number, numbers, one_of
 
 POLICY_STEPS = 100
 """Least steps of a prediction under a policy, whose symbols may change at every step."""
@@ -295,7 +295,7 @@ def online_controller(
     Nonlinear and Nonsmooth Systems", IEEE Transactions on Robotics 32 (2016).
     """
     one_of("method", method, ["ssac", "sac"])
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     if isinstance(source, Problem):
         model, target = transcribe(source), transcribe_target(source)
     elif isinstance(source, Policy) and source.model is not None:

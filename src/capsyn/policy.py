@@ -19,7 +19,7 @@ from capsyn.model import Model
 from capsyn.settings import SsacSettings
 from capsyn.split_tree import SplitTree
 from capsyn.targets import Target, check_target
-from capsyn.validation import describe, finite_number, numbers
+from capsyn.validation import BACKENDS, describe, finite_number, numbers, one_of
 
 if TYPE_CHECKING:
     from capsyn.native.kernels import LookupKernel
@@ -352,8 +352,7 @@ def check_outside(rule: Any, alphabet: Alphabet) -> Outside:
 
 
 def _lookup_kernel(n: int, backend: str, count: int) -> LookupKernel | None:
-    if backend not in ("auto", "c", "numpy"):
-        raise ProblemError(f'`backend` must be "auto", "c" or "numpy"; got {describe(backend)}')
+    one_of("backend", backend, BACKENDS)
     if backend == "numpy" or (backend == "auto" and count < COMPILED_FROM):
         return None
     try:

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from capsyn.domain import Box
-from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
+from capsyn.errors import CapsynWarning, KernelBuildError
 from capsyn.masks import preferred
 from capsyn.model import Model
 from capsyn.policy import Policy
 from capsyn.program_builder import bind
 from capsyn.settings import SsacSettings
-from capsyn.validation import describe
+from capsyn.validation import BACKENDS, one_of
 
 TIE = 1e-5
 """Perturbation of mode insertion gradients, relative to their scales, that makes symbols tie."""
@@ -96,12 +96,14 @@ class BatchController:
         return distance + self.efforts
 
     def symbols(self, states: np.ndarray) -> np.ndarray:
-        """Return the symbols (B,) that sSAC applies at t0; -1 is the default control.
+        """Return the symbols (B,) that sSAC applies at t0; see `masks` and `chosen`."""
+        return self.chosen(self.masks(states))
 
-        Ties (see `masks`) go as in a policy, by `preference`. States without a finite result get
-        the default.
+    def chosen(self, masks: np.ndarray) -> np.ndarray:
+        """Return the symbols (B,) of masks (B,); -1 is the default control.
+
+        Ties go as in a policy, by `preference`. States without a finite result get the default.
         """
-        masks = self.masks(states)
         best = preferred(masks, self.preference)
         best[(masks == 0) | (best == len(self.efforts))] = -1
         return best
@@ -175,9 +177,7 @@ class BatchController:
 
     def _wanted(self, solution: Solution) -> np.ndarray:
         """Return ``alpha_d`` (B, 1)."""
-        if self.settings.alpha_d is not None:
-            return np.full((len(solution.cost), 1), self.settings.alpha_d)
-        return self.settings.gamma * solution.cost[:, None]
+        return self.settings.wanted_sensitivity(solution.cost)[:, None]
 
     def _bounds(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """Return the least and greatest scores (B, N) under the perturbations of a tie.
@@ -268,8 +268,7 @@ def bind_default(model: Model, default: np.ndarray) -> Model:
 
 def make_solver(model: Model, precision: str, backend: str) -> tuple[Solver, str]:
     """Return a solver of a model whose control is bound, and its backend, "c" or "numpy"."""
-    if backend not in ("auto", "c", "numpy"):
-        raise ProblemError(f'`backend` must be "auto", "c" or "numpy"; got {describe(backend)}')
+    one_of("backend", backend, BACKENDS)
     dtype = np.float32 if precision == "single" else np.float64
     rounding = relative_rounding(dtype)
     if backend != "numpy":

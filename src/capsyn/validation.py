@@ -9,6 +9,9 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 
+BACKENDS = ("auto", "c", "numpy")
+"""What computes: compiled where there is a compiler, compiled, or NumPy."""
+
 
 def describe(value: Any, limit: int = 60) -> str:
     """Return a short one-line text of a value, for messages."""

@@ -17,7 +17,7 @@ from capsyn.decision_tree import MODES, DecisionTree, Guarantee
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.policy import Policy, cell_tree
 from capsyn.policy_file import content_hash
-from capsyn.validation import describe, finite_number, one_of, whole_number
+from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number
 from capsyn.verification.agreement import Controller
 
 FREE_PRICES = (16.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.05)
@@ -123,7 +123,7 @@ def compress(
     )
     states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     if mode == "exact":
         return exact_tree(policy, level)
     judge = Judge.of(policy, states, seed, backend, controller)

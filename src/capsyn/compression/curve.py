@@ -18,7 +18,7 @@ from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
 from capsyn.packing import packed_bytes
 from capsyn.policy import Policy, cell_tree
-from capsyn.validation import one_of, whole_number
+from capsyn.validation import BACKENDS, one_of, whole_number
 
 NODE_PRICES = (2.0, 0.5, 0.1)
 """Of mode freedom: what saving a node is worth, in finest cells of disagreement."""
@@ -91,7 +91,7 @@ def size_curve(
         raise ProblemError("`policy` must have no gaps: modes exact and freedom keep those")
     states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     judge = Judge.of(policy, states, seed, backend)
     say = progress or (lambda text: None)
     points = [*_cell_points(judge, say), *_tree_points(judge, say), *_linear_points(judge, say)]

@@ -21,7 +21,7 @@ from capsyn.masks import Label, holds, masks_of_symbols, preferred, several
 from capsyn.policy import Policy, cell_tree
 from capsyn.processors import processors
 from capsyn.ssac import policy_controller
-from capsyn.validation import describe, one_of, whole_number
+from capsyn.validation import BACKENDS, describe, one_of, whole_number
 from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
 KEPT = 10_000
@@ -194,7 +194,7 @@ def agreement(
     states = whole_number("states", states, least=1)
     seed = whole_number("seed", seed, least=0)
     confidence = check_confidence(confidence)
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     threads = 1 if threads is None and controller is not None else processors(threads)
     masks, preference = _label(policy, controller, backend)
     tally = _Tally(policy)
