@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -238,6 +239,13 @@ def imported(name):
 def test_every_module_is_in_the_list_once():
     assert len(set(ORDER)) == len(ORDER)
     assert set(INNER) == set(ORDER)
+
+
+def test_contributing_names_every_module():
+    text = (Path(__file__).parents[1] / "CONTRIBUTING.md").read_text()
+    single = {name for name in ORDER if "." not in name and not name.startswith(("cli_", "__"))}
+    told = set(re.findall(r"`(\w+)/?`", text))
+    assert not single - told
 
 
 @pytest.mark.parametrize("name", INNER)
