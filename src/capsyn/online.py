@@ -36,7 +36,7 @@ from capsyn.settings import SsacSettings
 from capsyn.ssac import TIE, batch_controller
 from capsyn.targets import Target
 from capsyn.transcription import transcribe, transcribe_target
-from capsyn.validation import BACKENDS, describe, finite_number, numbers, one_of
+from capsyn.validation import BACKENDS, describe, finite_number, one_of, state_array
 
 POLICY_STEPS = 100
 """Least steps of a prediction under a policy, whose symbols may change at every step."""
@@ -137,10 +137,8 @@ class OnlineController:
         ProblemError
             States of another shape.
         """
-        states = numbers("states", states)
         n, m = self.domain.n, self.alphabet.m
-        if states.ndim == 0 or states.shape[-1] != n:
-            raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")
+        states = state_array(states, n)
         flat, shape = states.reshape(-1, n), states.shape[:-1]
         signal = None if isinstance(self.background, Policy) else self.background
         steps = self.steps

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from capsyn import __version__, paper_pendulum, paper_tanks, problems
 from capsyn.errors import ProblemError
-from capsyn.files import atomic_write
+from capsyn.files import write_text
 from capsyn.paper import CASES, Row, synthesize_case
 from capsyn.plots import reproducible, save_figure
 from capsyn.policy import Policy
@@ -95,8 +95,7 @@ def reproduce(
                     keep_policy(policy, f"double-tank-{letter}")
                     rows.append(paper_tanks.cost_row(letter, result))
         files.append(place / "results.md")
-        text = _document(rows, others, trials)
-        atomic_write(files[-1], lambda temporary: _write(temporary, text))
+        write_text(files[-1], _document(rows, others, trials))
     return files
 
 
@@ -167,7 +166,3 @@ def _document(rows: Sequence[Row], others: Sequence[Row], trials: int) -> str:
     for name, text in figures.items():
         lines += ["", f"![{text}]({name}.png)", "", f"*{text}.*"]
     return "\n".join(lines) + "\n"
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -35,6 +35,14 @@ def numbers(name: str, value: Any) -> np.ndarray:
         raise ProblemError(f"`{name}` must be numbers; got {describe(value)}") from None
 
 
+def state_array(value: Any, n: int) -> np.ndarray:
+    """Return `states` as a float array (..., n), a copy only where it must be."""
+    states = numbers("states", value)
+    if states.ndim == 0 or states.shape[-1] != n:
+        raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")
+    return states
+
+
 def finite_array(name: str, value: Any, ndim: int) -> np.ndarray:
     """Return `value` as a read-only float array of `ndim` dimensions without NaN or infinity."""
     array = np.array(numbers(name, value) + 0.0)  # + 0.0: a copy, and -0.0 becomes 0.0
