@@ -27,7 +27,12 @@ BLOCK = 2048
 ROUNDING = 64
 """Units of the last place by which quantities that should vanish may differ from 0."""
 STEP_LADDER = tuple(steps << k for k in range(10) for steps in (4, 6)) + (4096,)
+"""Steps that `choose_steps` tries."""
 STEP_SAMPLES = 512
+"""Random states at which it tries them."""
+FALLING, STALLS = 0.7, 3
+"""An error falls where it is below this share of the least so far; so many in a row that do not
+end a search for steps."""
 UNRESOLVED = 0.1
 """Errors of step doubling, in gradients or costs, that are too large to tell if they will fall."""
 
@@ -381,9 +386,9 @@ def fewest_steps(
         error = np.inf if np.isnan(error) else error
         if error <= tolerance:
             return steps, error
-        stalled = 0 if error < 0.7 * least or error > UNRESOLVED else stalled + 1
+        stalled = 0 if error < FALLING * least or error > UNRESOLVED else stalled + 1
         if error <= least or least > UNRESOLVED:  # unstable steps may agree on garbage
             best, least = steps, error
-        if stalled == 3:
+        if stalled == STALLS:
             break
     return best, least

@@ -21,6 +21,8 @@ from capsyn.split_tree import LEAF, SplitTree
 
 CUT_PENALTY = 0.1
 """What a unit of area cut between like cells counts against one between unlike cells."""
+OFF_MIDDLE = 1e-3
+"""What a cut costs that is a length of the box away from its middle: it decides among equals."""
 TOUCHING = 0.25
 """What a face counts between cells that may take a common label; 1 where they may not."""
 GREEDY_DEPTH = 40
@@ -196,7 +198,7 @@ def _best_plane(inside: _Inside, lower: np.ndarray, upper: np.ndarray) -> tuple[
         apart = np.bincount(place, area[axis == a])
         section = np.prod(np.delete(size, a), dtype=float)
         gain = apart - CUT_PENALTY * (section - apart)
-        gain -= 1e-3 * np.abs((planes - lower[a]) / size[a] - 0.5)
+        gain -= OFF_MIDDLE * np.abs((planes - lower[a]) / size[a] - 0.5)
         i = int(np.argmax(gain))
         best = max(best, (float(gain[i]), a, int(planes[i])))
     return best[1], best[2]

@@ -28,6 +28,8 @@ EXPLAINED = 1500
 """Most points of the surface that planes are fitted to at once."""
 CUT_PENALTY = 0.1
 """What a unit of area that cuts like states counts against one between unlike states."""
+GROWTHS = 6
+"""Most times that a plane is fitted again to all points that it explains."""
 BAND = 0.02
 """Half the width of the band of states that measures the area of a plane in a region."""
 AXIS_BONUS = 1.02
@@ -194,9 +196,10 @@ def surface_planes(
     planes: list[Plane] = []
     for _ in range(tries):
         distance = ((points - points[rng.integers(len(points))]) ** 2).sum(axis=1)
-        near = min(len(points), max(3 * n, int(len(points) * 10 ** rng.uniform(-2, 0))))
+        share = 10 ** rng.uniform(-2, 0)  # from a hundredth of the points to all
+        near = min(len(points), max(3 * n, int(len(points) * share)))
         explained = points[np.argpartition(distance, near - 1)[:near]]
-        for _ in range(6):
+        for _ in range(GROWTHS):
             plane = nearest_plane(explained)
             inside = points[np.abs(distances(points, plane)) < tolerance]
             if len(inside) < 3 * n:
