@@ -75,14 +75,19 @@ def switching_entropy(rates: np.ndarray) -> float:
 
 
 def _table(cells: CellTree) -> dict[str, int]:
-    """Return the size of a table of cells; a lookup halves each axis at each level."""
+    """Return the size of a table of cells; a lookup halves each axis that a cell is split along."""
 
-    def halvings(sizes: tuple[int, ...]) -> int:
-        return sum(math.ceil(math.log2(size)) for size in sizes)
+    def halvings(sizes: np.ndarray) -> np.ndarray:
+        return np.ceil(np.log2(sizes)).astype(int).sum(axis=1)
 
-    comparisons = halvings(cells.partitions)
-    if (cells.entries >= 0).any():
-        comparisons += cells.depth * halvings(cells.refinement)
+    before = np.zeros(math.prod(cells.partitions), dtype=int)  # of the way to each cell of a level
+    comparisons = 0
+    for level in cells.levels():
+        comparisons = max(comparisons, int(before.max()))
+        split = cells.entries[level.places] >= 0
+        factors = cells.factors(level.places[split])
+        before = np.repeat(before[split] + halvings(factors), np.prod(factors, axis=1))
+    comparisons += int(halvings(np.array([cells.partitions]))[0])
     if cells.affine is not None:  # the rows of a leaf, one after the other
         comparisons += int(np.diff(cells.affine.starts).max()) - 1
     return {"bytes": packed_bytes(cells), "comparisons": comparisons}
