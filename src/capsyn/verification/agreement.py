@@ -85,7 +85,7 @@ class Agreement:
         States where several symbols could be best; any of them agrees.
     not_finite : int
         States where the controller has no finite result; there only the default agrees.
-    level_states, level_agreeing : (max_level + 1,)
+    level_states, level_agreeing : (depth + 1,)
         States in cells of each level, and those that agree. A decision tree has one level.
     mixed_states, mixed_agreeing : int
         States in cells whose test points did not agree, and those that agree. The other states
