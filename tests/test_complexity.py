@@ -1,7 +1,7 @@
 """Figures of complexity against what they must be."""
 
+import dataclasses
 import json
-import math
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from capsyn import Box, compress, problems, subdivide, synthesize
 from capsyn.complexity import complexity, entropy, switching_entropy
 from capsyn.errors import CapsynWarning
 from capsyn.packing import packed_bytes, smallest_type
-from trees import GRIDS, random_policy
+from trees import random_policy, random_tree
 
 
 def test_entropies():
@@ -31,28 +31,6 @@ def test_entropies():
 )  # fmt: skip
 def test_the_smallest_type_that_holds_all_values(values, kind):
     assert smallest_type(np.array(values, dtype=np.int32)) == np.dtype(kind)
-
-
-def most_comparisons(tree):
-    """Return the most comparisons of a lookup, path by path."""
-
-    def below(place):
-        if tree.entries[place] < 0:
-            return 0
-        factors = tree.factors(np.array([place]))[0].tolist()
-        own = sum((factor - 1).bit_length() for factor in factors)
-        start = tree.entries[place]
-        return own + max(below(start + k) for k in range(math.prod(factors)))
-
-    root = sum((count - 1).bit_length() for count in tree.partitions)
-    return root + max(below(place) for place in range(math.prod(tree.partitions)))
-
-
-@pytest.mark.parametrize("some_axes", [False, True])
-@pytest.mark.parametrize("grid", range(len(GRIDS)))
-def test_comparisons_of_a_table(grid, some_axes):
-    policy = random_policy(grid, seed=grid, some_axes=some_axes)
-    assert complexity(policy)["table"]["comparisons"] == most_comparisons(policy.cells)
 
 
 def test_a_policy_of_cells_and_its_tree():
@@ -77,6 +55,25 @@ def test_a_policy_of_cells_and_its_tree():
         key: pytest.approx(value, rel=0.02) for key, value in machine.items()
     }
     assert same["tree"] == found["tree"] and same["table"] is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_a_lookup_halves_the_axes_that_cells_are_split_along_and_no_others(seed, some_axes):
+    cells = random_tree((2, 3), (3, 2), 3, 3, seed=seed, some_axes=some_axes)
+    policy = dataclasses.replace(random_policy(3), cells=cells)
+    most = 0
+    for z in np.ndindex(cells.counts):  # down to the leaf of every finest cell
+        size, comparisons = cells.sizes(0), 1 + 2
+        place, rest = np.ravel_multi_index(z // size, (2, 3)), z % size
+        while cells.entries[place] >= 0:
+            factors = cells.factors(np.array([place]))[0]
+            comparisons += sum({1: 0, 2: 1, 3: 2}[k] for k in factors.tolist())
+            size = size // factors
+            place = cells.entries[place] + np.ravel_multi_index(rest // size, factors)
+            rest = rest % size
+        most = max(most, comparisons)
+    assert complexity(policy)["table"]["comparisons"] == most
 
 
 def test_without_a_model_nothing_is_said_of_switches():

@@ -12,7 +12,7 @@ from capsyn import Alphabet, Box, DecisionTree, Policy, compress, problems
 from capsyn.cells import CellTree
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import VOTES, cell_votes, exact_prices, free_prices
-from capsyn.compression.induction import Prices, allowed, induce
+from capsyn.compression.induction import Prices, induce
 from capsyn.compression.judge import JUDGING
 from capsyn.compression.proof import changed_cells, prove
 from capsyn.errors import CapsynWarning, ProblemError
@@ -523,10 +523,6 @@ def test_prices_of_entries():
         [3, 4, 5],
         [none, 0, none],
         [30, 40, 50],
-    ]
-    assert allowed(np.array([0b101, 2**63], dtype=np.uint64), 64)[:, [0, 1, 2, 63]].tolist() == [
-        [True, False, True, False],
-        [False, False, False, True],
     ]
 
 

@@ -565,6 +565,12 @@ def test_a_policy_without_a_model_is_refused():
             run()
 
 
+def test_what_is_no_policy_is_refused():
+    for run in (lambda: lyapunov("a.cap", square), lambda: lyapunov_grid("a.cap", square, 0.5)):
+        with pytest.raises(ProblemError, match="`policy` must be a Policy; got 'a.cap'"):
+            run()
+
+
 def test_a_proof_of_everything_is_no_share_above_one():
     # the shares of these 354 cells summed to 1.0000000000000002, which no file takes as evidence
     box = Box([-0.2] * 2, [0.2] * 2)

@@ -10,7 +10,7 @@ import pytest
 
 import reference_action
 from capsyn import Box, Problem, SsacSettings, online_controller, problems, simulate, synthesize
-from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
+from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from closed_loops import (
     BACKENDS,
     grid_policy,
@@ -50,6 +50,9 @@ BACKGROUNDS = {
     rule: dataclasses.replace(random_grid_policy(PENDULUM, 3, seed=2), outside=rule)
     for rule in ("nearest", "error", 0, -1)
 }
+GAPS = {
+    f"gaps, {rule}": dataclasses.replace(policy, gaps=True) for rule, policy in BACKGROUNDS.items()
+}
 CASES = {
     "now": (PENDULUM, {}, {}),
     "search": (with_settings(PENDULUM, application_time="search"), {}, {}),
@@ -85,7 +88,7 @@ CASES = {
             {"default": policy},
             {},
         )
-        for rule, policy in BACKGROUNDS.items()
+        for rule, policy in {**BACKGROUNDS, **GAPS}.items()
     },
     "sac": (with_settings(PENDULUM), {"method": "sac"}, {}),
     "sac, search": (with_settings(PENDULUM, application_time="search"), {"method": "sac"}, {}),
@@ -126,8 +129,10 @@ def test_actions_are_those_of_the_reference(case):
         if callable(default) and not hasattr(default, "cells"):
             return default(time + t)
         if hasattr(default, "cells"):
-            inside = default.outside != "error" or default.domain.contains(x[None])[0]
-            return default.control(x) if inside else default.default
+            try:
+                return default.control(x)
+            except OutsideDomainError:
+                return default.default
         return np.atleast_1d(default)
 
     states = states_of(problem, 6, 2)  # none where symbols tie

@@ -1,5 +1,7 @@
 """Pictures of policies, asserted by what was put on the axes."""
 
+import dataclasses
+
 import matplotlib
 
 matplotlib.use("Agg")
@@ -129,3 +131,14 @@ def test_a_picture_of_a_trajectory_is_the_same_bytes_each_time(tmp_path):
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
     with pytest.raises(ProblemError, match="a picture must end in"):
         save_trajectory_plot(run, tmp_path / "one.gif")
+
+
+def test_gaps_beside_oblique_surfaces_have_the_colour_of_the_default():
+    box = capsyn.Box([-1, -1], [1, 1])
+    options = {"leaves": "affine", "max_level": 1, "partitions": 4}
+    made = capsyn.subdivide(lambda x: np.where(x[:, 0] < x[:, 1], 0, -1), box, 1, **options)
+    images = []
+    for policy in (made, dataclasses.replace(made, gaps=True)):
+        assert policy.has_planes
+        images.append(plot_policy(policy, ax=Figure().add_subplot()).images[0].get_array())
+    assert np.array_equal(*images) and len(np.unique(images[0].reshape(-1, 3), axis=0)) == 2

@@ -284,7 +284,9 @@ def test_outside_rules_that_are_none(plane, rule):
 
 
 def test_unknown_backend(plane):
-    with pytest.raises(ProblemError, match='`backend` must be "auto", "c" or "numpy"; got \'gpu\''):
+    with pytest.raises(
+        ProblemError, match="`backend` must be one of 'auto', 'c', 'numpy'; got 'gpu'"
+    ):
         plane([0.0, 0.0], backend="gpu")
 
 

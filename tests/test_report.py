@@ -6,7 +6,7 @@ import json
 import pytest
 
 import capsyn
-from capsyn import SsacSettings, problems, synthesize
+from capsyn import Box, SsacSettings, problems, subdivide, synthesize
 from capsyn.report import hints, report
 
 
@@ -26,6 +26,13 @@ def test_a_report_is_plain_data_and_agrees_with_the_policy():
     shares = [s["volume_share"] for s in data["symbols"]] + [data["default"]["volume_share"]]
     assert sum(shares) == pytest.approx(1)
     assert data["table_bytes"] == 4 * len(policy.cells.entries)
+
+
+def test_the_axes_that_cells_are_split_along_are_part_of_the_table():
+    box = Box([0, 0], [1, 1])
+    policy = subdivide(lambda x: (x[:, 0] > 0.6).astype(int), box, 2, refine="adaptive")
+    entries = len(policy.cells.entries)  # of 32 bits, and 16 for the axes
+    assert policy.cells.splits is not None and report(policy)["table_bytes"] == 6 * entries
 
 
 def test_hints_name_what_smells():

@@ -543,7 +543,7 @@ def test_states_that_never_have_a_result_do_not_count_in_the_choice_of_steps():
 
 
 def test_the_backend_is_checked():
-    with pytest.raises(ProblemError, match='`backend` must be "auto", "c" or "numpy"'):
+    with pytest.raises(ProblemError, match="`backend` must be one of 'auto', 'c', 'numpy'"):
         controller(problems.get("cart-pole"), "fortran")
 
 

@@ -134,7 +134,7 @@ TWO = user_program("target", lambda x: x[0] > 0, (("x", 2),), INSIDE)
 REFUSED = [
     (3, "must be a Ball, a Box or a function of the state; got 3"),
     ("home", "must be a Ball, a Box or a function of the state; got 'home'"),
-    (TWO, "must be a program of 3 state(s)"),
+    (TWO, "must be a program of 3 state(s), (x: 3) -> (inside: 1); got (x: 2) -> (inside: 1)"),
     (
         target_program(None, ROOM).__class__("t", (("x", 3),), (("y", 1),), (), (0,)),
         "must be a pro",

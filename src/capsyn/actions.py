@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.closed_loop import NONE
-from capsyn.masks import preferred
 from capsyn.model import Model
 from capsyn.native.kernels import action_type
 from capsyn.policy import Policy
@@ -114,15 +113,11 @@ class NumpyActions:
         count = len(cost)
         if self.sac is not None:
             with np.errstate(over="ignore", invalid="ignore"):
-                alpha = self.settings.gamma * cost
-            if self.settings.alpha_d is not None:
-                alpha = np.full(count, self.settings.alpha_d)
+                alpha = self.settings.wanted_sensitivity(cost)
             control, gradient = self.sac.evaluate(x, u, rho, alpha[None, :])
             return control, gradient[0], np.full(count, NONE)
         gradients, scales = self.model.insertion.evaluate(x, u, rho, cost[None, :], [ROUNDING])
-        masks = self.chooser.possible(Solution(cost, gradients.T, scales.T))
-        symbol = preferred(masks, self.chooser.preference)
-        symbol = np.where((masks == 0) | (symbol == len(gradients)), -1, symbol)
+        symbol = self.chooser.chosen(self.chooser.possible(Solution(cost, gradients.T, scales.T)))
         chosen = symbol >= 0
         control = np.where(chosen, self.values[symbol].T, u)
         return control, np.where(chosen, gradients[symbol, np.arange(count)], 0.0), symbol
@@ -185,11 +180,6 @@ def outside_label(policy: Policy) -> int:
 
 def predicted_labels(policy: Policy, states: np.ndarray) -> np.ndarray:
     """Return labels (B,) of predicted states; the default where a rule would raise."""
-    count = len(policy.alphabet)
     rule = outside_label(policy)
-    labels = np.full(len(states), count if rule < 0 else rule)
-    known = np.isfinite(states).all(axis=1)
-    if rule >= 0:
-        known &= policy.domain.contains(states)
-    labels[known] = policy(states[known], "nearest", backend="numpy") % (count + 1)
-    return labels
+    labels = policy.leaves(states, rule < 0, "numpy")
+    return np.where(labels < 0, len(policy.alphabet) if rule < 0 else rule, labels)

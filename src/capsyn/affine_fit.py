@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from capsyn.affine_leaves import LARGEST_SLOPE, LARGEST_SUM
+from capsyn.masks import holds, members
 from capsyn.split_axes import SplitAxes
 
 CENTER_WEIGHT = 0.5
@@ -165,7 +166,7 @@ def _judged(
         margin[p] = (top - values[cells, second]) / scale
         here = scores[p]
         residual[p] = here[cells, best] - here[cells, second] - margin[p]
-        wrong[p] = (masks[p] >> best.astype(masks.dtype)) & masks.dtype.type(1) == 0
+        wrong[p] = ~holds(masks[p], best)
     shares = point_weights(offsets)
     if shape[0] > len(offsets):
         shares = np.full(shape[0], 1 / shape[0])
@@ -196,18 +197,18 @@ def _corrected(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return rows with fewest mistakes at the test points among those that a perceptron finds."""
     cells, symbols = levels.shape
-    bits = masks[:, :, None] >> np.arange(symbols, dtype=masks.dtype) & masks.dtype.type(1) != 0
+    right = members(masks, symbols)
     extended = np.column_stack([np.ones(len(signs)), signs])
     rows = np.concatenate([levels[:, :, None], slopes], axis=2)
     kept, fewest = rows.copy(), np.full(cells, len(signs) + 1)
     for _ in range(TRIES + 1):
         values = np.einsum("msi,pi->pms", rows, extended)
         mistaken = values.argmax(axis=2)
-        wrong = ~np.take_along_axis(bits, mistaken[:, :, None], axis=2)[:, :, 0]
+        wrong = ~np.take_along_axis(right, mistaken[:, :, None], axis=2)[:, :, 0]
         count = wrong.sum(axis=0)
         better = count < fewest
         kept[better], fewest[better] = rows[better], count[better]
-        wanted = np.where(bits, values, -np.inf).argmax(axis=2)
+        wanted = np.where(right, values, -np.inf).argmax(axis=2)
         p, m = np.nonzero(wrong)
         if not p.size:
             break

@@ -35,7 +35,7 @@ def digest(arrays: Mapping[str, np.ndarray], about: str = "") -> str:
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
         found.update(f"{name}:{array.dtype.str}:{array.shape}".encode())
-        found.update(array.tobytes())
+        found.update(array.data)
     return found.hexdigest()
 
 

@@ -196,7 +196,7 @@ class Automaton:
         if found is None:
             return []
         area = found.areas * found.shares[:, SLIDING]
-        rows = np.flatnonzero(found.found[:, 2] == POSSIBLE)
+        rows = np.flatnonzero(found.found[:, SLIDING] == POSSIBLE)
         rows = rows[np.argsort(-area[rows], kind="stable")]
         lower = domain.points(found.faces.lower[rows], self.counts)
         upper = domain.points(found.faces.upper[rows], self.counts)

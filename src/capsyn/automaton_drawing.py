@@ -11,7 +11,7 @@ import numpy as np
 
 from capsyn.automaton import Automaton, Edge
 from capsyn.errors import ProblemError
-from capsyn.files import atomic_write
+from capsyn.files import write_text
 from capsyn.plots import FORMATS, literal, reproducible, save_figure, symbol_colors
 
 if TYPE_CHECKING:
@@ -119,12 +119,7 @@ def save_automaton(automaton: Automaton, path: str | os.PathLike[str]) -> None:
     The same automaton gives the same bytes; what was at `path` is replaced only by a whole file.
     """
     if check_drawing(path) == "dot":
-        text = automaton.to_dot(vertex_colors(automaton))
-
-        def write(temporary: Path) -> None:
-            temporary.write_bytes(text.encode())
-
-        atomic_write(path, write)
+        write_text(path, automaton.to_dot(vertex_colors(automaton)))
         return
     with reproducible():
         from matplotlib.figure import Figure

@@ -192,9 +192,7 @@ class CellTree:
     def _children(self, parents: Cells) -> Cells:
         """Return the cells of the blocks of split cells."""
         factors = self.factors(parents.places)
-        counts = np.prod(factors, axis=1)
-        parent = np.repeat(np.arange(len(counts)), counts)
-        number = np.arange(len(parent)) - (np.cumsum(counts) - counts)[parent]
+        parent, number = ragged(np.prod(factors, axis=1))
         places = self.entries[parents.places][parent] + number
         sizes = (parents.sizes // factors)[parent]
         lower = parents.lower[parent]
@@ -261,9 +259,7 @@ class CellTree:
             size = size // factors
             first = (lower - corner) // size
             counts = (upper - 1 - corner) // size - first + 1  # of children that a box meets
-            total = np.prod(counts, axis=1)
-            parent = np.repeat(np.arange(len(box)), total)
-            number = np.arange(len(parent)) - (np.cumsum(total) - total)[parent]
+            parent, number = ragged(np.prod(counts, axis=1))
             digits = np.empty((len(parent), self.n), dtype=np.int64)
             for i in reversed(range(self.n)):
                 number, digits[:, i] = np.divmod(number, counts[parent, i])
@@ -283,15 +279,15 @@ class CellTree:
         """Number of leaf cells."""
         return int(np.count_nonzero(self.entries < 0))
 
-    def check(self, leaf_count: int) -> None:
+    def check(self, label_count: int) -> None:
         """Raise `PolicyFormatError` unless the arrays are one well-formed grid of trees.
 
         Parameters
         ----------
-        leaf_count : int
-            Number of labels, N + 1: leaf numbers of constant leaves must be below it.
+        label_count : int
+            N + 1: leaf numbers of constant leaves must be below it.
         """
-        known = leaf_count + (0 if self.affine is None else len(self.affine))
+        known = label_count + (0 if self.affine is None else len(self.affine))
         entries, n = self.entries, self.n
         if self.splits is not None:
             self._check_splits()
@@ -336,12 +332,12 @@ class CellTree:
         leaf = -1 - entries[mixed].astype(np.int64)
         own = np.uint64(1) << np.minimum(leaf, 63).astype(np.uint64)
         if self.affine is not None:
-            self._check_affine(leaf_count)
-            rest = leaf >= leaf_count
-            own[rest] = self.affine.masks()[leaf[rest] - leaf_count]
+            self._check_affine(label_count)
+            rest = leaf >= label_count
+            own[rest] = self.affine.masks()[leaf[rest] - label_count]
         if (own & ~self.mixed_labels).any():
             raise PolicyFormatError("a mixed cell's label is not among the labels seen in it")
-        if leaf_count < 64 and (self.mixed_labels >> np.uint64(leaf_count)).any():
+        if label_count < 64 and (self.mixed_labels >> np.uint64(label_count)).any():
             raise PolicyFormatError("a mixed cell has an unknown label")
 
     def _check_splits(self) -> None:
@@ -357,13 +353,19 @@ class CellTree:
         if ((self.splits != 0) != (self.entries >= 0)).any():
             raise PolicyFormatError("a cell is split along no axis, or a leaf along some")
 
-    def _check_affine(self, leaf_count: int) -> None:
+    def _check_affine(self, label_count: int) -> None:
         assert self.affine is not None
-        self.affine.check(self.counts, leaf_count)
+        self.affine.check(self.counts, label_count)
         leaves = -1 - self.entries[self.entries < 0].astype(np.int64)
-        numbers = leaves[leaves >= leaf_count] - leaf_count
+        numbers = leaves[leaves >= label_count] - label_count
         if not np.array_equal(numbers, np.arange(len(self.affine))):
             raise PolicyFormatError("the affine leaves are not numbered in the order of the cells")
+
+
+def ragged(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row and the place in it, (sum,) each, of the items of rows of `counts` (M,)."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    return row, np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
 
 
 def axes_of(masks: np.ndarray, n: int) -> np.ndarray:

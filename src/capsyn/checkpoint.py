@@ -23,7 +23,7 @@ import numpy as np
 
 from capsyn.answers import Answer, Labelling, Packed, digest, kind, parts
 from capsyn.errors import CapsynWarning, ProblemError
-from capsyn.files import atomic_write
+from capsyn.files import atomic_write, write_text
 from capsyn.validation import describe, one_line, whole_number
 
 FORMAT = "capsyn-checkpoint"
@@ -134,8 +134,7 @@ class Checkpoint:
             {**self._manifest, "settled": self._settled},
             indent=1, sort_keys=True, allow_nan=False,
         )  # fmt: skip
-        path = self._directory / MANIFEST
-        atomic_write(path, lambda temporary: _write_text(temporary, text + "\n"))
+        write_text(self._directory / MANIFEST, text + "\n")
 
     def _compare(self, path: Path, own: dict[str, Any]) -> dict[str, int]:
         """Return what is settled there; `ProblemError` unless the manifest there is our own."""
@@ -269,10 +268,6 @@ class Remembered:
     def __call__(self, states: np.ndarray) -> Answer:
         """Return the answer for states (B, n)."""
         return self.checkpoint.answer(self.label, states)
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 def _key(states: np.ndarray) -> bytes:

@@ -32,6 +32,8 @@ ENDINGS = ("time", "target", "left the domain", "not finite")
 TIME, TARGET, LEFT_DOMAIN, NOT_FINITE = range(4)
 NONE = -2
 """The symbol of a controller that gives controls, not symbols; or of a trial before its first."""
+SLACK = 1e-9
+"""Samples by which a time that should be a whole number of them may be off, by rounding."""
 NOISE_BYTES = 1 << 24
 """Size of the noise that a thread draws ahead."""
 
@@ -160,9 +162,9 @@ def new_trials(
     period : float
         Sample time [s].
     """
-    whole = np.floor(delays / period + 1e-9)
+    whole = np.floor(delays / period + SLACK)
     rest = delays - whole * period
-    rest[rest < 1e-9 * period] = 0.0
+    rest[rest < SLACK * period] = 0.0
     queue = 2 ** math.ceil(math.log2(max(whole.max(initial=0) + 2, 2)))
     trials = np.zeros(len(states), trial_type(states.shape[1], m, parameters.shape[1], int(queue)))
     trials["state"], trials["push"], trials["parameters"] = states, push, parameters

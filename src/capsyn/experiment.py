@@ -12,6 +12,7 @@ import numpy as np
 
 from capsyn.closed_loop import (
     NOT_FINITE,
+    SLACK,
     TIME,
     Command,
     Decide,
@@ -35,6 +36,7 @@ from capsyn.targets import Target, check_target, target_program
 from capsyn.transcription import target_condition
 from capsyn.trial_job import run_on_workers
 from capsyn.validation import (
+    BACKENDS,
     describe,
     finite_number,
     numbers,
@@ -130,7 +132,7 @@ def set_up(
         raise ProblemError(
             f"`duration` times `rate` must be 1 to {MOST_SAMPLES:g} samples; got {samples:g}"
         )
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     threads = processors(threads)
     if executor is not None:
         if not isinstance(controller, Policy):
@@ -170,7 +172,7 @@ def set_up(
         period,
         samples,
         substeps,
-        math.ceil(min(dwell - 1e-9, samples)),
+        math.ceil(min(dwell - SLACK, samples)),
         target_program(target, plant.domain),
         stop_at_target,
         idle,

@@ -42,6 +42,15 @@ def atomic_write(path: str | os.PathLike[str], write: Callable[[Path], None]) ->
             temporary.unlink()
 
 
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text as UTF-8, whole or not at all; see `atomic_write`."""
+
+    def write(temporary: Path) -> None:
+        temporary.write_bytes(text.encode())
+
+    atomic_write(path, write)
+
+
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Raise `ProblemError` unless a file can be written at `path`; nothing there is touched."""
     target = Path(os.path.realpath(path))

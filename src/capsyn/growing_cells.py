@@ -11,9 +11,9 @@ import numpy as np
 
 from capsyn.affine_fit import Fits
 from capsyn.affine_leaves import LARGEST_SUM, AffineLeaves
-from capsyn.cells import CellTree, lattice_counts
+from capsyn.cells import CellTree, lattice_counts, ragged
 from capsyn.errors import ProblemError
-from capsyn.masks import several
+from capsyn.masks import masks_of_members, several
 
 LATTICE, FEW, MANY = 2**14, 2**12, 2**18
 """Steps along an axis that the lattice of rows has at most, unless the cells need more, or another
@@ -126,9 +126,7 @@ class GrowingCells:
         self.error[cells] = fits.error
         self.axes[cells] &= fits.axes
         single = np.where(several(masks), masks.dtype.type(0), masks)
-        bits = np.uint64(1) << np.arange(fits.used.shape[1], dtype=np.uint64)
-        own = np.bitwise_or.reduce(np.where(fits.used, bits, np.uint64(0)), axis=1)
-        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64) | own
+        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64) | masks_of_members(fits.used)
         self.seen[cells] = np.where(fits.wrong == 0, np.uint64(0), seen)
         kept = fits.used & ~one[:, None]
         self.rows[cells] = kept.sum(axis=1)
@@ -161,9 +159,8 @@ class GrowingCells:
         while here.size:
             yield here
             split = here[self.child[here] >= 0]
-            counts = self.children(split, refinement)
-            before = np.repeat(self.child[split] - np.cumsum(counts) + counts, counts)
-            here = before + np.arange(len(before))
+            parent, number = ragged(self.children(split, refinement))
+            here = self.child[split][parent] + number
 
     def tree(
         self,
@@ -203,9 +200,9 @@ class GrowingCells:
 
     def _affine(self, cells: np.ndarray, first: int, rows: list[Rows]) -> AffineLeaves:
         """Return the affine leaves of cells (A,)."""
-        count, row = self.rows[cells], self.row[cells]
-        ends = np.cumsum(count)
-        picked = np.repeat(row - ends + count, count) + np.arange(ends[-1])
+        count = self.rows[cells]
+        cell, number = ragged(count)
+        picked = self.row[cells][cell] + number
         symbols, constants, slopes = (np.concatenate(table)[picked] for table in zip(*rows))
         return AffineLeaves.of(first, count, symbols, constants, slopes)
 

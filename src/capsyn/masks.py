@@ -21,6 +21,22 @@ def several(masks: np.ndarray) -> np.ndarray:
     return (masks & (masks - masks.dtype.type(1))) != 0
 
 
+def members(masks: np.ndarray, count: int) -> np.ndarray:
+    """Return whether each mask (...) holds each of the first `count` symbols, (..., count)."""
+    return masks[..., None] >> np.arange(count, dtype=masks.dtype) & masks.dtype.type(1) != 0
+
+
+def masks_of_members(held: np.ndarray) -> np.ndarray:
+    """Return the masks (B,) uint64 that hold the symbols where `held` (B, S) is true."""
+    bits = np.uint64(1) << np.arange(held.shape[1], dtype=np.uint64)
+    return np.bitwise_or.reduce(np.where(held, bits, np.uint64(0)), axis=1)
+
+
+def holds(masks: np.ndarray, symbols: np.ndarray) -> np.ndarray:
+    """Return whether each mask (B,) holds its symbol (B,)."""
+    return masks >> symbols.astype(masks.dtype) & masks.dtype.type(1) != 0
+
+
 def preferred(masks: np.ndarray, order: Sequence[int]) -> np.ndarray:
     """Return the symbol of each mask that comes first in `order`; anything where it is 0."""
     labels = np.full(masks.shape, order[-1], dtype=np.int32)
@@ -101,11 +117,10 @@ def masks_of_symbols(label: Label, n_symbols: int, name: str = "label") -> Label
 
 def indicators(label: Label, n_symbols: int) -> Scored:
     """Return a labelling function with scores (B, N + 1): 1, shared by the symbols of a mask."""
-    bits = np.arange(n_symbols + 1, dtype=np.uint64)
 
     def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         masks = label(states)
-        held = (masks.astype(np.uint64)[:, None] >> bits & np.uint64(1)).astype(float)
+        held = members(masks, n_symbols + 1).astype(float)
         return masks, (held / np.maximum(held.sum(axis=1, keepdims=True), 1))[:, None]
 
     return scored
@@ -117,9 +132,7 @@ def masks_of_scores(label: Callable[[np.ndarray], np.ndarray], n_symbols: int) -
     def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         scores = _checked_scores(label(states), len(states), n_symbols)
         finite = np.isfinite(scores).all(axis=1)
-        best = scores == scores.max(axis=1, keepdims=True)
-        bits = np.uint64(1) << np.arange(scores.shape[1], dtype=np.uint64)
-        masks = np.bitwise_or.reduce(np.where(best, bits, np.uint64(0)), axis=1)
+        masks = masks_of_members(scores == scores.max(axis=1, keepdims=True))
         masks[~finite] = 0
         return masks, scores[:, None]
 

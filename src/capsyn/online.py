@@ -36,7 +36,7 @@ from capsyn.settings import SsacSettings
 from capsyn.ssac import TIE, batch_controller
 from capsyn.targets import Target
 from capsyn.transcription import transcribe, transcribe_target
-from capsyn.validation import describe, finite_number, numbers, one_of
+from capsyn.validation import BACKENDS, describe, finite_number, one_of, state_array
 
 POLICY_STEPS = 100
 """Least steps of a prediction under a policy, whose symbols may change at every step."""
@@ -137,10 +137,8 @@ class OnlineController:
         ProblemError
             States of another shape.
         """
-        states = numbers("states", states)
         n, m = self.domain.n, self.alphabet.m
-        if states.ndim == 0 or states.shape[-1] != n:
-            raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")
+        states = state_array(states, n)
         flat, shape = states.reshape(-1, n), states.shape[:-1]
         signal = None if isinstance(self.background, Policy) else self.background
         steps = self.steps
@@ -221,10 +219,11 @@ class OnlineController:
         }
         if isinstance(policy, Policy):
             outside, lost = outside_label(policy), len(policy.alphabet)
+            gap = lost if policy.gaps else -1
             arrays["table"] = policy.controls
             cells = TreeArguments.of(policy.domain, policy.cells)
         else:
-            outside, lost, cells = -1, -1, TreeArguments()
+            outside, lost, gap, cells = -1, -1, -1, TreeArguments()
             arrays["feed"] = self._feed(0.0)
         options = ActionOptions(
             horizon=self.horizon,
@@ -243,6 +242,7 @@ class OnlineController:
             backtracks=settings.max_backtracks,
             outside=outside,
             lost=lost,
+            gap=gap,
             cells=cells,
             **{name: array.ctypes.data for name, array in arrays.items()},
         )
@@ -293,7 +293,7 @@ def online_controller(
     Nonlinear and Nonsmooth Systems", IEEE Transactions on Robotics 32 (2016).
     """
     one_of("method", method, ["ssac", "sac"])
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     if isinstance(source, Problem):
         model, target = transcribe(source), transcribe_target(source)
     elif isinstance(source, Policy) and source.model is not None:

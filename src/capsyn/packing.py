@@ -17,11 +17,15 @@ def smallest_type(values: np.ndarray) -> np.dtype:
     return np.dtype(next(fitting, np.int64))
 
 
+def lookup_arrays(cells: CellTree | SplitTree) -> list[np.ndarray]:
+    """Return the arrays that a lookup needs."""
+    if isinstance(cells, SplitTree):
+        return [cells.split, cells.threshold, cells.second, cells.planes]
+    splits = [] if cells.splits is None else [cells.splits]
+    rows = {} if cells.affine is None else cells.affine.arrays()
+    return [cells.entries, *splits, *rows.values()]
+
+
 def packed_bytes(cells: CellTree | SplitTree) -> int:
     """Return the bytes of what a lookup needs, each array in the smallest integers that hold it."""
-    if isinstance(cells, CellTree):
-        arrays = [cells.entries] if cells.splits is None else [cells.entries, cells.splits]
-        arrays += [] if cells.affine is None else cells.affine.arrays().values()
-    else:
-        arrays = [cells.split, cells.threshold, cells.second, cells.planes]
-    return sum(array.size * smallest_type(array).itemsize for array in arrays)
+    return sum(array.size * smallest_type(array).itemsize for array in lookup_arrays(cells))

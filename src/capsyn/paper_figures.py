@@ -295,6 +295,6 @@ def draw_dwell_tradeoff(
     return ax, second
 
 
-def _write(ax: Axes, place: Any, text: str, size: float, color: str = INK) -> Text:
+def _write(ax: Axes, place: Any, text: str, size: float) -> Text:
     x, y = place
-    return ax.text(x, y, text, ha="center", va="center", fontsize=size, color=color)
+    return ax.text(x, y, text, ha="center", va="center", fontsize=size, color=INK)

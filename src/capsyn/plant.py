@@ -24,9 +24,11 @@ from capsyn.transcription import transcribe, transcribe_target, user_program
 from capsyn.validation import describe
 
 SAMPLES = 256
+"""Random states at which `choose_substeps` tries steps."""
 ACCURACY = 1e-9
 """Error of the integration, in widths of the domain per second, that `choose_substeps` allows."""
 MOST_SUBSTEPS = 4096
+"""Most Runge-Kutta steps per sample."""
 
 
 @dataclass(frozen=True)

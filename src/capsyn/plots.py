@@ -158,7 +158,8 @@ def _draw_pixels(
     grid = np.meshgrid(x, y)
     for i, values in zip(plane, grid):
         states[:, i] = values.ravel()
-    labels = policy(states, "nearest") % len(colors)
+    labels = policy.leaves(states, True)
+    labels[labels < 0] = len(colors) - 1  # in gaps, which have the colour of the default
     table = np.array([to_rgb(color) for color in colors])
     ax.imshow(
         table[labels].reshape(PIXELS, PIXELS, 3),

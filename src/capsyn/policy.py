@@ -19,7 +19,7 @@ from capsyn.model import Model
 from capsyn.settings import SsacSettings
 from capsyn.split_tree import SplitTree
 from capsyn.targets import Target, check_target
-from capsyn.validation import describe, finite_number, numbers
+from capsyn.validation import BACKENDS, describe, finite_number, one_of, state_array
 
 if TYPE_CHECKING:
     from capsyn.native.kernels import LookupKernel
@@ -141,12 +141,9 @@ class Policy:
         ProblemError
             States of another shape.
         """
-        states = numbers("states", states)
-        n = self.domain.n
-        if states.ndim == 0 or states.shape[-1] != n:
-            raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")
+        states = state_array(states, self.domain.n)
         rule = check_outside(self.outside if outside is None else outside, self.alphabet)
-        flat = states.reshape(-1, n)
+        flat = states.reshape(-1, self.domain.n)
         labels = self.leaves(flat, rule == "nearest", backend)
         lost = labels < 0
         if lost.any():
@@ -180,13 +177,9 @@ class Policy:
         ProblemError
             States of another shape, or that are no numbers.
         """
-        states = numbers("states", states)
-        if states.ndim == 0 or states.shape[-1] != self.domain.n:
-            raise ProblemError(
-                f"`states` must have shape (..., {self.domain.n}); got {states.shape}"
-            )
-        flat = states.reshape(-1, self.domain.n)
-        return (self.leaves(flat, False) >= 0).reshape(states.shape[:-1])[()]
+        states = state_array(states, self.domain.n)
+        leaves = self.leaves(states.reshape(-1, self.domain.n), False)
+        return (leaves >= 0).reshape(states.shape[:-1])[()]
 
     def _labels(self, states: np.ndarray, nearest: bool) -> np.ndarray:
         """Return leaf numbers of states (B, n), negative for states outside or not finite."""
@@ -352,8 +345,7 @@ def check_outside(rule: Any, alphabet: Alphabet) -> Outside:
 
 
 def _lookup_kernel(n: int, backend: str, count: int) -> LookupKernel | None:
-    if backend not in ("auto", "c", "numpy"):
-        raise ProblemError(f'`backend` must be "auto", "c" or "numpy"; got {describe(backend)}')
+    one_of("backend", backend, BACKENDS)
     if backend == "numpy" or (backend == "auto" and count < COMPILED_FROM):
         return None
     try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import os
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 
 from capsyn.affine_leaves import ROW_ARRAYS, AffineLeaves
 from capsyn.alphabet import Alphabet
+from capsyn.answers import digest
 from capsyn.cells import MAX_COUNT, CellTree, grid_settings
 from capsyn.decision_tree import DecisionTree, Guarantee
 from capsyn.domain import Ball, Box
@@ -76,7 +76,7 @@ def save(policy: Policy, path: str | os.PathLike[str]) -> None:
         "format": FORMAT,
         "version": _least_version(arrays, policy.gaps),
         "policy": content,
-        "sha256": _digest(content, arrays),
+        "sha256": digest(arrays, _canonical(content)),
     }
     if policy.evidence.get("sha256") == document["sha256"]:  # that of another content is dropped
         document["evidence"] = policy.evidence
@@ -92,15 +92,6 @@ def _write(arrays: dict[str, np.ndarray], path: Path, metadata: dict[str, str]) 
 
 def _canonical(data: Any) -> str:
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-def _digest(content: dict[str, Any], arrays: dict[str, np.ndarray]) -> str:
-    digest = hashlib.sha256(_canonical(content).encode())
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name}:{array.dtype.str}:{array.shape}".encode())
-        digest.update(array.data)
-    return digest.hexdigest()
 
 
 def content_of(policy: Policy) -> dict[str, Any]:
@@ -136,7 +127,7 @@ def content_of(policy: Policy) -> dict[str, Any]:
 
 def content_hash(policy: Policy) -> str:
     """Return the SHA-256 of what the policy is, the same that its file carries."""
-    return _digest(content_of(policy), arrays_of(policy))
+    return digest(arrays_of(policy), _canonical(content_of(policy)))
 
 
 def arrays_of(policy: Policy) -> dict[str, np.ndarray]:
@@ -220,7 +211,7 @@ def _policy(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> Policy:
         axes, words = (2, "two") if name in ("planes", "row_slopes") else (1, "one")
         if arrays[name].dtype != dtype or arrays[name].ndim != axes:
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
-    if document["sha256"] != _digest(content, arrays):
+    if document["sha256"] != digest(arrays, _canonical(content)):
         raise PolicyFormatError("its content does not match its checksum")
     gaps, known = "gaps" in content, TREE_KEYS if is_tree else CELL_KEYS
     if document["version"] < _least_version(arrays, gaps) or (

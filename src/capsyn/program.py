@@ -101,7 +101,6 @@ class Program:
                 raise ValueError(f"`{name}` must have shape ({size}, ...); got {array.shape}")
             values += [array[k] for k in range(size)]
         shape = np.broadcast_shapes(*(np.shape(v) for v in values))
-        first = len(values)
         buffers: list[np.ndarray] = []
         with np.errstate(all="ignore"):
             for i, (name, *operands) in enumerate(self.instructions):
@@ -118,7 +117,6 @@ class Program:
                     if np.ndim(values[k]):
                         buffers.append(values[k])
                     values[k] = None
-        assert len(values) == first + len(self.instructions)
         outputs, start = [], 0
         for _, size in self.outputs:
             rows = np.empty((size, *shape), dtype)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,11 @@ def level_for_precision(
         Wanted edge lengths of the finest cells [state units].
     partitions, refinement : int or (n,)
         Cells of the root grid, and children of a split cell, per axis.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
     """
     wanted = np.asarray(precision, dtype=float)
     if wanted.shape != (domain.n,) or not (np.isfinite(wanted) & (wanted > 0)).all():
@@ -269,15 +274,20 @@ def too_few_solves(
     needed: int, allowed: int | None, partitions: Sequence[int], test_points: CellPoints
 ) -> ProblemError:
     """Return the error of a budget of solves that does not do for the root grid."""
-    k = bisect.bisect_right(
-        range(1, max(partitions)),
-        allowed or 0,
-        key=lambda k: test_points.in_block([min(q, k) for q in partitions]),
-    )
-    advice = f"use fewer partitions: {k} per axis fit at level 0" if k else "no root grid fits"
     return ProblemError(
-        f"`max_solves` must be at least the {needed} solves of level 0; got {allowed}: {advice}"
+        f"`max_solves` must be at least the {needed} solves of level 0; got {allowed}: "
+        + _fewer_partitions(partitions, allowed or 0, test_points.in_block)
     )
+
+
+def _fewer_partitions(
+    partitions: Sequence[int], bound: int, need: Callable[[Sequence[int]], int]
+) -> str:
+    """Return the advice of the largest root grid whose `need` is within a bound."""
+    k = bisect.bisect_right(
+        range(1, max(partitions)), bound, key=lambda k: need([min(q, k) for q in partitions])
+    )
+    return f"use fewer partitions: {k} per axis fit at level 0" if k else "no root grid fits"
 
 
 def available_memory() -> int | None:
@@ -320,11 +330,7 @@ def check_memory(
         return worst_case_memory(q, refinement, level, test_points, n_symbols, solves, room)
 
     def fewer(bound: int) -> str:
-        """Return the advice of the largest root grid that fits."""
-        k = bisect.bisect_right(
-            range(1, max(partitions)), bound, key=lambda k: need(0, [min(q, k) for q in partitions])
-        )
-        return f"use fewer partitions: {k} per axis fit at level 0" if k else "no root grid fits"
+        return _fewer_partitions(partitions, bound, lambda q: need(0, q))
 
     budget = limits.max_memory
     if budget is not None and need(0) > budget:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.cells import CellTree
+from capsyn.cells import CellTree, ragged
 from capsyn.domain import Box
 from capsyn.faces import shared_faces
 from capsyn.rectangles import fewest_rectangles
@@ -252,9 +252,7 @@ def _starts(boxes: _Boxes, axis: int) -> Iterator[_Boxes]:
     areas = np.prod(sizes, axis=1, dtype=float)
     if areas.sum() > MAX_COLUMNS:
         return
-    numbers = areas.astype(np.int64)
-    source = np.repeat(np.arange(len(numbers)), numbers)
-    offset = np.arange(len(source)) - np.repeat(np.cumsum(numbers) - numbers, numbers)
+    source, offset = ragged(areas.astype(np.int64))
     columns = boxes.take(source)
     for i in range(boxes.lower.shape[1]):
         if i != axis:

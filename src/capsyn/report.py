@@ -6,9 +6,10 @@ from typing import Any
 
 from capsyn.cells import CellTree
 from capsyn.decision_tree import CONFIDENCE, DecisionTree, Guarantee
-from capsyn.packing import packed_bytes
+from capsyn.packing import lookup_arrays, packed_bytes
 from capsyn.policy import Policy
-from capsyn.policy_file import TREE_ARRAYS, content_hash
+from capsyn.policy_file import content_hash
+from capsyn.split_tree import SplitTree
 from capsyn.targets import describe_target
 
 
@@ -60,14 +61,12 @@ def _grid(cells: CellTree, axis: int) -> dict[str, int]:
 
 
 def _cells(policy: Policy, cells: CellTree) -> dict[str, Any]:
-    arrays = [*(() if cells.affine is None else cells.affine.arrays().values())]
-    arrays += [] if cells.splits is None else [cells.splits]
     return {
         "max_level": cells.max_level if cells.affine is None else _most_times(cells),
         "adaptive": cells.splits is not None,
         "cells": cells.leaf_count,
         "affine_leaves": 0 if cells.affine is None else len(cells.affine),
-        "table_bytes": cells.entries.nbytes + sum(array.nbytes for array in arrays),
+        "table_bytes": _bytes(cells),
         "packed_bytes": packed_bytes(cells),
         "mixed_cells": len(cells.mixed_cells),
         "mixed_share": policy.mixed_share,
@@ -85,9 +84,13 @@ def _tree(tree: DecisionTree) -> dict[str, Any]:
         "depth": tree.depth,
         "planes": len(tree.cells.planes),
         "packed_bytes": packed_bytes(tree.cells),
-        "tree_bytes": sum(getattr(tree.cells, name).nbytes for name in TREE_ARRAYS),
+        "tree_bytes": _bytes(tree.cells),
         "guarantee": _guarantee(tree.guarantee),
     }
+
+
+def _bytes(cells: CellTree | SplitTree) -> int:
+    return sum(array.nbytes for array in lookup_arrays(cells))
 
 
 def _guarantee(found: Guarantee) -> dict[str, Any]:

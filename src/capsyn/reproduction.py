@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from capsyn import __version__, paper_pendulum, paper_tanks, problems
 from capsyn.errors import ProblemError
-from capsyn.files import atomic_write
+from capsyn.files import write_text
 from capsyn.paper import CASES, Row, synthesize_case
 from capsyn.plots import reproducible, save_figure
 from capsyn.policy import Policy
@@ -66,10 +66,13 @@ def reproduce(
         tell("policies and their counts")
         rows = _counts(threads)
         others: list[Row] = []
-        pendulums = [synthesize(problems.get(f"cart-pendulum{end}")) for end in ("", "-4")]
+        pendulums = [
+            synthesize(problems.get(name), threads=threads)
+            for name in ("cart-pendulum", "cart-pendulum-4")
+        ]
         tell("pendulum: figures 3 and 4, Lyapunov, swing-up")
-        for policy, name in zip(pendulums, ("cart-pendulum", "cart-pendulum-4")):
-            keep_policy(policy, name)
+        for policy in pendulums:
+            keep_policy(policy, policy.name)
         keep_figure("figure-3", paper_pendulum.figure_3(pendulums[0]))
         keep_figure("figure-4a", paper_pendulum.figure_4a(pendulums[1]))
         rows += paper_pendulum.compare_with_law(pendulums[0])
@@ -92,8 +95,7 @@ def reproduce(
                     keep_policy(policy, f"double-tank-{letter}")
                     rows.append(paper_tanks.cost_row(letter, result))
         files.append(place / "results.md")
-        text = _document(rows, others, trials)
-        atomic_write(files[-1], lambda temporary: _write(temporary, text))
+        write_text(files[-1], _document(rows, others, trials))
     return files
 
 
@@ -164,7 +166,3 @@ def _document(rows: Sequence[Row], others: Sequence[Row], trials: int) -> str:
     for name, text in figures.items():
         lines += ["", f"![{text}]({name}.png)", "", f"*{text}.*"]
     return "\n".join(lines) + "\n"
-
-
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")

@@ -20,7 +20,7 @@ from capsyn.cells import MAX_COUNT, CellTree, lattice_counts
 from capsyn.errors import SynthesisError
 from capsyn.growing_cells import GrowingCells, Rows, SplitCells, lattice_level
 from capsyn.lattice_points import MANY, Question
-from capsyn.masks import most_voted, preferred, several
+from capsyn.masks import holds, most_voted, preferred, several
 from capsyn.propositions import round_bytes, rounds_memory, too_few_solves
 from capsyn.split_axes import SplitAxes
 
@@ -268,8 +268,7 @@ class RoundSubdivision:
             rest = mixed[~known & (common[mixed] == 0)]
         if rest.size:
             made.label[rest], made.seen[rest] = most_voted(cell_masks[:, rest], self._order)
-            bits = cell_masks[:, rest] >> made.label[rest].astype(cell_masks.dtype)
-            made.error[rest] = (bits & cell_masks.dtype.type(1) == 0).mean(axis=0)
+            made.error[rest] = (~holds(cell_masks[:, rest], made.label[rest])).mean(axis=0)
             if self._axes is not None:
                 fixed = cell_masks[: len(self._offsets), rest]
                 made.axes[rest] = self._axes.by_labels(fixed, can[rest])

@@ -1,4 +1,4 @@
-"""Frozen options."""
+"""The options of switched sequential action control."""
 
 from __future__ import annotations
 
@@ -53,6 +53,11 @@ class SsacSettings:
         that shortens it, how often, and the share of the cost that it must take off.
     sample_time : float
         Sample time of closed loops for which none is given [s].
+
+    Raises
+    ------
+    ProblemError
+        A value that cannot be used, or both `gamma` and `alpha_d`.
     """
 
     gamma: float = -5.0
@@ -129,6 +134,12 @@ class SsacSettings:
                 f"`control_weight` must be a number or have shape ({m}, {m}); got {weight.shape}"
             )
         return np.einsum("si,ij,sj->s", values, weight, values)
+
+    def wanted_sensitivity(self, costs: np.ndarray) -> np.ndarray:
+        """Return ``alpha_d`` (B,) [cost / s], eq. (8), where `costs` (B,) are J0."""
+        if self.alpha_d is not None:
+            return np.full(costs.shape, self.alpha_d)
+        return self.gamma * costs
 
     def to_json(self) -> dict[str, Any]:
         """Return the settings as plain data."""

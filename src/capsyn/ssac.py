@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from capsyn.domain import Box
-from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
+from capsyn.errors import CapsynWarning, KernelBuildError
 from capsyn.masks import preferred
 from capsyn.model import Model
 from capsyn.policy import Policy
 from capsyn.program_builder import bind
 from capsyn.settings import SsacSettings
-from capsyn.validation import describe
+from capsyn.validation import BACKENDS, one_of
 
 TIE = 1e-5
 """Perturbation of mode insertion gradients, relative to their scales, that makes symbols tie."""
@@ -27,7 +27,12 @@ BLOCK = 2048
 ROUNDING = 64
 """Units of the last place by which quantities that should vanish may differ from 0."""
 STEP_LADDER = tuple(steps << k for k in range(10) for steps in (4, 6)) + (4096,)
+"""Steps that `choose_steps` tries."""
 STEP_SAMPLES = 512
+"""Random states at which it tries them."""
+FALLING, STALLS = 0.7, 3
+"""An error falls where it is below this share of the least so far; so many in a row that do not
+end a search for steps."""
 UNRESOLVED = 0.1
 """Errors of step doubling, in gradients or costs, that are too large to tell if they will fall."""
 
@@ -96,12 +101,14 @@ class BatchController:
         return distance + self.efforts
 
     def symbols(self, states: np.ndarray) -> np.ndarray:
-        """Return the symbols (B,) that sSAC applies at t0; -1 is the default control.
+        """Return the symbols (B,) that sSAC applies at t0; see `masks` and `chosen`."""
+        return self.chosen(self.masks(states))
 
-        Ties (see `masks`) go as in a policy, by `preference`. States without a finite result get
-        the default.
+    def chosen(self, masks: np.ndarray) -> np.ndarray:
+        """Return the symbols (B,) of masks (B,); -1 is the default control.
+
+        Ties go as in a policy, by `preference`. States without a finite result get the default.
         """
-        masks = self.masks(states)
         best = preferred(masks, self.preference)
         best[(masks == 0) | (best == len(self.efforts))] = -1
         return best
@@ -175,9 +182,7 @@ class BatchController:
 
     def _wanted(self, solution: Solution) -> np.ndarray:
         """Return ``alpha_d`` (B, 1)."""
-        if self.settings.alpha_d is not None:
-            return np.full((len(solution.cost), 1), self.settings.alpha_d)
-        return self.settings.gamma * solution.cost[:, None]
+        return self.settings.wanted_sensitivity(solution.cost)[:, None]
 
     def _bounds(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """Return the least and greatest scores (B, N) under the perturbations of a tie.
@@ -268,8 +273,7 @@ def bind_default(model: Model, default: np.ndarray) -> Model:
 
 def make_solver(model: Model, precision: str, backend: str) -> tuple[Solver, str]:
     """Return a solver of a model whose control is bound, and its backend, "c" or "numpy"."""
-    if backend not in ("auto", "c", "numpy"):
-        raise ProblemError(f'`backend` must be "auto", "c" or "numpy"; got {describe(backend)}')
+    one_of("backend", backend, BACKENDS)
     dtype = np.float32 if precision == "single" else np.float64
     rounding = relative_rounding(dtype)
     if backend != "numpy":
@@ -382,9 +386,9 @@ def fewest_steps(
         error = np.inf if np.isnan(error) else error
         if error <= tolerance:
             return steps, error
-        stalled = 0 if error < 0.7 * least or error > UNRESOLVED else stalled + 1
+        stalled = 0 if error < FALLING * least or error > UNRESOLVED else stalled + 1
         if error <= least or least > UNRESOLVED:  # unstable steps may agree on garbage
             best, least = steps, error
-        if stalled == 3:
+        if stalled == STALLS:
             break
     return best, least

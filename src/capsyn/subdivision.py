@@ -161,7 +161,9 @@ def subdivide(
         raise ProblemError(f"`label` must be a function; got {describe(label)}")
     if not isinstance(domain, Box):
         raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(domain)}")
-    alphabet = symbols if isinstance(symbols, Alphabet) else Alphabet(range(_count(symbols)))
+    alphabet = symbols
+    if not isinstance(alphabet, Alphabet):
+        alphabet = Alphabet(range(whole_number("symbols", symbols, least=1)))
     n_symbols = len(alphabet)
     q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
     leaf_error = checked_leaf_error(leaf_error)
@@ -275,10 +277,6 @@ def _scored(label: Callable[[np.ndarray], Any], returns: str, n_symbols: int) ->
     if returns == "masks+scores":
         return checked_pair(label, n_symbols)
     return indicators(_masks(label, returns, n_symbols), n_symbols)
-
-
-def _count(symbols: Any) -> int:
-    return whole_number("symbols", symbols, least=1)
 
 
 def _order(preference: Sequence[int], n_symbols: int) -> list[int]:

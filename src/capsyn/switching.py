@@ -33,6 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsyn.cells import ragged
 from capsyn.errors import ProblemError
 from capsyn.face_rates import (
     DOWNWARD,
@@ -169,7 +170,6 @@ def switching(policy: Policy) -> Switching:
         np.add.at(table, tuple(labels.T[::-1] if downward else labels.T), values)
         return table
 
-    volumes = boxes.volumes()
     switches, slidings = _tables(labels, found, number)
     slides = np.flatnonzero(found[:, SLIDING] != IMPOSSIBLE)
     ends = np.where(domain.periodic, cells.counts, 0)
@@ -189,7 +189,7 @@ def switching(policy: Policy) -> Switching:
         sliding_areas=total(areas * shares[:, SLIDING], False)
         + total(areas * shares[:, SLIDING], True),
         exit_rates=exits,
-        volume_shares=np.bincount(boxes.labels, volumes, minlength=number) / volumes.sum(),
+        volume_shares=policy.volume_shares,
     )
 
 
@@ -206,9 +206,7 @@ def _pieces(faces: Faces, counts: Sequence[int]) -> Faces:
         per_axis //= 2
     lower, upper, source = faces.lower, faces.upper, np.arange(len(faces))
     for axis in range(n):
-        row = np.repeat(np.arange(len(source)), numbers[source, axis])
-        ends = np.cumsum(numbers[source, axis])
-        place = np.arange(len(row)) - np.repeat(ends - numbers[source, axis], numbers[source, axis])
+        row, place = ragged(numbers[source, axis])
         lower, upper, source = lower[row], upper[row], source[row]
         lower[:, axis] += place * longest[axis]
         upper[:, axis] = np.minimum(upper[:, axis], lower[:, axis] + longest[axis])
@@ -252,10 +250,8 @@ def _around_sliding(
     for side in (faces.below, faces.above):
         start, stop = (np.searchsorted(cells, side[slides], end) for end in ("left", "right"))
         for part in _chunks(stop - start, MAX_PARTS):
-            counts = stop[part] - start[part]
-            face = np.repeat(slides[part], counts)
-            within = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
-            place = np.repeat(start[part], counts) + within
+            slide, within = ragged(stop[part] - start[part])
+            face, place = slides[part][slide], start[part][slide] + within
             low, high = faces.lower[face], faces.upper[face]
             low_other, high_other = faces.lower[rows[place]], faces.upper[rows[place]]
             touch = (low <= high_other) & (low_other <= high)

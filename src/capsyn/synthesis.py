@@ -26,7 +26,7 @@ from capsyn.settings import SsacSettings
 from capsyn.ssac import TIE, BatchController, batch_controller
 from capsyn.subdivision import check_size, checked_leaf_error, subdivide
 from capsyn.transcription import transcribe, transcribe_target
-from capsyn.validation import describe, one_of, whole_number
+from capsyn.validation import BACKENDS, describe, one_of, whole_number
 
 SAMPLES = 2048
 """Random states by which the controller is judged, see ``Policy.statistics['sample']``."""
@@ -132,7 +132,7 @@ def synthesize(
     threads = processors(threads)
     seed = whole_number("seed", seed, least=0)
     leaf_error = checked_leaf_error(leaf_error)
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     if executor is not None:
         check_client(executor)
     domain = problem.domain
@@ -245,7 +245,7 @@ def sample_statistics(controller: BatchController, domain: Box, seed: int) -> di
         return float(f"{np.median(values):.4g}") if values.size else None
 
     settings = controller.settings
-    wanted = np.abs(settings.gamma * cost if settings.alpha_d is None else settings.alpha_d)
+    wanted = np.abs(settings.wanted_sensitivity(cost))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = {
             "wanted_over_reachable": None

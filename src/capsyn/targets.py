@@ -8,7 +8,7 @@ import numpy as np
 
 from capsyn.domain import Ball, Box
 from capsyn.errors import ProblemError
-from capsyn.program import Program
+from capsyn.program import Ports, Program
 from capsyn.program_builder import ProgramBuilder
 from capsyn.validation import describe, finite_number
 
@@ -24,7 +24,10 @@ def check_target(target: Any, domain: Box, name: str = "target") -> None:
         return
     if isinstance(target, Program):
         if target.inputs != (("x", domain.n),) or target.outputs != INSIDE:
-            raise ProblemError(f"`{name}` must be a program of {domain.n} state(s)")
+            raise ProblemError(
+                f"`{name}` must be a program of {domain.n} state(s), (x: {domain.n}) -> "
+                f"(inside: 1); got {_told(target.inputs)} -> {_told(target.outputs)}"
+            )
         return
     if not isinstance(target, (Ball, Box)):
         raise ProblemError(
@@ -41,11 +44,15 @@ def check_target(target: Any, domain: Box, name: str = "target") -> None:
         raise ProblemError(f"`{name}` must meet the domain; it lies outside")
 
 
+def _told(ports: Ports) -> str:
+    return f"({', '.join(f'{name}: {size}' for name, size in ports)})"
+
+
 def target_axes(target: Ball | Box, domain: Box, name: str = "target") -> list[int]:
     """Return the axes of the domain that a ball or box is about.
 
     They are those that its names say; all of them in order for a ball without names, and for a box
-    whose names are those that boxes have unless told.
+    whose names are those that boxes have unless told. Others are a `ProblemError`.
     """
     names = target.names or ()
     if names and set(names) <= set(domain.names):
@@ -69,7 +76,9 @@ def with_tolerance(target: Any, tolerance: float | None) -> Any:
     if tolerance is None:
         return target
     if not isinstance(target, Ball):
-        raise ProblemError("`tolerance` must be given with a target that is a ball only")
+        raise ProblemError(
+            f"`tolerance` must be given with a target that is a ball only; got {describe(target)}"
+        )
     return Ball(target.center, finite_number("tolerance", tolerance, above=0.0), target.names)
 
 

@@ -9,6 +9,9 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 
+BACKENDS = ("auto", "c", "numpy")
+"""What computes: compiled where there is a compiler, compiled, or NumPy."""
+
 
 def describe(value: Any, limit: int = 60) -> str:
     """Return a short one-line text of a value, for messages."""
@@ -30,6 +33,14 @@ def numbers(name: str, value: Any) -> np.ndarray:
         return array.astype(float, copy=False)
     except (TypeError, ValueError, OverflowError):
         raise ProblemError(f"`{name}` must be numbers; got {describe(value)}") from None
+
+
+def state_array(value: Any, n: int) -> np.ndarray:
+    """Return `states` as a float array (..., n), a copy only where it must be."""
+    states = numbers("states", value)
+    if states.ndim == 0 or states.shape[-1] != n:
+        raise ProblemError(f"`states` must have shape (..., {n}); got {states.shape}")
+    return states
 
 
 def finite_array(name: str, value: Any, ndim: int) -> np.ndarray:

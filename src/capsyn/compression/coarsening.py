@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from capsyn.cells import CellTree
+from capsyn.compression.freedom import allowed_masks
 from capsyn.errors import ProblemError
 from capsyn.policy import Policy, cell_tree
 
@@ -22,8 +23,7 @@ def cut_off(policy: Policy, level: int) -> Policy:
         raise ProblemError(f"`policy` must have constant leaves only; {policy!r} has affine leaves")
     labels = len(policy.alphabet) + 1
     leaf = np.where(cells.entries < 0, -1 - cells.entries, 0)
-    masks = np.where(cells.entries < 0, np.uint64(1) << leaf.astype(np.uint64), np.uint64(0))
-    masks[cells.mixed_cells] |= cells.mixed_labels
+    masks = allowed_masks(policy, True)
     volumes = np.zeros((len(leaf), labels))
     leaves = list(cells.leaves())
     least = np.min([x.sizes.min(axis=0) for x in leaves if len(x.places)], axis=0)

@@ -17,7 +17,7 @@ from capsyn.decision_tree import MODES, DecisionTree, Guarantee
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.policy import Policy, cell_tree
 from capsyn.policy_file import content_hash
-from capsyn.validation import describe, finite_number, one_of, whole_number
+from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number
 from capsyn.verification.agreement import Controller
 
 FREE_PRICES = (16.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.05)
@@ -123,7 +123,7 @@ def compress(
     )
     states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     if mode == "exact":
         return exact_tree(policy, level)
     judge = Judge.of(policy, states, seed, backend, controller)
@@ -137,7 +137,7 @@ def compress(
                 CapsynWarning,
                 stacklevel=2,
             )
-        tree = _linear_tree(judge, target)
+        tree = linear_tree(judge, target)
     elif agreement is None:
         (tree,) = free_trees(judge, level, (node_price,))
     else:
@@ -206,7 +206,8 @@ def _smallest_free_tree(judge: Judge, level: int | None, target: float) -> Decis
     return judge.judged(best, target, len(tried) + 1)
 
 
-def _linear_tree(judge: Judge, target: float) -> DecisionTree:
+def linear_tree(judge: Judge, target: float) -> DecisionTree:
+    """Return the tree of mode linear that `fit_tree` finds for a target, judged."""
     policy = judge.policy
     labels, kept = len(policy.alphabet) + 1, {"seed": judge.seed, "states": judge.states}
     fit = fit_tree(judge.masks, policy.domain, labels, target, **kept)

@@ -5,21 +5,20 @@ from __future__ import annotations
 import csv
 import dataclasses
 import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from capsyn.compression.coarsening import cut_off
-from capsyn.compression.compress import MAX_STATES, compress, exact_tree, free_trees
+from capsyn.compression.compress import MAX_STATES, exact_tree, free_trees, linear_tree
 from capsyn.compression.judge import Judge
 from capsyn.decision_tree import DecisionTree
 from capsyn.errors import ProblemError
 from capsyn.files import atomic_write
 from capsyn.packing import packed_bytes
 from capsyn.policy import Policy, cell_tree
-from capsyn.validation import one_of, whole_number
+from capsyn.validation import BACKENDS, one_of, whole_number
 
 NODE_PRICES = (2.0, 0.5, 0.1)
 """Of mode freedom: what saving a node is worth, in finest cells of disagreement."""
@@ -92,7 +91,7 @@ def size_curve(
         raise ProblemError("`policy` must have no gaps: modes exact and freedom keep those")
     states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     judge = Judge.of(policy, states, seed, backend)
     say = progress or (lambda text: None)
     points = [*_cell_points(judge, say), *_tree_points(judge, say), *_linear_points(judge, say)]
@@ -125,15 +124,13 @@ def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
         say(f"cells at level {level}")
         base = cut_off(judge.policy, level)
         found = judge.compare(base)
-        cells = base.cells
-        size = packed_bytes(cells)
         yield CurvePoint(
             "cells",
             level,
             "",
-            cells.node_count,
+            base.cells.node_count,
             1 + level,
-            size,
+            packed_bytes(base.cells),
             found.share,
             found.low,
             found.high,
@@ -155,16 +152,7 @@ def _tree_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
 def _linear_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoint]:
     for target in TARGETS:
         say(f"linear trees for {target:.1%}")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            tree = compress(
-                judge.policy,
-                "linear",
-                agreement=target,
-                states=judge.states,
-                seed=judge.seed,
-                backend=judge.backend,
-            )
+        tree = linear_tree(judge, target)
         yield _point(tree, None, f"--mode linear --agreement {target:g}")
         if not tree.guarantee.reached:
             break
@@ -172,14 +160,13 @@ def _linear_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePo
 
 def _point(tree: DecisionTree, level: int | None, options: str) -> CurvePoint:
     had = tree.guarantee
-    size = packed_bytes(tree.cells)
     return CurvePoint(
         had.mode,
         level,
         options,
         tree.node_count,
         tree.depth,
-        size,
+        packed_bytes(tree.cells),
         had.agreement,
         had.low,
         had.high,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from capsyn.compression.induction import Prices, allowed
-from capsyn.masks import Label
+from capsyn.compression.induction import Prices
+from capsyn.masks import Label, members
 from capsyn.policy import Policy, cell_tree
 from capsyn.random_streams import stream
 
@@ -55,7 +55,7 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     mixed = cells.mixed_cells
     votes = np.zeros((len(mixed), labels), dtype=np.int64)
     if controller is None and "table" in policy.statistics:
-        votes[allowed(cells.mixed_labels, labels)] = VOTES
+        votes[members(cells.mixed_labels, labels)] = VOTES
         return votes
     if controller is None:
         votes[np.arange(len(mixed)), -1 - cells.entries[mixed]] = VOTES
@@ -69,8 +69,7 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     for _ in range(VOTES):
         masks = controller(lower + random.random(lower.shape) * (upper - lower))
         masks = np.where(masks == 0, np.uint64(1 << (labels - 1)), masks)  # no finite answer
-        for label in range(labels):
-            votes[:, label] += (masks >> np.uint64(label)) & np.uint64(1) != 0
+        votes += members(masks, labels)
     return votes
 
 

@@ -16,10 +16,13 @@ import numpy as np
 from capsyn.cells import CellTree
 from capsyn.compression.optimal import FORBIDDEN, optimal_splits, sub_box_count
 from capsyn.faces import Faces, shared_faces
+from capsyn.masks import members
 from capsyn.split_tree import LEAF, SplitTree
 
 CUT_PENALTY = 0.1
 """What a unit of area cut between like cells counts against one between unlike cells."""
+OFF_MIDDLE = 1e-3
+"""What a cut costs that is a length of the box away from its middle: it decides among equals."""
 TOUCHING = 0.25
 """What a face counts between cells that may take a common label; 1 where they may not."""
 GREEDY_DEPTH = 40
@@ -66,13 +69,8 @@ class Prices:
             known = self.priced[place] == entries
             whole = np.minimum(volumes[known], MAX_VOLUME).astype(np.int64)
             found[known] = self.prices[place[known]] * whole[:, None]
-        found[~allowed(self.masks[entries], found.shape[1])] = FORBIDDEN
+        found[~members(self.masks[entries], found.shape[1])] = FORBIDDEN
         return found
-
-
-def allowed(masks: np.ndarray, labels: int) -> np.ndarray:
-    """Return whether each mask (B,) holds each of so many labels, (B, L)."""
-    return (masks[:, None] >> np.arange(labels, dtype=np.uint64)) & np.uint64(1) != 0
 
 
 def induce(cells: CellTree, prices: Prices, budget: int | None = None) -> SplitTree:
@@ -200,7 +198,7 @@ def _best_plane(inside: _Inside, lower: np.ndarray, upper: np.ndarray) -> tuple[
         apart = np.bincount(place, area[axis == a])
         section = np.prod(np.delete(size, a), dtype=float)
         gain = apart - CUT_PENALTY * (section - apart)
-        gain -= 1e-3 * np.abs((planes - lower[a]) / size[a] - 0.5)
+        gain -= OFF_MIDDLE * np.abs((planes - lower[a]) / size[a] - 0.5)
         i = int(np.argmax(gain))
         best = max(best, (float(gain[i]), a, int(planes[i])))
     return best[1], best[2]
@@ -281,7 +279,7 @@ def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:
     np.add.at(penalty, leaf, np.minimum(prices.of(entries, volume), FORBIDDEN // 2**20))
     np.add.at(own, (leaf, boxes.labels[box]), volume)
     np.bitwise_and.at(common, leaf, prices.masks[entries])
-    can = allowed(common, labels)
+    can = members(common, labels)
     leaves = tree.split == LEAF
     if not can[leaves].any(axis=1).all():
         raise AssertionError("a leaf has no label that all its cells allow")

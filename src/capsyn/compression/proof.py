@@ -10,6 +10,7 @@ from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import allowed_masks
 from capsyn.decision_tree import DecisionTree
 from capsyn.errors import ProblemError
+from capsyn.masks import holds
 from capsyn.policy import Policy, cell_tree
 from capsyn.policy_file import content_hash
 from capsyn.split_tree import SplitTree
@@ -59,7 +60,7 @@ def prove(tree: Policy, policy: Policy) -> float:
     boxes = left.boxes()
     leaf, box, _ = _parts(tree.cells, boxes)
     masks = allowed_masks(base, tree.guarantee.mode == "freedom")[boxes.places[box]]
-    wrong = (masks >> tree.cells.labels_at(leaf).astype(np.uint64)) & np.uint64(1) == 0
+    wrong = ~holds(masks, tree.cells.labels_at(leaf))
     if wrong.any():
         cell = boxes.places[box[np.flatnonzero(wrong)[0]]]
         raise ProblemError(f"`tree` does not keep its word: cell {cell} gets another symbol")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.masks import Label
+from capsyn.masks import Label, masks_of_members, members
 from capsyn.random_streams import stream
 
 NEEDLES = (0.05, 0.2, 0.8)
@@ -28,6 +28,8 @@ EXPLAINED = 1500
 """Most points of the surface that planes are fitted to at once."""
 CUT_PENALTY = 0.1
 """What a unit of area that cuts like states counts against one between unlike states."""
+GROWTHS = 6
+"""Most times that a plane is fitted again to all points that it explains."""
 BAND = 0.02
 """Half the width of the band of states that measures the area of a plane in a region."""
 AXIS_BONUS = 1.02
@@ -100,8 +102,7 @@ def draw_samples(masks: Label, n: int, labels: int, count: int, seed: list[int])
         Seed of the states.
     """
     states = stream(*seed).random((count, n))
-    right = (masks(states)[:, None] >> np.arange(labels, dtype=np.uint64)) & np.uint64(1)
-    return Samples(states, right != 0)
+    return Samples(states, members(masks(states), labels))
 
 
 def find_surface(masks: Label, samples: Samples, seed: list[int]) -> Surface:
@@ -115,8 +116,7 @@ def find_surface(masks: Label, samples: Samples, seed: list[int]) -> Surface:
     # E|cos| of the angle between a random direction and an axis, in n dimensions
     mean_cosine = math.exp(math.lgamma(n / 2) - math.lgamma((n + 1) / 2)) / math.sqrt(math.pi)
     rng = stream(*seed)
-    bits = np.uint64(1) << np.arange(samples.right.shape[1], dtype=np.uint64)
-    known = np.where(samples.right, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
+    known = masks_of_members(samples.right)
     size = -(-len(samples) // BATCHES)
     for length in NEEDLES:
         hits, needles = [np.empty((0, n))], 0
@@ -196,9 +196,10 @@ def surface_planes(
     planes: list[Plane] = []
     for _ in range(tries):
         distance = ((points - points[rng.integers(len(points))]) ** 2).sum(axis=1)
-        near = min(len(points), max(3 * n, int(len(points) * 10 ** rng.uniform(-2, 0))))
+        share = 10 ** rng.uniform(-2, 0)  # from a hundredth of the points to all
+        near = min(len(points), max(3 * n, int(len(points) * share)))
         explained = points[np.argpartition(distance, near - 1)[:near]]
-        for _ in range(6):
+        for _ in range(GROWTHS):
             plane = nearest_plane(explained)
             inside = points[np.abs(distances(points, plane)) < tolerance]
             if len(inside) < 3 * n:

@@ -3,7 +3,7 @@
  * Needs lookup.c, STATES, INPUTS, SYMBOLS, SAC, and the programs step_one, adjoint_one and
  * terminal_cost_one for one lane, step, terminal_cost and insertion (or sac) for LANES. The
  * prediction is one lane; times of the schedule, and the costs of the line search, are lanes.
- * `online.py` says what happens, and does the same in NumPy.
+ * `online.py` says what happens, `actions.py` does the same in NumPy.
  */
 enum { NONE = -2 };
 #define PAIRS (LANES / 2)
@@ -16,6 +16,7 @@ typedef struct {
 typedef struct {
     double horizon, gamma, alpha_d, initial, shrink, descent, exponent, tie, rounding;
     int64_t steps, search, steepest, to_default, backtracks, outside, lost;
+    int64_t gap;                    /* the label of cells that are outside, or -1 */
     const double *values, *efforts; /* (SYMBOLS, INPUTS) and (SYMBOLS) */
     const int64_t *preference;      /* (SYMBOLS + 1) */
     const double *feed;             /* default controls (steps, INPUTS), or of a policy: */
@@ -206,7 +207,7 @@ int capsyn_action(const int64_t count, const double *restrict states, const opti
             if (u == NULL) {
                 int outside;
                 int64_t label = nearest_label(&o.cells, &m, path[k].x[0], &outside);
-                if ((outside || label == NOT_FINITE) && o.outside >= 0)
+                if ((outside || label == NOT_FINITE || label == o.gap) && o.outside >= 0)
                     label = o.outside;
                 else if (label == NOT_FINITE)
                     label = o.lost;

@@ -24,7 +24,7 @@ from capsyn.problem import Problem
 from capsyn.processors import processors
 from capsyn.program import Program
 from capsyn.transcription import transcribe
-from capsyn.validation import describe, finite_number, one_of, whole_number, whole_numbers
+from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number, whole_numbers
 
 TIE = 1e-9
 """Share of the least cost by which another symbol's may be larger and still tie with it."""
@@ -168,7 +168,7 @@ def finite_control_set(
     if control_weight is not None:
         settings = dataclasses.replace(settings, control_weight=control_weight)
     efforts = settings.efforts(values)
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     model = transcribe(problem)
     end = model.terminal_cost
     end = Program(end.name, end.inputs, end.outputs[:1], end.instructions, end.results[:1])

@@ -17,11 +17,11 @@ import numpy as np
 from capsyn.cells import CellTree
 from capsyn.errors import ProblemError
 from capsyn.lattice_points import CHUNK
-from capsyn.masks import Label, masks_of_symbols, preferred, several
+from capsyn.masks import Label, holds, masks_of_symbols, preferred, several
 from capsyn.policy import Policy, cell_tree
 from capsyn.processors import processors
 from capsyn.ssac import policy_controller
-from capsyn.validation import describe, one_of, whole_number
+from capsyn.validation import BACKENDS, describe, one_of, whole_number
 from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
 KEPT = 10_000
@@ -194,7 +194,7 @@ def agreement(
     states = whole_number("states", states, least=1)
     seed = whole_number("seed", seed, least=0)
     confidence = check_confidence(confidence)
-    one_of("backend", backend, ["auto", "c", "numpy"])
+    one_of("backend", backend, BACKENDS)
     threads = 1 if threads is None and controller is not None else processors(threads)
     masks, preference = _label(policy, controller, backend)
     tally = _Tally(policy)
@@ -278,7 +278,7 @@ class _Tally:
         self._ties += int(several(masks).sum())
         self._not_finite += int((masks == 0).sum())
         masks = np.where(masks == 0, np.uint64(1 << default), masks)
-        agree = (masks >> own.astype(np.uint64)) & np.uint64(1) != 0
+        agree = holds(masks, own)
         other = np.where(agree, own, preferred(masks, preference))
         np.add.at(self._pairs, (own, other), 1)
         places, counts = np.unique(cells, return_counts=True)

@@ -19,6 +19,8 @@ from capsyn.validation import describe
 
 CHUNK = 4096
 """Boxes that are evaluated at once: their values stay in the cache."""
+STATES, UNDEFINED = 1024, 0.1
+"""Random states at which V is tried, and the share of them where it may be undefined."""
 PAIRS, HALVINGS = 1024, 45
 """Pairs of random states between which a jump of V is looked for, and how closely."""
 JUMP = 1e-5
@@ -128,10 +130,10 @@ def _check(program: Program, policy: Policy) -> None:
         needed.update(operands[1:] if name == "select" else operands)
     if all(k >= first and program.instructions[k - first] == ("const", 0.0) for k in gradient):
         raise ProblemError("`V` must depend on the state; its gradient is 0 everywhere")
-    states = policy.domain.sample(1024)
+    states = policy.domain.sample(STATES)
     rows = np.concatenate(program.evaluate(states.T))
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=0))
-    if len(bad) > len(states) / 10:
+    if len(bad) > UNDEFINED * len(states):
         state = ", ".join(f"{v:g}" for v in states[bad[0]])
         raise ProblemError(
             f"`V` must have a finite value and gradient inside the domain; at ({state}) and "

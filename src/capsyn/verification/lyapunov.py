@@ -226,10 +226,11 @@ def lyapunov_grid(
     ProblemError
         As in `lyapunov`, or a grid of more than `MAX_STATES` states.
     """
+    zero = finite_number("zero", zero, least=0.0)
+    loop = LoopDerivative(policy, V)
     domain = policy.domain
     spacings = spacing if is_list(spacing, domain.n) else (spacing,) * domain.n
     spacings = [finite_number("spacing", value, above=0.0) for value in spacings]
-    zero = finite_number("zero", zero, least=0.0)
     # 1e-9: a width that is a multiple of the spacing up to rounding gives no further state
     steps = [
         max(math.ceil(min(width / distance, 1e18) - 1e-9), 1)
@@ -241,7 +242,6 @@ def lyapunov_grid(
             f"`spacing` must give at most {MAX_STATES} states; {describe(spacing)} gives "
             f"{math.prod(shape)}"
         )
-    loop = LoopDerivative(policy, V)
     axes = tuple(domain.faces(i, np.arange(k + 1), k) for i, k in enumerate(steps))
     values = np.empty(math.prod(shape))
     for start in range(0, len(values), CHUNK):

@@ -21,6 +21,8 @@ from capsyn.validation import describe, finite_number, one_line, whole_number
 from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
 MOST_TRIALS = 10**8
+ROUNDING, SLACK = 1e-12, 1e-6
+"""What rounding may add to a time of arrival, relative, and to a time to stay [samples]."""
 
 
 @dataclass(frozen=True)
@@ -270,9 +272,9 @@ def monte_carlo(
     rate, samples = experiment.rate, experiment.loop.samples
     arrived = np.where(done["arrived"] < 0, np.nan, done["arrived"] / rate)
     with np.errstate(invalid="ignore"):
-        success = arrived <= within * (1 + 1e-12)
+        success = arrived <= within * (1 + ROUNDING)
     if hold:
-        success &= (done["ended"] == TIME) & (done["away"] < samples - hold * rate - 1e-6)
+        success &= (done["ended"] == TIME) & (done["away"] < samples - hold * rate - SLACK)
     costs = default_costs(controller, np.vstack([states, done["state"]]), backend)
     successes = int(success.sum())
     low, high = clopper_pearson(successes, trials, confidence)
