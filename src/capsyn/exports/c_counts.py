@@ -2,9 +2,9 @@
 
 A state is ``count * scale + offset``, as everywhere, so that the step of a count never falls (or,
 where the scale is negative, never rises) from one count to the next. It is found by
-``(place * factor + addend) >> shift`` where such integers exist, else by a search in a table of the
-counts at which the step changes. They are right at every count, since they are at the counts before
-and behind each change.
+``(place * factor + addend) >> shift``, in 32 bits or in 64, and a list of the counts at which that
+is one off; where a table of the counts at which the step changes takes fewer bytes, by a search in
+it. Both are right at every count, since they are at the counts before and behind each change.
 
 Counts that the scale makes fall are turned around first, ``-1 - count``; below, "turned" counts are
 those of which the state rises. On a periodic axis a turn must be a whole number of counts; counts
@@ -21,6 +21,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.exports.c_language import Part, rows, z_type
+from capsyn.exports.c_lines import Line, line_of
 from capsyn.exports.golden import GOLDEN, Golden, decide
 from capsyn.exports.plan import Plan
 from capsyn.random_streams import stream
@@ -39,7 +40,6 @@ class CountAxis:
     ----------
     falling : bool
         Whether the state falls as the count rises: counts are turned around.
-    start, first, top : int
     first, top : int
         Turned counts from ``first`` on are places 0 .. top; others are taken as the nearest place,
         or, where ``turn`` is given, brought into the turn.
@@ -50,8 +50,8 @@ class CountAxis:
     inside : (int, int)
         The least and the largest turned count in the domain; on a periodic axis in the turn that
         begins at the lower bound.
-    affine : (factor, addend, shift), optional
-        The steps of places, where such integers exist.
+    line : Line, optional
+        Whole numbers that give the steps of places. None: a table of the changes does.
     """
 
     falling: bool
@@ -60,7 +60,7 @@ class CountAxis:
     turn: int
     changes: np.ndarray
     inside: tuple[int, int]
-    affine: tuple[int, int, int] | None
+    line: Line | None
 
     @property
     def missed(self) -> int:
@@ -75,10 +75,20 @@ class CountAxis:
         place = "-r" if self.falling else "r"
         place += f" {'-' if first >= 0 else '+'} {abs(first)}" if first else ""
         place = f"({place}) mod {self.turn}" if self.turn else f"({place}) within 0 .. {self.top}"
-        if self.affine is None:
-            return f"looked up in a table for p = {place}"
-        factor, addend, shift = self.affine
-        return f"(p * {factor} + {addend}) >> {shift} for p = {place}"
+        if self.line is None:
+            return f"looked up in a table of {len(self.changes)} counts for p = {place}"
+        return f"{self.line.text}, for p = {place}"
+
+    @property
+    def entry(self) -> int:
+        """Bytes of an entry of a table."""
+        begin = 0 if self.turn else self.first
+        return 2 if -(1 << 15) <= begin and begin + self.top < 1 << 15 else 4
+
+    @property
+    def table_bytes(self) -> int:
+        """Bytes of the table, or of the lists."""
+        return self.entry * (len(self.changes) if self.line is None else self.line.listed)
 
 
 def count_axes(plan: Plan, readings: str) -> list[CountAxis]:
@@ -143,8 +153,9 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
         bounds = np.array([lower, np.nextafter(upper, np.inf)])
         least, beyond = _least(states, bounds, low, high).tolist()
         inside = (least, beyond - 1)
-    affine = _affine(changes, top)
-    return CountAxis(falling, first, top, turn, changes, inside, affine)
+    axis = CountAxis(falling, first, top, turn, changes, inside, None)
+    coarse = not turn and len(changes) > top
+    return dataclasses.replace(axis, line=line_of(changes, top, coarse, axis.entry))
 
 
 def _narrow(bits: int, name: str, lower: float, upper: float, needed: int) -> ProblemError:
@@ -168,45 +179,6 @@ def _least(
         behind = np.where(open_ & reached, middle, behind)
         before = np.where(open_ & ~reached, middle, before)
     return behind
-
-
-def _affine(changes: np.ndarray, top: int) -> tuple[int, int, int] | None:
-    """Return (factor, addend, shift) that give the steps of places 0 .. top in 32 bits, or none.
-
-    For a factor M and a shift S the addend A must hold ``M p + A >= k 2^S`` where step k begins,
-    and ``M (p - 1) + A < (j + 1) 2^S`` where the step j before it ends. How far these bounds on A
-    are apart is concave in M.
-    """
-    if top >= 1 << 31:
-        return None
-    later = np.unique(changes[(changes > 0) & (changes <= top)])
-    begins, ends = np.append(0, later), np.append(later - 1, top)
-    steps = np.searchsorted(changes, begins, side="right")
-    last = int(steps[-1])
-    for shift in range(32):
-        if last << shift >= 1 << 32:
-            break
-
-        def bounds(factor: int, shift: int = shift) -> tuple[int, int]:
-            least = int(((steps << shift) - factor * begins).max())
-            return least, int((((steps + 1) << shift) - 1 - factor * ends).min())
-
-        def room(factor: int) -> int:
-            least, most = bounds(factor)
-            return most - least
-
-        low, high = 0, ((last + 1) << shift) // max(top, 1) + 1
-        while low < high:
-            middle = (low + high) // 2
-            if room(middle + 1) > room(middle):
-                low = middle + 1
-            else:
-                high = middle
-        least, most = bounds(low)
-        addend = max(least, 0)
-        if addend <= most and low * top + addend < 1 << 32:
-            return low, addend, shift
-    return None
 
 
 def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
@@ -241,24 +213,27 @@ def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis
     """Return the function ``opening(x, z)``, x being counts, with what it needs."""
     integer = z_type(plan.tree.cells.counts)
     limit = 1 << (15 if "const int16_t x[" in opening else 31)
-    tables = {i: _table(axis) for i, axis in enumerate(axes) if axis.affine is None}
+    tables = {name: table for i, axis in enumerate(axes) for name, table in _tables(i, axis)}
     wide = any(not -(1 << 15) <= entry < 1 << 15 for table in tables.values() for entry in table)
     kind = "INT32" if wide else "INT16"
+    lines = [axis.line for axis in axes if axis.line and axis.top]
     text = ""
-    if any(axis.affine and axis.top and not axis.turn for axis in axes):
+    if any(axis.line and axis.top and not axis.turn for axis in axes):
         text += _place(prefix)
     if any(axis.turn & (axis.turn - 1) for axis in axes if axis.turn):
         text += _turned(prefix)
     if any(axis.turn and not axis.turn & (axis.turn - 1) for axis in axes):
         text += _masked(prefix)
-    if any(axis.affine and axis.top for axis in axes):
-        text += _affine_step(prefix, integer)
-    if tables:
+    for form in sorted({(line.wide, line.last > 0) for line in lines}):
+        text += _line_step(prefix, integer, *form)
+    if any(line.listed for line in lines):
+        text += _listed(prefix, integer, kind)
+    if any(axis.line is None for axis in axes):
         text += _table_step(prefix, integer, kind)
     declared, body = [], []
-    for i, entries in tables.items():
+    for name, entries in tables.items():
         declared.append(
-            f"    static const {kind.lower()}_t counts{i}[{len(entries)}] CAPSYN_ROM = {{\n"
+            f"    static const {kind.lower()}_t {name}[{len(entries)}] CAPSYN_ROM = {{\n"
             f"{rows(list(map(_literal, entries)))}\n    }};"
         )
     for i, axis in enumerate(axes):
@@ -270,41 +245,68 @@ def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis
         if beyond and not axis.turn:
             body.append(f"    if ({' || '.join(beyond)}) {{")
             body += [f"        status = {prefix.upper()}_OUTSIDE;", "    }"]
-        step = _step(prefix, i, axis)
+        place, step = _place_of(prefix, i, axis), _step(prefix, i, axis)
         if step == "0":
             declared[-1] += f"\n    (void)r{i};" if axis.turn or not beyond else ""
+        elif axis.line and axis.line.listed:
+            declared.append(f"    const int32_t p{i} = {place};")
+        else:
+            step = step.replace(f"(p{i},", f"({place},")
         body.append(f"    z[{i}] = {step};")
     declared.append(f"    {prefix}_status status = {prefix.upper()}_OK;")
-    lines = "\n".join([*declared, *body, "    return status;"])
-    return Part(f"{text}\n{opening}\n{{\n{lines}\n}}\n", frozenset([kind] if tables else []))
+    function = "\n".join([*declared, *body, "    return status;"])
+    return Part(f"{text}\n{opening}\n{{\n{function}\n}}\n", frozenset([kind] if tables else []))
 
 
-def _table(axis: CountAxis) -> list[int]:
-    """Return the places, or without turns the turned counts, at which steps from 1 on begin."""
-    return (axis.changes + (0 if axis.turn else axis.first)).tolist()
+def _tables(i: int, axis: CountAxis) -> list[tuple[str, list[int]]]:
+    """Return the tables of an axis and their names: places, or without turns turned counts."""
+    if axis.line is None:
+        found = [(f"counts{i}", axis.changes)]
+    else:
+        found = [(f"less{i}", np.array(axis.line.less)), (f"more{i}", np.array(axis.line.more))]
+    begin = 0 if axis.turn else axis.first
+    return [(name, (places + begin).tolist()) for name, places in found if len(places)]
 
 
 def _literal(value: int) -> str:
     return str(value) if value > -(1 << 31) else f"({value + 1} - 1)"
 
 
+def _place_of(prefix: str, i: int, axis: CountAxis) -> str:
+    """Return the expression of what the step of ``r<i>`` is found from."""
+    if axis.turn & (axis.turn - 1):
+        return f"{prefix}_turned(r{i}, {axis.first}, {axis.turn})"
+    if axis.turn:
+        return f"{prefix}_masked(r{i}, {axis.first}uL, {axis.turn - 1}uL)"
+    if axis.line is None:
+        return f"r{i}"
+    return f"{prefix}_place(r{i}, {_literal(axis.first)}, {_literal(axis.first + axis.top)})"
+
+
 def _step(prefix: str, i: int, axis: CountAxis) -> str:
-    """Return the expression of the step of ``r<i>``."""
+    """Return the expression of the step at the place ``p<i>``."""
+    line = axis.line
     if not len(axis.changes):
         return "0"
-    if axis.turn:
-        place = f"{prefix}_turned(r{i}, {axis.first}, {axis.turn})"
-        if not axis.turn & (axis.turn - 1):
-            place = f"{prefix}_masked(r{i}, {axis.first}uL, {axis.turn - 1}uL)"
-    elif axis.affine:
-        bounds = f"{_literal(axis.first)}, {_literal(axis.first + axis.top)}"
-        place = f"{prefix}_place(r{i}, {bounds})"
-    else:
-        place = f"r{i}"
-    if axis.affine is None:
-        return f"{prefix}_axis_rank({place}, counts{i}, {len(axis.changes) + 1})"
-    factor, addend, shift = axis.affine
-    return f"{prefix}_axis_step({place}, {factor}uL, {addend}uL, {shift}u)"
+    if line is None:
+        return f"{prefix}_axis_rank(p{i}, counts{i}, {len(axis.changes) + 1})"
+    word = "uLL" if line.wide else "uL"
+    last = f", {line.last}" if line.last else ""
+    step = (
+        f"{prefix}_{_form(line.wide, line.last > 0)}(p{i}, {line.factor}uL, {line.addend}{word}, "
+    )
+    step += f"{line.shift}u{last})"
+    begin = 0 if axis.turn else axis.first
+    count = f"p{i} {'-' if begin < 0 else '+'} {abs(begin)}" if begin else f"p{i}"
+    for sign, name, places in (("-", "less", line.less), ("+", "more", line.more)):
+        if places:
+            step += f"\n        {sign} {prefix}_axis_listed({count}, {name}{i}, {len(places)})"
+    integer = z_type((len(axis.changes) + 1,))
+    return f"({integer})({step})" if line.listed else step
+
+
+def _form(wide: bool, held: bool) -> str:
+    return f"{'wide' if wide else 'axis'}_{'held' if held else 'step'}"
 
 
 def _place(prefix: str) -> str:
@@ -354,14 +356,52 @@ static int32_t {prefix}_masked(int32_t count, uint32_t first, uint32_t mask)
 """
 
 
-def _affine_step(prefix: str, integer: str) -> str:
+def _line_step(prefix: str, integer: str, wide: bool, held: bool) -> str:
+    """Return the function of a line; see `Line`."""
+    word = "uint64_t" if wide else "uint32_t"
+    place = "((uint32_t)place - 1u)" if held else "(uint32_t)place"
+    if wide:
+        place = f"(uint64_t){place}"
+    value = f"(({place} * factor) + addend) >> shift"
+    if held:
+        told = "the first place has step 0, and no step is beyond the last"
+        last = f", {integer} last"
+        body = f"""    {integer} step = 0;
+    if (place > 0) {{
+        const {word} found = {value};
+        step = (found < ({word})last) ? ({integer})found : last;
+    }}
+    return step;"""
+    else:
+        told, last = "the numbers were made so that it is right at every count", ""
+        body = f"    const {word} step = {value};\n    return ({integer})step;"
     return f"""
-/* Return the step of a place; the numbers were made so that it is right at every count. */
-static {integer} {prefix}_axis_step(int32_t place, uint32_t factor, uint32_t addend,
-    uint8_t shift)
+/* Return the step of a place; {told}. */
+static {integer} {prefix}_{_form(wide, held)}(int32_t place, uint32_t factor, {word} addend,
+    uint8_t shift{last})
 {{
-    const uint32_t step = (((uint32_t)place * factor) + addend) >> shift;
-    return ({integer})step;
+{body}
+}}
+"""
+
+
+def _listed(prefix: str, integer: str, kind: str) -> str:
+    return f"""
+/* Return 1 where a list holds a count, else 0. */
+static {integer} {prefix}_axis_listed(int32_t count, const {kind.lower()}_t listed[],
+    {integer} entries)
+{{
+    {integer} low = 0;
+    {integer} high = entries;
+    while ((high - low) > 1) {{
+        const {integer} middle = ({integer})(low + ((high - low) / 2));
+        if (count >= CAPSYN_{kind}(&listed[middle])) {{
+            low = middle;
+        }} else {{
+            high = middle;
+        }}
+    }}
+    return (count == CAPSYN_{kind}(&listed[low])) ? 1 : 0;
 }}
 """
 
