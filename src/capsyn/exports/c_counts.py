@@ -22,6 +22,7 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.exports.c_language import Part, rows, z_type
 from capsyn.exports.c_lines import Line, line_of
+from capsyn.exports.c_places import line_name, line_step, listed, masked, placed, table_step, turned
 from capsyn.exports.golden import GOLDEN, Golden, decide
 from capsyn.exports.plan import Plan
 from capsyn.random_streams import stream
@@ -219,17 +220,17 @@ def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis
     lines = [axis.line for axis in axes if axis.line and axis.top]
     text = ""
     if any(axis.line and axis.top and not axis.turn for axis in axes):
-        text += _place(prefix)
+        text += placed(prefix)
     if any(axis.turn & (axis.turn - 1) for axis in axes if axis.turn):
-        text += _turned(prefix)
+        text += turned(prefix)
     if any(axis.turn and not axis.turn & (axis.turn - 1) for axis in axes):
-        text += _masked(prefix)
+        text += masked(prefix)
     for form in sorted({(line.wide, line.last > 0) for line in lines}):
-        text += _line_step(prefix, integer, *form)
+        text += line_step(prefix, integer, *form)
     if any(line.listed for line in lines):
-        text += _listed(prefix, integer, kind)
+        text += listed(prefix, integer, kind)
     if any(axis.line is None for axis in axes):
-        text += _table_step(prefix, integer, kind)
+        text += table_step(prefix, integer, kind)
     declared, body = [], []
     for name, entries in tables.items():
         declared.append(
@@ -237,21 +238,21 @@ def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis
             f"{rows(list(map(_literal, entries)))}\n    }};"
         )
     for i, axis in enumerate(axes):
-        turned = "-1 - " if axis.falling else ""
-        declared.append(f"    const int32_t r{i} = {turned}(int32_t)x[{i}];")
+        around = "-1 - " if axis.falling else ""
+        declared.append(f"    const int32_t r{i} = {around}(int32_t)x[{i}];")
         least, most = axis.inside
         beyond = [f"(r{i} < {_literal(least)})"] * (least > -limit)
         beyond += [f"(r{i} > {_literal(most)})"] * (most < limit - 1)
         if beyond and not axis.turn:
             body.append(f"    if ({' || '.join(beyond)}) {{")
             body += [f"        status = {prefix.upper()}_OUTSIDE;", "    }"]
-        place, step = _place_of(prefix, i, axis), _step(prefix, i, axis)
+        place = _place_of(prefix, i, axis)
+        if axis.line and axis.line.listed:  # asked more than once
+            declared.append(f"    const int32_t p{i} = {place};")
+            place = f"p{i}"
+        step = _step(prefix, i, axis, place, integer)
         if step == "0":
             declared[-1] += f"\n    (void)r{i};" if axis.turn or not beyond else ""
-        elif axis.line and axis.line.listed:
-            declared.append(f"    const int32_t p{i} = {place};")
-        else:
-            step = step.replace(f"(p{i},", f"({place},")
         body.append(f"    z[{i}] = {step};")
     declared.append(f"    {prefix}_status status = {prefix.upper()}_OK;")
     function = "\n".join([*declared, *body, "    return status;"])
@@ -283,145 +284,20 @@ def _place_of(prefix: str, i: int, axis: CountAxis) -> str:
     return f"{prefix}_place(r{i}, {_literal(axis.first)}, {_literal(axis.first + axis.top)})"
 
 
-def _step(prefix: str, i: int, axis: CountAxis) -> str:
-    """Return the expression of the step at the place ``p<i>``."""
+def _step(prefix: str, i: int, axis: CountAxis, place: str, integer: str) -> str:
+    """Return the expression of the step at a place."""
     line = axis.line
     if not len(axis.changes):
         return "0"
     if line is None:
-        return f"{prefix}_axis_rank(p{i}, counts{i}, {len(axis.changes) + 1})"
-    word = "uLL" if line.wide else "uL"
+        return f"{prefix}_axis_rank({place}, counts{i}, {len(axis.changes) + 1})"
+    function = f"{prefix}_{line_name(line.wide, line.last > 0)}"
+    addend = f"{line.addend}{'uLL' if line.wide else 'uL'}"
     last = f", {line.last}" if line.last else ""
-    step = (
-        f"{prefix}_{_form(line.wide, line.last > 0)}(p{i}, {line.factor}uL, {line.addend}{word}, "
-    )
-    step += f"{line.shift}u{last})"
+    step = f"{function}({place}, {line.factor}uL, {addend}, {line.shift}u{last})"
     begin = 0 if axis.turn else axis.first
-    count = f"p{i} {'-' if begin < 0 else '+'} {abs(begin)}" if begin else f"p{i}"
+    count = f"{place} {'-' if begin < 0 else '+'} {abs(begin)}" if begin else place
     for sign, name, places in (("-", "less", line.less), ("+", "more", line.more)):
         if places:
             step += f"\n        {sign} {prefix}_axis_listed({count}, {name}{i}, {len(places)})"
-    integer = z_type((len(axis.changes) + 1,))
     return f"({integer})({step})" if line.listed else step
-
-
-def _form(wide: bool, held: bool) -> str:
-    return f"{'wide' if wide else 'axis'}_{'held' if held else 'step'}"
-
-
-def _place(prefix: str) -> str:
-    return f"""
-/* Return how far a count is behind the first; of counts beyond either end those at the end. */
-static int32_t {prefix}_place(int32_t count, int32_t first, int32_t last)
-{{
-    int32_t place = 0;
-    if (count >= last) {{
-        place = last - first;
-    }} else if (count > first) {{
-        place = count - first;
-    }} else {{
-        /* the first */
-    }}
-    return place;
-}}
-"""
-
-
-def _turned(prefix: str) -> str:
-    return f"""
-/* Return how far a count is behind the first, in its turn. */
-static int32_t {prefix}_turned(int32_t count, int32_t first, int32_t turn)
-{{
-    int32_t place = count % turn;
-    if (place < 0) {{
-        place += turn;
-    }}
-    place -= first;
-    if (place < 0) {{
-        place += turn;
-    }}
-    return place;
-}}
-"""
-
-
-def _masked(prefix: str) -> str:
-    return f"""
-/* Return how far a count is behind the first, in its turn of 2^k counts. */
-static int32_t {prefix}_masked(int32_t count, uint32_t first, uint32_t mask)
-{{
-    const uint32_t place = ((uint32_t)count - first) & mask;
-    return (int32_t)place;
-}}
-"""
-
-
-def _line_step(prefix: str, integer: str, wide: bool, held: bool) -> str:
-    """Return the function of a line; see `Line`."""
-    word = "uint64_t" if wide else "uint32_t"
-    place = "((uint32_t)place - 1u)" if held else "(uint32_t)place"
-    if wide:
-        place = f"(uint64_t){place}"
-    value = f"(({place} * factor) + addend) >> shift"
-    if held:
-        told = "the first place has step 0, and no step is beyond the last"
-        last = f", {integer} last"
-        body = f"""    {integer} step = 0;
-    if (place > 0) {{
-        const {word} found = {value};
-        step = (found < ({word})last) ? ({integer})found : last;
-    }}
-    return step;"""
-    else:
-        told, last = "the numbers were made so that it is right at every count", ""
-        body = f"    const {word} step = {value};\n    return ({integer})step;"
-    return f"""
-/* Return the step of a place; {told}. */
-static {integer} {prefix}_{_form(wide, held)}(int32_t place, uint32_t factor, {word} addend,
-    uint8_t shift{last})
-{{
-{body}
-}}
-"""
-
-
-def _listed(prefix: str, integer: str, kind: str) -> str:
-    return f"""
-/* Return 1 where a list holds a count, else 0. */
-static {integer} {prefix}_axis_listed(int32_t count, const {kind.lower()}_t listed[],
-    {integer} entries)
-{{
-    {integer} low = 0;
-    {integer} high = entries;
-    while ((high - low) > 1) {{
-        const {integer} middle = ({integer})(low + ((high - low) / 2));
-        if (count >= CAPSYN_{kind}(&listed[middle])) {{
-            low = middle;
-        }} else {{
-            high = middle;
-        }}
-    }}
-    return (count == CAPSYN_{kind}(&listed[low])) ? 1 : 0;
-}}
-"""
-
-
-def _table_step(prefix: str, integer: str, kind: str) -> str:
-    return f"""
-/* Return how many steps begin at a count or before it. */
-static {integer} {prefix}_axis_rank(int32_t count, const {kind.lower()}_t begins[],
-    {integer} steps)
-{{
-    {integer} low = 0;
-    {integer} high = steps;
-    while ((high - low) > 1) {{
-        const {integer} middle = ({integer})(low + ((high - low) / 2));
-        if (count >= CAPSYN_{kind}(&begins[middle - 1])) {{
-            low = middle;
-        }} else {{
-            high = middle;
-        }}
-    }}
-    return low;
-}}
-"""

@@ -16,8 +16,9 @@ import numpy as np
 
 NONE = 1 << 62
 """Where a bound on addends is none; sums of 64 bits stay below."""
-CODE = {"held": 16, "wide": 150, "listed": 70, "table": 60}
-"""About what the code of each kind takes more than that of a line of 32 bits [bytes]."""
+CODE = {"held": 20, "wide": 200, "listed": 200, "table": 60}
+"""About what code takes more than that of a line of 32 bits [bytes]: on an AVR, with its library,
+where such code is largest."""
 FARTHEST = 12
 NEAR = (0, *(sign << k for k in range(FARTHEST + 1) for sign in (1, -1)))
 """How far factors that are tried are from the one with the widest room."""
