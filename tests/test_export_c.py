@@ -3,6 +3,7 @@ import functools
 import re
 import subprocess
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ import capsyn
 from c_machines import WARNINGS, Library, avr, call, cortex_m3, need, prefix_of, write
 from capsyn import problems
 from capsyn.decision_tree import DecisionTree, Guarantee
-from capsyn.errors import ProblemError
+from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.exports import c, c_counts, c_sizes, c_table
 from capsyn.exports.c_language import comment, round_up
 from capsyn.exports.c_lines import Line, exact_line, line_of, near_line
@@ -383,7 +384,7 @@ def test_readings(tmp_path, style):
         symbols, statuses = library.decide(expected.readings)
         assert np.array_equal(symbols, expected.labels)
         assert np.array_equal(statuses, expected.statuses)
-    assert "reading 0 * 0.0015339807878856412 + 0.1" in written["cart_pendulum.h"].decode()
+    assert "State 0 = 0.0015339807878856412 * reading + 0.1" in written["cart_pendulum.h"].decode()
 
 
 COUNTS = {
@@ -439,6 +440,13 @@ def assert_golden_counts(library, plan, golden, bits):
         assert len(np.unique(steps)) >= 0.9 * min(count - axis.missed, 1000)
 
 
+def made_of_counts(plan):
+    """Return what target c makes for counts, whatever their tables take."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CapsynWarning)
+        return made(plan, readings="int16")
+
+
 @pytest.mark.parametrize("name", [*COUNTS, *(f"fine, {name}" for name in FINE)])
 def test_every_count(tmp_path, name):
     fine = FINE.get(name.removeprefix("fine, ")) if "fine" in name else None
@@ -448,7 +456,7 @@ def test_every_count(tmp_path, name):
     every = np.arange(-(1 << 15), 1 << 15)
     counts = np.column_stack([every, np.random.default_rng(0).permutation(every)])
     expected = decide(plan, in_turn(plan, counts).astype(float))
-    code = made(plan, readings="int16")
+    code = made_of_counts(plan)
     written, golden = code.files, code.golden
     library = Library(written, tmp_path, plan.n, "gcc", UNDEFINED)
     assert_golden_counts(library, plan, golden, 16)
@@ -473,7 +481,7 @@ def test_counts_of_32_bits(tmp_path):
     for case, (scale, offset) in enumerate([(1e-6, 0.0), (-5e-9, 0.25), (1e-3 / 3, 0.0)]):
         plan = Plan.of(tree, scale=[2 * np.pi / 2**17, scale], offset=[1.0, offset])
         axes = c_counts.count_axes(plan, "int32")
-        assert kind_of(axes[1].line) == ("wide", "wide less more", "")[case]
+        assert kind_of(axes[1].line) == ("wide", "wide less more", "less")[case]
         changes = axes[1].first + np.array(axes[1].changes)
         near = (changes[:, None] + np.arange(-2, 3)).ravel()
         near = -1 - near if scale < 0 else near
@@ -542,6 +550,30 @@ def test_a_line_is_taken_where_it_is_smaller_than_a_table():
     assert line.less == tuple(near[::50].tolist()) and line.more == () and not line.wide
     assert line_of(off[:20], off[20], False, 2) is None  # as short as the list's code
     assert line_of(np.sort(rng.integers(1, 2100, 299)), 2100, False, 2) is None
+
+
+def test_counts_on_faces_are_warned_of():
+    plan = Plan.of(random_plan(8192, depth=3).policy, scale=[2 * np.pi / 4096, 10 / 4096 / 7])
+    assert not sum(axis.table_bytes for axis in c_counts.count_axes(plan, "int16"))
+    told = made(plan, readings="int16").notes  # no warning, which is an error
+    assert [line.split(" is ")[0] for line in told] == [
+        f"Readings are counts r; the step of axis {i}" for i in (0, 1)
+    ]
+    assert not any("tables" in line for line in told)
+    on_faces = dataclasses.replace(plan, offset=np.array([-np.pi, 0.0]))
+    axis = c_counts.count_axes(on_faces, "int16")[0]
+    assert axis.table_bytes == 2 * axis.line.listed > 1024
+    with pytest.warns(CapsynWarning) as warned:
+        told = made(on_faces, readings="int16").notes
+    (text,) = (str(warning.message) for warning in warned)
+    assert f"take {axis.table_bytes:,} bytes for axis 'theta'" in text and "\n" not in text
+    assert "cart_pendulum_symbol(z)" in text
+    assert f"It takes {axis.table_bytes:,} bytes of tables." in told[0]
+    better = float(re.search(r"`offset` of (\S+) ", text)[1])
+    offset = np.array([better, 0.0])
+    assert better == pytest.approx(-np.pi + np.pi / 8192, rel=1e-12)  # half a step
+    mended = c_counts.count_axes(dataclasses.replace(plan, offset=offset), "int16")[0]
+    assert f"takes {mended.table_bytes:,}" in text and mended.table_bytes == 0
 
 
 def test_counts_need_no_floating_point():
@@ -623,6 +655,12 @@ def test_quantisers_on_processors(tmp_path):
     scale = [-2 * np.pi / 4096, 10 / 4096]
     code = made(Plan.of(plan.policy, scale=scale, offset=[0.1, 0.0]), readings="int16")
     assert cortex_m3(code.files, code.golden, tmp_path / "counts", "decide") == 0
+    for name in ("coarse, offset", "decimal, falling", "on faces"):
+        fine = Plan.of(random_plan(8192, depth=5).policy, scale=FINE[name][0], offset=FINE[name][1])
+        code = made_of_counts(fine)
+        assert cortex_m3(code.files, code.golden, tmp_path / name, "decide") == 0
+        few = of_vectors(code.golden, slice(None, None, 2))
+        assert avr(code.files, few, tmp_path / f"avr {name}", "decide") == 0
     code = made(plan, golden, style="nested", arithmetic="float")
     assert avr(code.files, of_vectors(code.golden, slice(None, None, 4)), tmp_path, "decide") == 0
 
@@ -745,7 +783,7 @@ def test_misra(tmp_path, mode, style, arithmetic, dwell):
 @pytest.mark.parametrize("name", [name for name in FINE if name != "decimal"])
 def test_misra_of_lines(tmp_path, name):
     plan = Plan.of(random_plan(8192, depth=3).policy, scale=FINE[name][0], offset=FINE[name][1])
-    assert_misra(files(plan, None, readings="int16"), tmp_path)
+    assert_misra(made_of_counts(plan).files, tmp_path)
 
 
 @pytest.mark.parametrize("turn", [-4096, 1000])

@@ -14,7 +14,7 @@ in other turns are brought into one by integer arithmetic.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,8 +92,8 @@ class CountAxis:
         return self.entry * (len(self.changes) if self.line is None else self.line.listed)
 
 
-def count_axes(plan: Plan, readings: str) -> list[CountAxis]:
-    """Return how counts become steps, for integers of a width.
+def count_axes(plan: Plan, readings: str, numbers: Sequence[int] | None = None) -> list[CountAxis]:
+    """Return how counts of all axes, or of some numbers, become steps, for integers of a width.
 
     Raises
     ------
@@ -101,7 +101,8 @@ def count_axes(plan: Plan, readings: str) -> list[CountAxis]:
         The integers do not reach the first and the last step of an axis, a count is wider than an
         axis, or a turn of a periodic axis is no whole number of counts.
     """
-    return [_axis(plan, i, int(readings.removeprefix("int"))) for i in range(plan.n)]
+    bits = int(readings.removeprefix("int"))
+    return [_axis(plan, i, bits) for i in (range(plan.n) if numbers is None else numbers)]
 
 
 def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
