@@ -32,6 +32,9 @@ READINGS = ("real", "int16", "int32")
 WHOLE = 1e-3
 """Counts by which a turn may miss a whole number."""
 
+MOST_IN_LINE = 70
+"""Characters of a function's name and arguments that stay in one line."""
+
 
 @dataclass(frozen=True)
 class CountAxis:
@@ -81,10 +84,16 @@ class CountAxis:
         return f"{self.line.text}, for p = {place}"
 
     @property
+    def begin(self) -> int:
+        """What place 0 is in tables, which then are of 16 bits if they can be."""
+        if not self.turn:
+            return self.first
+        return -(1 << 15) if 1 << 15 <= self.top < 1 << 16 else 0
+
+    @property
     def entry(self) -> int:
         """Bytes of an entry of a table."""
-        begin = 0 if self.turn else self.first
-        return 2 if -(1 << 15) <= begin and begin + self.top < 1 << 15 else 4
+        return 2 if -(1 << 15) <= self.begin and self.begin + self.top < 1 << 15 else 4
 
     @property
     def table_bytes(self) -> int:
@@ -261,13 +270,12 @@ def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis
 
 
 def _tables(i: int, axis: CountAxis) -> list[tuple[str, list[int]]]:
-    """Return the tables of an axis and their names: places, or without turns turned counts."""
+    """Return the tables of an axis and their names."""
     if axis.line is None:
         found = [(f"counts{i}", axis.changes)]
     else:
         found = [(f"less{i}", np.array(axis.line.less)), (f"more{i}", np.array(axis.line.more))]
-    begin = 0 if axis.turn else axis.first
-    return [(name, (places + begin).tolist()) for name, places in found if len(places)]
+    return [(name, (places + axis.begin).tolist()) for name, places in found if len(places)]
 
 
 def _literal(value: int) -> str:
@@ -290,14 +298,16 @@ def _step(prefix: str, i: int, axis: CountAxis, place: str, integer: str) -> str
     line = axis.line
     if not len(axis.changes):
         return "0"
+    begin = axis.begin if line or axis.turn else 0  # a table without turns is asked of counts
+    count = f"{place} {'-' if begin < 0 else '+'} {abs(begin)}" if begin else place
     if line is None:
-        return f"{prefix}_axis_rank({place}, counts{i}, {len(axis.changes) + 1})"
+        return f"{prefix}_axis_rank({count}, counts{i}, {len(axis.changes) + 1})"
     function = f"{prefix}_{line_name(line.wide, line.last > 0)}"
     addend = f"{line.addend}{'uLL' if line.wide else 'uL'}"
     last = f", {line.last}" if line.last else ""
-    step = f"{function}({place}, {line.factor}uL, {addend}, {line.shift}u{last})"
-    begin = 0 if axis.turn else axis.first
-    count = f"{place} {'-' if begin < 0 else '+'} {abs(begin)}" if begin else place
+    given = f"{line.factor}uL, {addend}, {line.shift}u{last}"
+    gap = "\n        " if len(function + place + given) > MOST_IN_LINE else " "
+    step = f"{function}({place},{gap}{given})"
     for sign, name, places in (("-", "less", line.less), ("+", "more", line.more)):
         if places:
             step += f"\n        {sign} {prefix}_axis_listed({count}, {name}{i}, {len(places)})"
