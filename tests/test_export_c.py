@@ -394,6 +394,7 @@ COUNTS = {
     "no power of two": ([2 * np.pi / 1000, -10 / 999], [100.0, 0.0]),
     "on faces": ([-2 * np.pi / 144, 1 / 3000], [0.0, 0.1]),
     "coarse": ([2 * np.pi / 100, 0.5], [0.01, 0.0]),
+    "seam": ([-2 * np.pi / 36000, 0.01], [-np.pi, 0.0]),
     "tables": ([2 * np.pi / 65536, 0.001], [0.0, 0.0]),
 }
 """Scales and offsets of counts, for the pendulum's angle and speed."""

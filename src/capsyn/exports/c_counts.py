@@ -31,7 +31,6 @@ READINGS = ("real", "int16", "int32")
 """What readings may be."""
 WHOLE = 1e-3
 """Counts by which a turn may miss a whole number."""
-
 MOST_IN_LINE = 70
 """Characters of a function's name and arguments that stay in one line."""
 
@@ -150,8 +149,10 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
             raise _narrow(bits, name, lower, upper, turn.bit_length())
         near = int(min(-1 - e if falling else e for e in ends))
         start = int(_least(states, np.array([lower]), near - 8, near + 8)[0])
-        changes = _least(states, faces, start, start + turn - 1) - start
-        first, top, inside = start % turn, turn - 1, (start, start + turn - 1)
+        end = start + turn - 1
+        seam = int(states(np.array([float(end)]))[0] >= upper)  # rounded: the lower bound again
+        changes = _least(states, faces, start, end - seam) - start + seam
+        first, top, inside = (start - seam) % turn, turn - 1, (start, end)
     else:
         turn, low, high = 0, -(1 << (bits - 1)), (1 << (bits - 1)) - 1
         at = _least(states, faces, low, high)

@@ -22,6 +22,8 @@ where such code is largest."""
 FARTHEST = 12
 NEAR = (0, *(sign << k for k in range(FARTHEST + 1) for sign in (1, -1)))
 """How far factors that are tried are from the one with the widest room."""
+WORK = 1 << 19
+"""Runs times factors that are tried, beyond three factors."""
 
 
 @dataclass(frozen=True)
@@ -161,9 +163,10 @@ def near_line(changes: np.ndarray, top: int, wide: bool, held: bool) -> Line | N
     runs, found, fewest = Runs.of(changes, top, held), None, len(changes)
     for shift in reversed(runs.shifts(wide)[-2:]):
         centre = runs.widest(shift)
-        for factor in (centre + near for near in NEAR if centre + near > 0):
+        count = max(WORK // len(runs.steps), 3)
+        for factor in (centre + near for near in NEAR[:count] if centre + near > 0):
             least, most = (np.sort(bound) for bound in runs.addends(factor, shift))
-            tried = np.concatenate([least, most]).clip(0, NONE - 1)
+            tried = least.clip(0, None)  # from each on, one bound less is broken
             broken = len(least) - np.searchsorted(least, tried, side="right")
             broken += np.searchsorted(most, tried, side="left")
             addend = int(tried[broken.argmin()])
