@@ -148,6 +148,8 @@ ORDER = [
     "exports.c_grid",
     "exports.c_single",
     "exports.c_quantiser",
+    "exports.c_lines",
+    "exports.c_places",
     "exports.c_counts",
     "exports.c_notes",
     "exports.c_dwell",

@@ -3,6 +3,7 @@ import functools
 import re
 import subprocess
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ import capsyn
 from c_machines import WARNINGS, Library, avr, call, cortex_m3, need, prefix_of, write
 from capsyn import problems
 from capsyn.decision_tree import DecisionTree, Guarantee
-from capsyn.errors import ProblemError
+from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.exports import c, c_counts, c_sizes, c_table
 from capsyn.exports.c_language import comment, round_up
+from capsyn.exports.c_lines import Line, exact_line, line_of, near_line
 from capsyn.exports.c_single import decide_single
 from capsyn.exports.c_sizes import sizes
 from capsyn.exports.export import export
@@ -382,7 +384,7 @@ def test_readings(tmp_path, style):
         symbols, statuses = library.decide(expected.readings)
         assert np.array_equal(symbols, expected.labels)
         assert np.array_equal(statuses, expected.statuses)
-    assert "reading 0 * 0.0015339807878856412 + 0.1" in written["cart_pendulum.h"].decode()
+    assert "State 0 = 0.0015339807878856412 * reading + 0.1" in written["cart_pendulum.h"].decode()
 
 
 COUNTS = {
@@ -392,8 +394,25 @@ COUNTS = {
     "no power of two": ([2 * np.pi / 1000, -10 / 999], [100.0, 0.0]),
     "on faces": ([-2 * np.pi / 144, 1 / 3000], [0.0, 0.1]),
     "coarse": ([2 * np.pi / 100, 0.5], [0.01, 0.0]),
+    "seam": ([-2 * np.pi / 36000, 0.01], [-np.pi, 0.0]),
+    "tables": ([2 * np.pi / 65536, 0.001], [0.0, 0.0]),
 }
 """Scales and offsets of counts, for the pendulum's angle and speed."""
+FINE = {
+    "coarse, falling": ([-2 * np.pi / 1000, -0.007], [0.5, 0.001], ["", "held"]),
+    "coarse, offset": ([2 * np.pi / 1024, 0.0045], [-np.pi, 0.7], ["less", "wide held"]),
+    "decimal": ([2 * np.pi / 6250, 0.0005], [0.1, 0.0003], ["wide", "wide"]),
+    "decimal, on faces": ([2 * np.pi / 65536, 0.0004], [-np.pi, 0.001], ["less", "less more"]),
+    "decimal, falling": ([-2 * np.pi / 10000, -0.00031], [0.1, 0.1], ["wide", "wide"]),
+    "on faces": ([-2 * np.pi / 8192, 0.0007], [np.pi, 0.3], ["less", "less more"]),
+}
+"""The same for 8,192 steps per axis, with the lines that give the steps of counts."""
+
+
+def kind_of(line):
+    """Return words for what a line has besides its 32 bits."""
+    words = {"wide": line.wide, "held": line.last, "less": line.less, "more": line.more}
+    return " ".join(word for word, has in words.items() if has)
 
 
 def in_turn(plan, counts):
@@ -420,17 +439,28 @@ def assert_golden_counts(library, plan, golden, bits):
     for axis, count, steps in zip(
         c_counts.count_axes(plan, f"int{bits}"), plan.tree.cells.counts, golden.steps.T
     ):
-        assert len(np.unique(steps)) >= 0.9 * (count - axis.missed)
+        assert len(np.unique(steps)) >= 0.9 * min(count - axis.missed, 1000)
 
 
-@pytest.mark.parametrize("name", COUNTS)
-def test_every_count(tmp_path, name):
-    tree = plan_of("lopsided").policy
-    plan = Plan.of(tree, scale=COUNTS[name][0], offset=COUNTS[name][1])
+def made_of_counts(plan):
+    """Return what target c makes for counts, whatever their tables take."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CapsynWarning)
+        return made(plan, readings="int16")
+
+
+@pytest.mark.parametrize("name", [*COUNTS, *(f"fine, {name}" for name in FINE)])
+def test_every_count(tmp_path, monkeypatch, name):
+    fine = FINE.get(name.removeprefix("fine, ")) if "fine" in name else None
+    tree = (random_plan(8192) if fine else plan_of("lopsided")).policy
+    scale, offset = (fine or COUNTS[name])[:2]
+    if name == "tables":
+        monkeypatch.setattr(c_counts, "line_of", lambda *_: None)
+    plan = Plan.of(tree, scale=scale, offset=offset)
     every = np.arange(-(1 << 15), 1 << 15)
     counts = np.column_stack([every, np.random.default_rng(0).permutation(every)])
     expected = decide(plan, in_turn(plan, counts).astype(float))
-    code = made(plan, readings="int16")
+    code = made_of_counts(plan)
     written, golden = code.files, code.golden
     library = Library(written, tmp_path, plan.n, "gcc", UNDEFINED)
     assert_golden_counts(library, plan, golden, 16)
@@ -443,7 +473,9 @@ def test_every_count(tmp_path, name):
         assert axis.missed == count - len(np.unique(steps))
     told = b"steps never occur" in written["cart_pendulum.h"]
     assert told == any(axis.missed for axis in axes)
-    assert "coarse" not in name or [axis.missed for axis in axes] == [44, 123]
+    assert name != "coarse" or [axis.missed for axis in axes] == [44, 123]
+    assert fine is None or [kind_of(axis.line) for axis in axes] == fine[2]
+    assert max(len(text) for text in written["cart_pendulum.c"].splitlines()) <= 100
     code = written["cart_pendulum.c"].split(b"*/", 1)[1]
     assert code.count(b"double") == 1  # the table of controls
 
@@ -454,6 +486,7 @@ def test_counts_of_32_bits(tmp_path):
     for case, (scale, offset) in enumerate([(1e-6, 0.0), (-5e-9, 0.25), (1e-3 / 3, 0.0)]):
         plan = Plan.of(tree, scale=[2 * np.pi / 2**17, scale], offset=[1.0, offset])
         axes = c_counts.count_axes(plan, "int32")
+        assert kind_of(axes[1].line) == ("wide", "wide less more", "less")[case]
         changes = axes[1].first + np.array(axes[1].changes)
         near = (changes[:, None] + np.arange(-2, 3)).ravel()
         near = -1 - near if scale < 0 else near
@@ -475,10 +508,78 @@ def test_whole_numbers_or_a_table():
     found = {}
     for name, (scale, offset) in COUNTS.items():
         axes = c_counts.count_axes(Plan.of(plan.policy, scale=scale, offset=offset), "int16")
-        found[name] = [axis.affine for axis in axes]
-    assert found["encoder and converter"] == [(9, 0, 8), (9, 252, 8)]
-    assert found["on faces"][1] is None  # rounding decides each tie in its own way
+        found[name] = [axis.line for axis in axes]
+    assert found["encoder and converter"] == [Line(9, 0, 8), Line(9, 252, 8)]
     assert all(found["full scale"]) and found["no power of two"][0]
+    assert found["on faces"][1].less and found["on faces"][1].more  # by rounding of ties
+
+
+@st.composite
+def changes_near_a_line(draw):
+    """Return the places where steps change, and the last place; some are off a line."""
+    top = draw(st.integers(1, 400))
+    slope, at = draw(st.floats(0.02, 5)), draw(st.floats(-1, 0))
+    steps = np.arange(1, max(int(slope * top), 1) + 1)
+    changes = np.ceil((steps - at) / slope).astype(np.int64)
+    if draw(st.booleans()):
+        changes += np.array(draw(st.lists(st.integers(-1, 1), min_size=5)))[steps % 5]
+    return np.sort(changes.clip(0, top + 1)), top
+
+
+@given(changes_near_a_line(), st.booleans(), st.booleans())
+def test_lines_give_the_steps_of_all_places(case, wide, held):
+    changes, top = case
+    places = np.arange(top + 1)
+    steps = np.searchsorted(changes, places, side="right")
+    if held:  # where nothing is asked of the first place, and the last has the last step
+        steps = np.append(0, np.maximum(steps, 1)[1:])
+        changes = np.searchsorted(steps, np.arange(1, steps[-1] + 1))
+    for line in (exact_line(changes, top, wide, held), near_line(changes, top, wide, held)):
+        if line is None:
+            continue
+        found = np.array([p * line.factor + line.addend >> line.shift for p in places.tolist()])
+        if line.last:
+            found = np.append(0, np.minimum(found[:-1], line.last))
+        found[list(line.less)] -= 1
+        found[list(line.more)] += 1
+        assert np.array_equal(found, steps)
+        most = (top - (line.last > 0)) * line.factor + line.addend
+        assert most < 1 << (62 if wide else 32) and line.factor < 1 << 32
+
+
+def test_a_line_is_taken_where_it_is_smaller_than_a_table():
+    rng = np.random.default_rng(0)
+    near = 7 * np.arange(1, 300)
+    assert line_of(near, 2100, False, 2) == exact_line(near, 2100, False, False)
+    off = near + (np.arange(299) % 50 == 0)
+    line = line_of(off, 2100, False, 2)
+    assert line.less == tuple(near[::50].tolist()) and line.more == () and not line.wide
+    assert line_of(off[:20], off[20], False, 2) is None  # as short as the list's code
+    assert line_of(np.sort(rng.integers(1, 2100, 299)), 2100, False, 2) is None
+
+
+def test_counts_on_faces_are_warned_of():
+    plan = Plan.of(random_plan(8192, depth=3).policy, scale=[2 * np.pi / 4096, 10 / 4096 / 7])
+    assert not sum(axis.table_bytes for axis in c_counts.count_axes(plan, "int16"))
+    told = made(plan, readings="int16").notes  # no warning, which is an error
+    assert [line.split(" is ")[0] for line in told] == [
+        f"Readings are counts r; the step of axis {i}" for i in (0, 1)
+    ]
+    assert not any("tables" in line for line in told)
+    on_faces = dataclasses.replace(plan, offset=np.array([-np.pi, 0.0]))
+    axis = c_counts.count_axes(on_faces, "int16")[0]
+    assert axis.table_bytes == 2 * axis.line.listed > 1024
+    with pytest.warns(CapsynWarning) as warned:
+        told = made(on_faces, readings="int16").notes
+    (text,) = (str(warning.message) for warning in warned)
+    assert f"take {axis.table_bytes:,} bytes for axis 'theta'" in text and "\n" not in text
+    assert "cart_pendulum_symbol(z)" in text
+    assert f"It takes {axis.table_bytes:,} bytes of tables." in told[0]
+    better = float(re.search(r"`offset` of (\S+) ", text)[1])
+    offset = np.array([better, 0.0])
+    assert better == pytest.approx(-np.pi + np.pi / 8192, rel=1e-12)  # half a step
+    mended = c_counts.count_axes(dataclasses.replace(plan, offset=offset), "int16")[0]
+    assert f"takes {mended.table_bytes:,}" in text and mended.table_bytes == 0
 
 
 def test_counts_need_no_floating_point():
@@ -560,6 +661,12 @@ def test_quantisers_on_processors(tmp_path):
     scale = [-2 * np.pi / 4096, 10 / 4096]
     code = made(Plan.of(plan.policy, scale=scale, offset=[0.1, 0.0]), readings="int16")
     assert cortex_m3(code.files, code.golden, tmp_path / "counts", "decide") == 0
+    for name in ("coarse, offset", "decimal, falling", "on faces"):
+        fine = Plan.of(random_plan(8192, depth=5).policy, scale=FINE[name][0], offset=FINE[name][1])
+        code = made_of_counts(fine)
+        assert cortex_m3(code.files, code.golden, tmp_path / name, "decide") == 0
+        few = of_vectors(code.golden, slice(None, None, 2))
+        assert avr(code.files, few, tmp_path / f"avr {name}", "decide") == 0
     code = made(plan, golden, style="nested", arithmetic="float")
     assert avr(code.files, of_vectors(code.golden, slice(None, None, 4)), tmp_path, "decide") == 0
 
@@ -679,10 +786,16 @@ def test_misra(tmp_path, mode, style, arithmetic, dwell):
     assert_misra(files(plan, None, style=style, arithmetic=arithmetic), tmp_path, arithmetic)
 
 
+@pytest.mark.parametrize("name", [name for name in FINE if name != "decimal"])
+def test_misra_of_lines(tmp_path, name):
+    plan = Plan.of(random_plan(8192, depth=3).policy, scale=FINE[name][0], offset=FINE[name][1])
+    assert_misra(made_of_counts(plan).files, tmp_path)
+
+
 @pytest.mark.parametrize("turn", [-4096, 1000])
 def test_misra_of_counts(tmp_path, turn, monkeypatch):
     if turn > 0:  # as where rounding decides at each face
-        monkeypatch.setattr(c_counts, "_affine", lambda changes, top: None)
+        monkeypatch.setattr(c_counts, "line_of", lambda *_: None)
     plan = Plan.of(random_plan(8, depth=3).policy, scale=[2 * np.pi / turn, 0.01])
     written = files(plan, None, readings="int16")
     assert (b"_axis_rank" if turn > 0 else b"_axis_step") in written["cart_pendulum.c"]

@@ -168,7 +168,7 @@ def test_readings_are_scaled(tmp_path):
     for policy in (random_policy(3, periodic=True), oblique(2, periodic=True)):
         plan = Plan.of(policy, scale=[0.01, -3e-5], offset=[0.3, 1e-3])
         text = check(tmp_path, plan, inputs="fixed")
-        assert "State 1 is reading 1 * -3e-05 + 0.001" in text
+        assert "State 1 = -3e-05 * reading + 0.001" in text
 
 
 def test_counts_of_a_sensor_fill_a_port(tmp_path):

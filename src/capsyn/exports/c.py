@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capsyn.errors import ProblemError
+from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.exports import c_counts, c_dwell
 from capsyn.exports.c_cmake import cmake
 from capsyn.exports.c_grid import grid
@@ -23,7 +24,7 @@ from capsyn.exports.c_language import (
     z_type,
 )
 from capsyn.exports.c_nested import nearest, nested
-from capsyn.exports.c_notes import notes, told
+from capsyn.exports.c_notes import heavy_tables, notes, told
 from capsyn.exports.c_quantiser import quantiser, ranked
 from capsyn.exports.c_single import check_single_precision, decide_single, share_changed
 from capsyn.exports.c_table import table
@@ -60,8 +61,10 @@ def files(
         precision; states in double precision; or in single precision.
     readings : "real", "int16" or "int32"
         What functions take: real numbers, or counts of a sensor, whole numbers of 16 or 32 bits.
-        Scale and offset then go into whole numbers, and nothing needs floating point. At every
-        count of the integer the symbol is that of the state ``count * scale + offset``; on a
+        Scale and offset then go into a multiplication and a shift of whole numbers, a short list
+        of counts or a table of the counts at which the step changes (a `CapsynWarning` says where
+        tables take more than the tree), and nothing needs floating point. At every count of the
+        integer the symbol is that of the state ``count * scale + offset``; on a
         periodic axis, where a turn must be a whole number of counts (within 0.001), that of the
         count in the turn that begins at the lower bound. The integer must reach the first and the
         last step of every axis. Counts may be coarser than steps, but not than a whole axis; the
@@ -90,6 +93,8 @@ def files(
     vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
     if code.axes:
         vectors = c_counts.golden_counts(plan, code.axes, readings)
+        if heavy := heavy_tables(plan, code.axes, readings, f"{prefix}_symbol"):
+            warnings.warn(heavy, CapsynWarning, stacklevel=3)
     return Made(
         written, code.renamed, told(code.tree.counts, code.faces, code.axes), code.changed, vectors
     )

@@ -2,9 +2,9 @@
 
 A state is ``count * scale + offset``, as everywhere, so that the step of a count never falls (or,
 where the scale is negative, never rises) from one count to the next. It is found by
-``(place * factor + addend) >> shift`` where such integers exist, else by a search in a table of the
-counts at which the step changes. They are right at every count, since they are at the counts before
-and behind each change.
+``(place * factor + addend) >> shift``, in 32 bits or in 64, and a list of the counts at which that
+is one off; where a table of the counts at which the step changes takes fewer bytes, by a search in
+it. Both are right at every count, since they are at the counts before and behind each change.
 
 Counts that the scale makes fall are turned around first, ``-1 - count``; below, "turned" counts are
 those of which the state rises. On a periodic axis a turn must be a whole number of counts; counts
@@ -14,13 +14,15 @@ in other turns are brought into one by integer arithmetic.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.exports.c_language import Part, rows, z_type
+from capsyn.exports.c_lines import Line, line_of
+from capsyn.exports.c_places import line_name, line_step, listed, masked, placed, table_step, turned
 from capsyn.exports.golden import GOLDEN, Golden, decide
 from capsyn.exports.plan import Plan
 from capsyn.random_streams import stream
@@ -29,6 +31,8 @@ READINGS = ("real", "int16", "int32")
 """What readings may be."""
 WHOLE = 1e-3
 """Counts by which a turn may miss a whole number."""
+MOST_IN_LINE = 70
+"""Characters of a function's name and arguments that stay in one line."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,8 @@ class CountAxis:
     inside : (int, int)
         The least and the largest turned count in the domain; on a periodic axis in the turn that
         begins at the lower bound.
-    affine : (factor, addend, shift), optional
-        The steps of places, where such integers exist.
+    line : Line, optional
+        Whole numbers that give the steps of places. None: a table of the changes does.
     """
 
     falling: bool
@@ -59,7 +63,7 @@ class CountAxis:
     turn: int
     changes: np.ndarray
     inside: tuple[int, int]
-    affine: tuple[int, int, int] | None
+    line: Line | None
 
     @property
     def missed(self) -> int:
@@ -74,14 +78,30 @@ class CountAxis:
         place = "-r" if self.falling else "r"
         place += f" {'-' if first >= 0 else '+'} {abs(first)}" if first else ""
         place = f"({place}) mod {self.turn}" if self.turn else f"({place}) within 0 .. {self.top}"
-        if self.affine is None:
-            return f"looked up in a table for p = {place}"
-        factor, addend, shift = self.affine
-        return f"(p * {factor} + {addend}) >> {shift} for p = {place}"
+        if self.line is None:
+            return f"looked up in a table of {len(self.changes)} counts for p = {place}"
+        return f"{self.line.text}, for p = {place}"
+
+    @property
+    def begin(self) -> int:
+        """What place 0 is in tables, which then are of 16 bits if they can be."""
+        if not self.turn:
+            return self.first
+        return -(1 << 15) if 1 << 15 <= self.top < 1 << 16 else 0
+
+    @property
+    def entry(self) -> int:
+        """Bytes of an entry of a table."""
+        return 2 if -(1 << 15) <= self.begin and self.begin + self.top < 1 << 15 else 4
+
+    @property
+    def table_bytes(self) -> int:
+        """Bytes of the table, or of the lists."""
+        return self.entry * (len(self.changes) if self.line is None else self.line.listed)
 
 
-def count_axes(plan: Plan, readings: str) -> list[CountAxis]:
-    """Return how counts become steps, for integers of a width.
+def count_axes(plan: Plan, readings: str, numbers: Sequence[int] | None = None) -> list[CountAxis]:
+    """Return how counts of all axes, or of some numbers, become steps, for integers of a width.
 
     Raises
     ------
@@ -89,7 +109,8 @@ def count_axes(plan: Plan, readings: str) -> list[CountAxis]:
         The integers do not reach the first and the last step of an axis, a count is wider than an
         axis, or a turn of a periodic axis is no whole number of counts.
     """
-    return [_axis(plan, i, int(readings.removeprefix("int"))) for i in range(plan.n)]
+    bits = int(readings.removeprefix("int"))
+    return [_axis(plan, i, bits) for i in (range(plan.n) if numbers is None else numbers)]
 
 
 def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
@@ -128,8 +149,10 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
             raise _narrow(bits, name, lower, upper, turn.bit_length())
         near = int(min(-1 - e if falling else e for e in ends))
         start = int(_least(states, np.array([lower]), near - 8, near + 8)[0])
-        changes = _least(states, faces, start, start + turn - 1) - start
-        first, top, inside = start % turn, turn - 1, (start, start + turn - 1)
+        end = start + turn - 1
+        seam = int(states(np.array([float(end)]))[0] >= upper)  # rounded: the lower bound again
+        changes = _least(states, faces, start, end - seam) - start + seam
+        first, top, inside = (start - seam) % turn, turn - 1, (start, end)
     else:
         turn, low, high = 0, -(1 << (bits - 1)), (1 << (bits - 1)) - 1
         at = _least(states, faces, low, high)
@@ -142,8 +165,9 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
         bounds = np.array([lower, np.nextafter(upper, np.inf)])
         least, beyond = _least(states, bounds, low, high).tolist()
         inside = (least, beyond - 1)
-    affine = _affine(changes, top)
-    return CountAxis(falling, first, top, turn, changes, inside, affine)
+    axis = CountAxis(falling, first, top, turn, changes, inside, None)
+    coarse = not turn and len(changes) > top
+    return dataclasses.replace(axis, line=line_of(changes, top, coarse, axis.entry))
 
 
 def _narrow(bits: int, name: str, lower: float, upper: float, needed: int) -> ProblemError:
@@ -167,45 +191,6 @@ def _least(
         behind = np.where(open_ & reached, middle, behind)
         before = np.where(open_ & ~reached, middle, before)
     return behind
-
-
-def _affine(changes: np.ndarray, top: int) -> tuple[int, int, int] | None:
-    """Return (factor, addend, shift) that give the steps of places 0 .. top in 32 bits, or none.
-
-    For a factor M and a shift S the addend A must hold ``M p + A >= k 2^S`` where step k begins,
-    and ``M (p - 1) + A < (j + 1) 2^S`` where the step j before it ends. How far these bounds on A
-    are apart is concave in M.
-    """
-    if top >= 1 << 31:
-        return None
-    later = np.unique(changes[(changes > 0) & (changes <= top)])
-    begins, ends = np.append(0, later), np.append(later - 1, top)
-    steps = np.searchsorted(changes, begins, side="right")
-    last = int(steps[-1])
-    for shift in range(32):
-        if last << shift >= 1 << 32:
-            break
-
-        def bounds(factor: int, shift: int = shift) -> tuple[int, int]:
-            least = int(((steps << shift) - factor * begins).max())
-            return least, int((((steps + 1) << shift) - 1 - factor * ends).min())
-
-        def room(factor: int) -> int:
-            least, most = bounds(factor)
-            return most - least
-
-        low, high = 0, ((last + 1) << shift) // max(top, 1) + 1
-        while low < high:
-            middle = (low + high) // 2
-            if room(middle + 1) > room(middle):
-                low = middle + 1
-            else:
-                high = middle
-        least, most = bounds(low)
-        addend = max(least, 0)
-        if addend <= most and low * top + addend < 1 << 32:
-            return low, addend, shift
-    return None
 
 
 def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
@@ -240,147 +225,91 @@ def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis
     """Return the function ``opening(x, z)``, x being counts, with what it needs."""
     integer = z_type(plan.tree.cells.counts)
     limit = 1 << (15 if "const int16_t x[" in opening else 31)
-    tables = {i: _table(axis) for i, axis in enumerate(axes) if axis.affine is None}
+    tables = {name: table for i, axis in enumerate(axes) for name, table in _tables(i, axis)}
     wide = any(not -(1 << 15) <= entry < 1 << 15 for table in tables.values() for entry in table)
     kind = "INT32" if wide else "INT16"
+    lines = [axis.line for axis in axes if axis.line and axis.top]
     text = ""
-    if any(axis.affine and axis.top and not axis.turn for axis in axes):
-        text += _place(prefix)
+    if any(axis.line and axis.top and not axis.turn for axis in axes):
+        text += placed(prefix)
     if any(axis.turn & (axis.turn - 1) for axis in axes if axis.turn):
-        text += _turned(prefix)
+        text += turned(prefix)
     if any(axis.turn and not axis.turn & (axis.turn - 1) for axis in axes):
-        text += _masked(prefix)
-    if any(axis.affine and axis.top for axis in axes):
-        text += _affine_step(prefix, integer)
-    if tables:
-        text += _table_step(prefix, integer, kind)
+        text += masked(prefix)
+    for form in sorted({(line.wide, line.last > 0) for line in lines}):
+        text += line_step(prefix, integer, *form)
+    if any(line.listed for line in lines):
+        text += listed(prefix, integer, kind)
+    if any(axis.line is None for axis in axes):
+        text += table_step(prefix, integer, kind)
     declared, body = [], []
-    for i, entries in tables.items():
+    for name, entries in tables.items():
         declared.append(
-            f"    static const {kind.lower()}_t counts{i}[{len(entries)}] CAPSYN_ROM = {{\n"
+            f"    static const {kind.lower()}_t {name}[{len(entries)}] CAPSYN_ROM = {{\n"
             f"{rows(list(map(_literal, entries)))}\n    }};"
         )
     for i, axis in enumerate(axes):
-        turned = "-1 - " if axis.falling else ""
-        declared.append(f"    const int32_t r{i} = {turned}(int32_t)x[{i}];")
+        around = "-1 - " if axis.falling else ""
+        declared.append(f"    const int32_t r{i} = {around}(int32_t)x[{i}];")
         least, most = axis.inside
         beyond = [f"(r{i} < {_literal(least)})"] * (least > -limit)
         beyond += [f"(r{i} > {_literal(most)})"] * (most < limit - 1)
         if beyond and not axis.turn:
             body.append(f"    if ({' || '.join(beyond)}) {{")
             body += [f"        status = {prefix.upper()}_OUTSIDE;", "    }"]
-        step = _step(prefix, i, axis)
+        place = _place_of(prefix, i, axis)
+        if axis.line and axis.line.listed:  # asked more than once
+            declared.append(f"    const int32_t p{i} = {place};")
+            place = f"p{i}"
+        step = _step(prefix, i, axis, place, integer)
         if step == "0":
             declared[-1] += f"\n    (void)r{i};" if axis.turn or not beyond else ""
         body.append(f"    z[{i}] = {step};")
     declared.append(f"    {prefix}_status status = {prefix.upper()}_OK;")
-    lines = "\n".join([*declared, *body, "    return status;"])
-    return Part(f"{text}\n{opening}\n{{\n{lines}\n}}\n", frozenset([kind] if tables else []))
+    function = "\n".join([*declared, *body, "    return status;"])
+    return Part(f"{text}\n{opening}\n{{\n{function}\n}}\n", frozenset([kind] if tables else []))
 
 
-def _table(axis: CountAxis) -> list[int]:
-    """Return the places, or without turns the turned counts, at which steps from 1 on begin."""
-    return (axis.changes + (0 if axis.turn else axis.first)).tolist()
+def _tables(i: int, axis: CountAxis) -> list[tuple[str, list[int]]]:
+    """Return the tables of an axis and their names."""
+    if axis.line is None:
+        found = [(f"counts{i}", axis.changes)]
+    else:
+        found = [(f"less{i}", np.array(axis.line.less)), (f"more{i}", np.array(axis.line.more))]
+    return [(name, (places + axis.begin).tolist()) for name, places in found if len(places)]
 
 
 def _literal(value: int) -> str:
     return str(value) if value > -(1 << 31) else f"({value + 1} - 1)"
 
 
-def _step(prefix: str, i: int, axis: CountAxis) -> str:
-    """Return the expression of the step of ``r<i>``."""
+def _place_of(prefix: str, i: int, axis: CountAxis) -> str:
+    """Return the expression of what the step of ``r<i>`` is found from."""
+    if axis.turn & (axis.turn - 1):
+        return f"{prefix}_turned(r{i}, {axis.first}, {axis.turn})"
+    if axis.turn:
+        return f"{prefix}_masked(r{i}, {axis.first}uL, {axis.turn - 1}uL)"
+    if axis.line is None:
+        return f"r{i}"
+    return f"{prefix}_place(r{i}, {_literal(axis.first)}, {_literal(axis.first + axis.top)})"
+
+
+def _step(prefix: str, i: int, axis: CountAxis, place: str, integer: str) -> str:
+    """Return the expression of the step at a place."""
+    line = axis.line
     if not len(axis.changes):
         return "0"
-    if axis.turn:
-        place = f"{prefix}_turned(r{i}, {axis.first}, {axis.turn})"
-        if not axis.turn & (axis.turn - 1):
-            place = f"{prefix}_masked(r{i}, {axis.first}uL, {axis.turn - 1}uL)"
-    elif axis.affine:
-        bounds = f"{_literal(axis.first)}, {_literal(axis.first + axis.top)}"
-        place = f"{prefix}_place(r{i}, {bounds})"
-    else:
-        place = f"r{i}"
-    if axis.affine is None:
-        return f"{prefix}_axis_rank({place}, counts{i}, {len(axis.changes) + 1})"
-    factor, addend, shift = axis.affine
-    return f"{prefix}_axis_step({place}, {factor}uL, {addend}uL, {shift}u)"
-
-
-def _place(prefix: str) -> str:
-    return f"""
-/* Return how far a count is behind the first; of counts beyond either end those at the end. */
-static int32_t {prefix}_place(int32_t count, int32_t first, int32_t last)
-{{
-    int32_t place = 0;
-    if (count >= last) {{
-        place = last - first;
-    }} else if (count > first) {{
-        place = count - first;
-    }} else {{
-        /* the first */
-    }}
-    return place;
-}}
-"""
-
-
-def _turned(prefix: str) -> str:
-    return f"""
-/* Return how far a count is behind the first, in its turn. */
-static int32_t {prefix}_turned(int32_t count, int32_t first, int32_t turn)
-{{
-    int32_t place = count % turn;
-    if (place < 0) {{
-        place += turn;
-    }}
-    place -= first;
-    if (place < 0) {{
-        place += turn;
-    }}
-    return place;
-}}
-"""
-
-
-def _masked(prefix: str) -> str:
-    return f"""
-/* Return how far a count is behind the first, in its turn of 2^k counts. */
-static int32_t {prefix}_masked(int32_t count, uint32_t first, uint32_t mask)
-{{
-    const uint32_t place = ((uint32_t)count - first) & mask;
-    return (int32_t)place;
-}}
-"""
-
-
-def _affine_step(prefix: str, integer: str) -> str:
-    return f"""
-/* Return the step of a place; the numbers were made so that it is right at every count. */
-static {integer} {prefix}_axis_step(int32_t place, uint32_t factor, uint32_t addend,
-    uint8_t shift)
-{{
-    const uint32_t step = (((uint32_t)place * factor) + addend) >> shift;
-    return ({integer})step;
-}}
-"""
-
-
-def _table_step(prefix: str, integer: str, kind: str) -> str:
-    return f"""
-/* Return how many steps begin at a count or before it. */
-static {integer} {prefix}_axis_rank(int32_t count, const {kind.lower()}_t begins[],
-    {integer} steps)
-{{
-    {integer} low = 0;
-    {integer} high = steps;
-    while ((high - low) > 1) {{
-        const {integer} middle = ({integer})(low + ((high - low) / 2));
-        if (count >= CAPSYN_{kind}(&begins[middle - 1])) {{
-            low = middle;
-        }} else {{
-            high = middle;
-        }}
-    }}
-    return low;
-}}
-"""
+    begin = axis.begin if line or axis.turn else 0  # a table without turns is asked of counts
+    count = f"{place} {'-' if begin < 0 else '+'} {abs(begin)}" if begin else place
+    if line is None:
+        return f"{prefix}_axis_rank({count}, counts{i}, {len(axis.changes) + 1})"
+    function = f"{prefix}_{line_name(line.wide, line.last > 0)}"
+    addend = f"{line.addend}{'uLL' if line.wide else 'uL'}"
+    last = f", {line.last}" if line.last else ""
+    given = f"{line.factor}uL, {addend}, {line.shift}u{last}"
+    gap = "\n        " if len(function + place + given) > MOST_IN_LINE else " "
+    step = f"{function}({place},{gap}{given})"
+    for sign, name, places in (("-", "less", line.less), ("+", "more", line.more)):
+        if places:
+            step += f"\n        {sign} {prefix}_axis_listed({count}, {name}{i}, {len(places)})"
+    return f"({integer})({step})" if line.listed else step

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
 
-from capsyn.exports.c_counts import CountAxis
+from capsyn.errors import ProblemError
+from capsyn.exports.c_counts import CountAxis, count_axes
 from capsyn.exports.c_language import z_type
 from capsyn.exports.c_single import SAMPLES
 from capsyn.exports.plan import Plan
+from capsyn.packing import packed_bytes
 
+TOLD_COUNTS = 1024
+"""Bytes of tables of counts that a user is not warned of."""
 TOLD_FACES = 4096
 """Bytes of tables of faces that a user is not told of."""
 
@@ -20,6 +26,8 @@ def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
     found = []
     for i, axis in enumerate(axes):
         line = f"Readings are counts r; the step of axis {i} is {axis.text}."
+        if axis.table_bytes:
+            line += f" It takes {axis.table_bytes:,} bytes of tables."
         if axis.turn:
             line += f" A turn is {axis.turn} counts; those of other turns are brought into one."
         if axis.missed:
@@ -34,13 +42,37 @@ def told(
     counts: tuple[int, ...], faces: list[np.ndarray] | None, axes: list[CountAxis]
 ) -> tuple[str, ...]:
     """Return what a user is told as the export is made."""
-    found = [line for axis, line in count_lines(axes) if axis.missed]
+    found = [line for _, line in count_lines(axes)]
     size = 4 * sum(map(len, faces or []))
     if size > TOLD_FACES:
         found.append(f"tables of the faces take {size:,} bytes; arithmetic lattice has none")
     if z_type(counts) != "int16_t":
         found.append(f"lattice steps are of 32 bits: an axis has {max(counts):,}, beyond 16 bits")
     return tuple(found)
+
+
+def heavy_tables(plan: Plan, axes: list[CountAxis], readings: str, function: str) -> str | None:
+    """Return a warning where tables of counts take more than the tree, else none.
+
+    `function` is the one that takes lattice steps.
+    """
+    sizes = [axis.table_bytes for axis in axes]
+    tree = packed_bytes(plan.tree.cells)
+    if sum(sizes) <= max(tree, TOLD_COUNTS):
+        return None
+    i = int(np.argmax(sizes))
+    name = plan.policy.domain.names[i]
+    why = "counts fall on faces of its lattice" if axes[i].line else "no line gives its steps"
+    found = f"tables of `readings` {readings} take {sizes[i]:,} bytes for axis '{name}'"
+    found += f" (the tree: {tree:,}), since {why}: "
+    offset = plan.offset.copy()
+    step = plan.policy.domain.widths[i] / plan.tree.cells.counts[i]
+    offset[i] += min(abs(plan.scale[i]), step) / 2  # between faces
+    with contextlib.suppress(ProblemError):  # counts may no more reach every step
+        (moved,) = count_axes(dataclasses.replace(plan, offset=offset), readings, [i])
+        if moved.table_bytes <= sizes[i] / 2:
+            found += f"an `offset` of {float(offset[i])!r} takes {moved.table_bytes:,}; "
+    return f"{found}otherwise take another `scale`, or give lattice steps to {function}(z)"
 
 
 def notes(

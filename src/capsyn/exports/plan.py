@@ -155,7 +155,8 @@ class Plan:
         if self.folded:
             pairs = zip(self.scale.tolist(), self.offset.tolist())
             for i, (scale, offset) in enumerate(pairs):
-                lines.append(f"State {i} is reading {i} * {scale!r} + {offset!r}")
+                sign = "-" if offset < 0 else "+"
+                lines.append(f"State {i} = {scale!r} * reading {sign} {abs(offset)!r}")
         inputs = [
             name + (f" [{unit}]" if unit else "")
             for name, unit in zip(policy.alphabet.inputs, policy.alphabet.units)
