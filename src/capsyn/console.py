@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from capsyn.evidence_text import circumstances, headlines
+from capsyn.evidence_text import circumstances, failing_trial, headlines
 
 if TYPE_CHECKING:
     from capsyn.lattice_points import Progress
@@ -107,7 +107,7 @@ def _line(name: str, value: str) -> None:
     typer.echo(f"{name:<13}{value}")
 
 
-def _print_monte_carlo(data: dict[str, Any], headline: str) -> None:
+def _print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -> None:
     conditions = data["conditions"]
     stay = f", and stay there the last {conditions['hold']:g} s" if conditions["hold"] else ""
     _line("monte carlo", headline)
@@ -127,18 +127,21 @@ def _print_monte_carlo(data: dict[str, Any], headline: str) -> None:
             _line(name, f"{spread} {unit}")
     if data["trials_outside_domain"]:
         _line("outside", f"{data['trials_outside_domain']:,} trials left the domain on the way")
-    states, failed = data["failing_initial_states"], data["trials"] - data["successes"]
-    for state in states[:5]:
-        _line("failed from", "(" + ", ".join(f"{v:g}" for v in state) + ")")
+    trials, failed = data["failing_trials"], data["trials"] - data["successes"]
+    for trial in trials[:5]:
+        _line("failed from", failing_trial(trial))
     if failed > 5:
         _line("", f"and {failed - 5:,} more")
+    if again is not None:
+        anew = ", but for its noise, which is drawn anew" if any(trials[0]["noise"]) else ""
+        _line("again", f"the first of them{anew}: {again}")
 
 
-def print_evidence(found: dict[str, Any]) -> None:
-    """Print what `capsyn verify` found, by kind."""
+def print_evidence(found: dict[str, Any], again: str | None = None) -> None:
+    """Print what `capsyn verify` found, by kind, and the command that repeats a failing trial."""
     lines = headlines(found)
     if "monte_carlo" in found:
-        _print_monte_carlo(found["monte_carlo"], lines["monte carlo"])
+        _print_monte_carlo(found["monte_carlo"], lines["monte carlo"], again)
     if "lyapunov" in found:
         data = found["lyapunov"]
         violated, undecided = data["violated_cell_count"], data["undecided_cell_count"]
