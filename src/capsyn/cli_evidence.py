@@ -222,6 +222,11 @@ def verify(
         agreement = 100_000 if policy.settings is not None and policy.model is not None else None
         if monte_carlo is None and agreement is None:
             raise ProblemError("the policy has neither target nor model: nothing can be verified")
+    if agreement is not None and (policy.settings is None or policy.model is None):
+        raise ProblemError(
+            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
+            "Python capsyn.agreement(policy, controller=function) compares it with a function"
+        )
     requirements = (
         ("--require-success", require_success, "monte_carlo", monte_carlo, "success_rate"),
         ("--require-proved", require_proved, "lyapunov", lyapunov, "proved"),
