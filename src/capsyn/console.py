@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import sys
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
@@ -61,6 +62,20 @@ def progress_bars() -> Iterator[Callable[[Progress], None] | None]:
             bars.update(tasks[key], completed=now.solved, rate=shown)
 
         yield progress
+
+
+@contextlib.contextmanager
+def notes(logger: str) -> Iterator[None]:
+    """Print on stderr what a module logs as information, for a while."""
+    log, handler = logging.getLogger(logger), logging.StreamHandler(sys.stderr)
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+        log.removeHandler(handler)
 
 
 @contextlib.contextmanager
@@ -303,6 +318,9 @@ def print_report(data: dict[str, Any]) -> None:
         roles = statistics.get("solves_by_role", {})
         parts = ", ".join(f"{roles[k]:,} {name}" for k, name in named.items() if k in roles)
         line("solves", f"{statistics['solves']:,}: {parts}")
+        budget = statistics.get("stopped_by")
+        if budget or statistics.get("stopped_by_max_solves"):
+            line("stopped by", f"{budget or 'max_solves'}, before max_level everywhere")
         for key, name, unit in (
             ("worst_case_solves", "Prop. 2", "solves at worst"),
             ("indifferent_points", "ties", "test points where several symbols tie"),
