@@ -187,10 +187,10 @@ def test_settings_have_room(show, width):
       const text = document.createElement("canvas").getContext("2d");
       const spare = field => {
         const style = getComputedStyle(field), chosen = field.selectedOptions;
-        text.font = style.font;
+        text.font = `${style.fontSize} ${style.fontFamily}`;
         const needed = text.measureText(chosen ? chosen[0].textContent : field.value).width;
         const around = parseFloat(style.paddingLeft) + parseFloat(style.paddingRight);
-        return field.clientWidth - around - needed - (chosen ? 16 : 0);  /* and its arrow */
+        return field.clientWidth - around - needed - 16;  // its arrow or buttons
       };
       const all = names => [...box.querySelectorAll(names)];
       return [
