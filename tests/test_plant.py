@@ -220,7 +220,7 @@ def test_a_model_that_takes_more_parameters_is_told_so():
         return [p[0] * x[1], p[1] * u[0]]
 
     with pytest.raises(ProblemError) as caught:
-        plant_of(problems.get("cart-pendulum"), plant, ("gain",))
+        plant_of(online_controller(problems.get("cart-pendulum")), plant, ("gain",))
     text = str(caught.value)
     assert "an index is out of range; it may take more parameters (`parameters`, --para" in text
     assert "\n" not in text
