@@ -4,6 +4,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from safetensors.numpy import load_file, save_file
 from typer.testing import CliRunner
 
 import capsyn
-from capsyn import checkpoint, problems, propositions
+from capsyn import Policy, checkpoint, problems, propositions
 from capsyn.answers import Packed, digest
 from capsyn.checkpoint import Checkpoint
 from capsyn.cli import app
@@ -401,3 +402,20 @@ def test_the_command_keeps_and_goes_on(tmp_path):
         assert result.exit_code == 0, result.output
     assert (tmp_path / "1.cap").read_bytes() == (tmp_path / "2.cap").read_bytes()
     assert list((tmp_path / "a").glob("block-*"))
+
+
+def test_a_run_that_goes_on_tells_what_it_took(tmp_path, monkeypatch, capsys):
+    from capsyn import cli
+
+    def synth():
+        line = "capsyn synth cart-pendulum --max-level 1 -o p.cap --checkpoint kept"
+        monkeypatch.setattr(sys, "argv", line.split())
+        with pytest.raises(SystemExit):
+            cli.main()
+        return capsys.readouterr()
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    assert synth().err == ""
+    solves = Policy.load("p.cap").statistics["solves"]
+    assert synth().err == f"{solves:,} solves came from 'kept'\n"

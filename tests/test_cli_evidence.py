@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shlex
 import sys
 import warnings
 from xml.etree import ElementTree
@@ -11,7 +12,7 @@ import pytest
 
 from capsyn import Box, Policy, cli, online_controller, problems, simulate, synthesize
 from capsyn.evidence_text import circumstances
-from capsyn.verification.monte_carlo import monte_carlo
+from capsyn.verification.monte_carlo import Uniform, monte_carlo
 
 FUNCTIONS = """
 import casadi as ca
@@ -106,6 +107,46 @@ def test_simulate_takes_every_circumstance(run, folder):
         seed=5,
     )
     assert json.loads(out) == wanted.summary()[0] and wanted.ended == "target"
+
+
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        "--model f.py:plant --parameter gain=0.2:1 --delay 0:0.05",
+        "--disturbance=-0.1,0:0.2,0.1 --min-dwell 0.1 --hold 0.1 --outside nearest",
+    ],
+)
+def test_the_line_that_verify_prints_repeats_a_failing_trial(run, folder, drawn):
+    options = f"verify pendulum.cap --monte-carlo 5 --duration 0.5 --rate 50 {drawn} --seed 4"
+    out, _ = run(*options.split())
+    trials = json.loads(run(*options.split(), "--json")[0])["monte_carlo"]["failing_trials"]
+    (line,) = (line for line in out.splitlines() if line.startswith("again"))
+    told, _, command = line.partition(": capsyn ")
+    assert told.endswith("the first of them")
+    again = json.loads(run(*shlex.split(command), "--json")[0])
+    policy = Policy.load(folder / "pendulum.cap")
+    ranges = {
+        "gain": {"parameters": {"gain": Uniform(0.2, 1)}, "delay": Uniform(0, 0.05)},
+        "hold": {"disturbance": Uniform([-0.1, 0], [0.2, 0.1]), "min_dwell": 0.1, "hold": 0.1},
+    }["gain" if "gain" in drawn else "hold"]
+    model = half_as_strong if "gain" in drawn else None
+    found = monte_carlo(policy, 5, duration=0.5, rate=50.0, seed=4, model=model, **ranges)
+    first = int(np.flatnonzero(~found.success)[0])
+    assert trials[0]["trial"] == first and again["initial"] == found.initial[first].tolist()
+    assert again["final"] == pytest.approx(found.final[first].tolist(), rel=1e-9)
+    assert trials[0]["delay"] == found.delays[first]
+    said = next(line for line in out.splitlines() if line.startswith("failed from"))
+    if "gain" in drawn:
+        assert f"with gain {found.parameters['gain'][first]:.6g}, delay" in said
+    else:
+        assert f"with disturbance ({found.disturbances[first][0]:g}, " in said
+
+
+def test_noise_is_not_repeated(run):
+    options = "verify pendulum.cap --monte-carlo 3 --duration 0.2 --rate 50 --noise 0:0.1"
+    out, _ = run(*options.split())
+    assert "with noise (0." in out and "but for its noise, which is drawn anew: capsyn sim" in out
+    assert "--noise 0." in out
 
 
 def test_simulate_online_and_another_plant(run, folder):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 import warnings
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import capsyn
 from capsyn import Alphabet, Box, DecisionTree, Policy, compress, problems
 from capsyn.cells import CellTree
+from capsyn.compression import oblique
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import VOTES, cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
@@ -323,6 +325,16 @@ def test_an_agreement_that_takes_a_finer_policy(pendulum):
     wanted = f"the policy itself agrees at {own:.3%}: synthesize it with max_level {level + more} "
     assert wanted in text and text.endswith("then compress")
     assert tree.guarantee.agreement > 0.993  # of the dearest nodes it is 0.989
+
+
+def test_an_agreement_that_no_linear_tree_reached_takes_no_finer_cells(monkeypatch):
+    monkeypatch.setattr(oblique, "AIMS", (1.0,))
+    monkeypatch.setattr(oblique, "ATTEMPTS", 1)
+    policy = capsyn.synthesize(problems.get("cart-pendulum"), partitions=5, max_level=1)
+    text, tree = not_reached(policy, "linear", 0.9999, states=20_000)
+    low = tree.guarantee.low
+    less = float(re.search("ask for less, such as (0.[0-9]+), or try another `seed`$", text)[1])
+    assert "max_level" not in text and low - 0.1 * (1 - low) < less <= low
 
 
 def test_an_agreement_that_more_states_may_tell(pendulum):

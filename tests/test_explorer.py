@@ -178,6 +178,31 @@ def test_a_click_runs_the_closed_loop_as_simulate_does(show, name):
     assert "|".join(plots) == named[name]
 
 
+@pytest.mark.parametrize("width", [1280, 400])
+def test_settings_have_room(show, width):
+    policy = dataclasses.replace(pendulum(), min_dwell=0.0004, outside="nearest")
+    shown = show(policy, width=width)
+    room, wide, out = shown.page.evaluate("""() => {
+      const box = document.querySelector("#settings"), edge = box.getBoundingClientRect().right;
+      const text = document.createElement("canvas").getContext("2d");
+      const spare = field => {
+        const style = getComputedStyle(field), chosen = field.selectedOptions;
+        text.font = `${style.fontSize} ${style.fontFamily}`;
+        const needed = text.measureText(chosen ? chosen[0].textContent : field.value).width;
+        const around = parseFloat(style.paddingLeft) + parseFloat(style.paddingRight);
+        return field.clientWidth - around - needed - 16;  // its arrow or buttons
+      };
+      const all = names => [...box.querySelectorAll(names)];
+      return [
+        Math.min(...all("#set-dwell, #set-outside").map(spare)),
+        Math.max(...all(".unit").map(unit => unit.scrollWidth - unit.clientWidth)),
+        Math.max(...all("input, select, .unit").map(e => e.getBoundingClientRect().right - edge)),
+      ];
+    }""")
+    assert shown.page.input_value("#set-dwell") == "0.0004"
+    assert room >= 0 and wide <= 0 and out <= 0.5
+
+
 def test_settings_of_the_loop(show):
     policy = pendulum()
     shown = show(policy)

@@ -284,6 +284,23 @@ def test_the_command_makes_a_policy_that_other_commands_take(tmp_path):
     assert json.loads(capsyn("info", made, "--json", "--quick")[0])["gaps"] is True
 
 
+def test_the_command_takes_names_of_symbols(tmp_path):
+    path, made = tmp_path / "t.csv", tmp_path / "t.cap"
+    path.write_text("x,symbol\n0,fill\n1,off\n2,drain|off\n")
+    capsyn("import", path, "-o", made, "--alphabet", "fill=1,0; drain=0,1;off=0,0")
+    policy = Policy.load(made)
+    assert policy.alphabet == Alphabet([[1, 0], [0, 1], [0, 0]], ["fill", "drain", "off"])
+    assert policy(np.array([[0.0], [1.0], [2.0]])).tolist() == [0, 2, 1]
+    for text, reason in (
+        ("fill=1,0;0,1", "--alphabet must have names for all symbols or none; got 'fill=1,0;0,1'"),
+        ("fill=1,0;drain=0,x", "`--alphabet` must be a number; got 'x'"),
+        ("fill=1,0;fill=0,1", "`alphabet names` must be distinct"),
+    ):
+        assert reason in error_of("import", path, "-o", made, "--alphabet", text)
+    path.write_text("x,symbol\n0,1\n2,0\n3,0\n")
+    assert "or --missing outside, takes" in error_of("import", path, "-o", made)
+
+
 def test_the_command_names_what_is_wrong(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text(GOOD)

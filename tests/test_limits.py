@@ -357,10 +357,13 @@ def test_a_time_budget_holds_by_the_clock():
 
 
 def test_what_stopped_is_told(capsys):
-    from capsyn.report import hints
+    from capsyn.console import print_report
+    from capsyn.report import hints, report
 
     policy = subdivide(halves, unit_box(), 2, max_level=9, max_memory="40KB")
-    assert any(h.startswith("max_memory stopped the subdivision") for h in hints(policy))
+    print_report(report(policy))
+    assert "stopped by   max_memory, before max_level everywhere\n" in capsys.readouterr().out
+    assert not any("max_memory" in hint for hint in hints(policy))
 
 
 # Keys

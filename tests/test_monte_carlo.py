@@ -327,6 +327,7 @@ def test_the_figures_are_plain_strict_json(online):
     assert data["success_rate"] == data["successes"] / 60
     assert (data["low"], data["high"], data["seed"]) == (found.low, found.high, 3)
     assert data["failing_initial_states"] == found.failures.tolist()
+    assert [trial["initial"] for trial in data["failing_trials"]] == found.failures.tolist()
     counts = {name: int((found.ended == k).sum()) for k, name in enumerate(ENDINGS)}
     assert data["ended"] == {name: count for name, count in counts.items() if count}
     times = found.arrived[found.success]

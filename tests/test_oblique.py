@@ -3,6 +3,7 @@ import pytest
 
 from capsyn import Box
 from capsyn.cells import MAX_COUNT
+from capsyn.compression import oblique
 from capsyn.compression.oblique import Fit, fine_lattice, fit_tree
 from capsyn.compression.plane_tree import best_shift, separating_plane
 from capsyn.compression.surface import draw_samples, find_surface, nearest_plane
@@ -142,6 +143,19 @@ def test_missed_target_gives_the_best_tree():
     assert 0.4 < share_of(fit) < 0.6
     missed = fitted(plane, SQUARE, 2, 1.0)
     assert not reached(missed, 1.0) and share_of(missed) > 0.999
+
+
+def test_what_a_search_misses_harder_ones_find(monkeypatch):
+    def ball(x):
+        return bits((x**2).sum(axis=1) < 0.6)
+
+    domain = Box([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0])
+    monkeypatch.setattr(oblique, "ATTEMPTS", 1)
+    monkeypatch.setattr(oblique, "FINENESS", 1.3)  # the first tree is too coarse
+    found = fitted(ball, domain, 2, 0.97)
+    monkeypatch.setattr(oblique, "AIMS", oblique.AIMS[:1])
+    once = fitted(ball, domain, 2, 0.97)
+    assert reached(found, 0.97) and not reached(once, 0.97)
 
 
 def test_same_seed_same_tree():

@@ -213,3 +213,14 @@ def test_states_that_escape_do_not_matter_for_the_steps():
     fine = dataclasses.replace(plant, domain=Box([-1], [2], names=["x"]))
     few = choose_substeps(fine, np.zeros((1, 1)), NO_P, 0.02)
     assert 1 <= few <= choose_substeps(plant, np.zeros((1, 1)), NO_P, 0.01) <= 4096
+
+
+def test_a_model_that_takes_more_parameters_is_told_so():
+    def plant(x, u, p):
+        return [p[0] * x[1], p[1] * u[0]]
+
+    with pytest.raises(ProblemError) as caught:
+        plant_of(online_controller(problems.get("cart-pendulum")), plant, ("gain",))
+    text = str(caught.value)
+    assert "an index is out of range; it may take more parameters (`parameters`, --para" in text
+    assert "\n" not in text

@@ -53,6 +53,7 @@ def test_find_takes_names_files_and_modules(own, text, name):
     ("text", "reason"),
     [
         ("cart-pol", "did you mean 'cart-pole'?"),
+        ("own", "no built-in problem 'own'; for the file give 'own.py', or 'own.py:NAME'"),
         ("missing.py", "there is no file 'missing.py'"),
         ("own.py:third", "must hold a capsyn.Problem named 'third'; found own.py:problem, "),
         ("stop.py", "'stop.py', line 2: SystemExit: 0"),

@@ -38,7 +38,7 @@ def test_the_axes_that_cells_are_split_along_are_part_of_the_table():
 def test_hints_name_what_smells():
     pendulum = problems.get("cart-pendulum")
     assert hinted(pendulum, "max_level", max_level=1)
-    assert hinted(pendulum, "max_solves", max_solves=400)
+    assert not hinted(pendulum, "max_solves", max_solves=400)  # it was asked for
     same = SsacSettings(control_weight=1e9)  # two symbols of the same effort
     assert not hinted(pendulum, "never used", settings=same, max_level=1)
     four = problems.get("cart-pendulum-4")
@@ -72,7 +72,10 @@ def test_hints_see_a_weak_alphabet_and_a_blind_cost():
     assert hinted(blind, "several symbols tie")
     held = dataclasses.replace(one_way, alphabet=capsyn.Alphabet([0.0, 2.0]), default=0.5)
     weights = SsacSettings(rule="steepest", control_weight=100.0)
-    assert hinted(held, "hold it back", settings=weights)
+    assert hinted(held, "would: control_weight holds it back", settings=weights)
+    for wanted, name in ({"gamma": -1e-6}, "gamma"), ({"alpha_d": -1e-6}, "alpha_d"):
+        weights = SsacSettings(control_weight=100.0, **wanted)
+        assert hinted(held, f"would: {name} holds it back, or control_weight", settings=weights)
     assert not hinted(held, "alphabet may be too weak", settings=weights)
     short = dataclasses.replace(one_way, horizon=1e-5)
     assert hinted(short, "horizon may be too short")

@@ -503,7 +503,9 @@ def test_unstable_steps_that_agree_on_garbage_are_seen(horizon):
 
 
 def test_a_horizon_that_no_steps_resolve_is_said():
-    with pytest.warns(CapsynWarning, match=f"with {STEP_LADDER[-1]} steps.*shorten the horizon"):
+    with pytest.warns(
+        CapsynWarning, match=f"with {STEP_LADDER[-1]} steps.*shorten the horizon, or give `steps`"
+    ):
         controller(motor(12.5))
 
 

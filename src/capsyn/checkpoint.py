@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
+import logging
 import os
 import threading
 import time
@@ -36,6 +37,7 @@ BLOCK_BYTES = 1 << 26
 """Size of answers that are written at once even so."""
 MANIFEST, LOCK, BLOCK = "manifest.json", "lock", "block-{:06d}.safetensors"
 HASH_BYTES = 16
+_LOG = logging.getLogger(__name__)
 
 
 class Checkpoint:
@@ -114,6 +116,7 @@ class Checkpoint:
             if number.isdecimal():
                 self._next = max(self._next, int(number) + 1)
                 self._read(block)
+        self._resumed = bool(self._known)
         if self._known and settled is not None:  # else there is nothing that it should fit
             self._settled = settled
 
@@ -245,6 +248,8 @@ class Checkpoint:
             if not self._lock.closed:
                 self._flush()
                 self._lock.close()
+                if self._resumed:
+                    _LOG.info("%s solves came from '%s'", f"{self.taken:,}", self._directory)
 
     def __enter__(self) -> Checkpoint:
         return self

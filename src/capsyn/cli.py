@@ -28,7 +28,7 @@ from capsyn.cli_options import (
     number,
     whole_number_list,
 )
-from capsyn.console import print_report, print_table, progress_bars, show, working
+from capsyn.console import notes, print_report, print_table, progress_bars, show, working
 from capsyn.errors import CapsynError, CapsynWarning, ProblemError
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def synth(
         "tolerance": tolerance,
         "precision": precision,
     }
-    with executor(dask) as client, progress_bars() as progress:
+    with executor(dask) as client, progress_bars() as progress, notes("capsyn.checkpoint"):
         policy = synthesize(
             chosen,
             partitions=whole_number_list("--partitions", partitions),

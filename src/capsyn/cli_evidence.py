@@ -29,14 +29,21 @@ from capsyn.cli_options import (
     executor,
     number,
     number_list,
+    number_or_range,
     one_or_list,
     region,
 )
 from capsyn.console import print_evidence, show, working
 from capsyn.errors import ProblemError
+from capsyn.evidence_text import simulate_line
 
 if TYPE_CHECKING:
     from capsyn.policy import Policy
+
+_REPEATED = (
+    "--duration --rate --model --min-dwell --outside --target --tolerance --online --background"
+).split()
+"""Options by which ``capsyn simulate`` repeats a trial of ``capsyn verify``."""
 
 
 def simulate(
@@ -215,6 +222,11 @@ def verify(
         agreement = 100_000 if policy.settings is not None and policy.model is not None else None
         if monte_carlo is None and agreement is None:
             raise ProblemError("the policy has neither target nor model: nothing can be verified")
+    if agreement is not None and (policy.settings is None or policy.model is None):
+        raise ProblemError(
+            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
+            "Python capsyn.agreement(policy, controller=function) compares it with a function"
+        )
     requirements = (
         ("--require-success", require_success, "monte_carlo", monte_carlo, "success_rate"),
         ("--require-proved", require_proved, "lyapunov", lyapunov, "proved"),
@@ -267,12 +279,12 @@ def verify(
                 hold=hold or 0.0,
                 model=_model(model),
                 parameters={
-                    name: _quantity(name, text)
+                    name: number_or_range(name, text)
                     for name, text in assignments("--parameter", parameter or []).items()
                 },
-                disturbance=_quantity("--disturbance", disturbance),
-                noise=_quantity("--noise", noise),
-                delay=_quantity("--delay", delay or "0"),
+                disturbance=number_or_range("--disturbance", disturbance),
+                noise=number_or_range("--noise", noise),
+                delay=number_or_range("--delay", delay or "0"),
                 min_dwell=min_dwell,
                 outside=outside,
                 seed=seed,
@@ -303,7 +315,10 @@ def verify(
     ]
     if save:
         policy.with_evidence(**found).save(file)
-    show(as_json, found | {"missed": missed}, lambda: print_evidence(found))
+    failing = found.get("monte_carlo", {}).get("failing_trials")
+    repeated = {name: for_trials[name] for name in _REPEATED} | {"--stop-at-target": not hold}
+    again = simulate_line(file, failing[0], repeated) if failing else None
+    show(as_json, found | {"missed": missed}, lambda: print_evidence(found, again))
     for sentence in missed:
         typer.echo(sentence, err=True)
     if missed:
@@ -379,17 +394,3 @@ def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
     if ".py:" in text or ("=" not in text and ":" in text):
         return with_tolerance(find_function(text), tolerance)
     return region("--target", text, policy.domain.names, tolerance)
-
-
-def _quantity(name: str, text: str | None) -> Any:
-    """Return the numbers of a text, or the `Uniform` of LOW:HIGH."""
-    if text is None:
-        return None
-    low, colon, high = text.partition(":")
-    if not colon:
-        return one_or_list(name, text)
-    if ":" in high:
-        raise ProblemError(f"{name} must be a value or a range LOW:HIGH; got '{text}'")
-    from capsyn.verification.monte_carlo import Uniform
-
-    return Uniform(one_or_list(name, low), one_or_list(name, high))

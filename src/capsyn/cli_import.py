@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from capsyn.cli_options import Json, check_states, number_list
 from capsyn.console import print_report, show, working
 from capsyn.errors import ProblemError
+
+if TYPE_CHECKING:
+    from capsyn.alphabet import Alphabet
 
 
 def import_table(
@@ -31,8 +34,9 @@ def import_table(
     alphabet: Annotated[
         str | None,
         typer.Option(
-            metavar="U[,U..][;U..]",
-            help="Control vectors of the symbols in place of those of the table.",
+            metavar="[NAME=]U[,U..][;..]",
+            help="Control vectors of the symbols in place of those of the table, with names for "
+            "all of them or none: fill=1,0;drain=0,1;off=0,0.",
         ),
     ] = None,
     default: Annotated[
@@ -48,7 +52,6 @@ def import_table(
     as_json: Json = False,
 ) -> None:
     """Make a policy of a tabulated controller, equal to it at every point of its grid."""
-    from capsyn.alphabet import Alphabet
     from capsyn.files import check_writable
     from capsyn.report import report
     from capsyn.sources.grid_files import read_table
@@ -59,7 +62,7 @@ def import_table(
     check_writable(path)
     symbols = None
     if alphabet is not None:
-        symbols = Alphabet([number_list("--alphabet", row) for row in alphabet.split(";")])
+        symbols = _symbols(alphabet)
     with working("reading the table"):
         table = read_table(file, symbols, missing)
         if states is not None:
@@ -85,3 +88,15 @@ def import_table(
         typer.echo(f"wrote {path}")
 
     show(as_json, data, told)
+
+
+def _symbols(text: str) -> Alphabet:
+    """Return the alphabet of ``U,U;U,U``, or with names ``NAME=U,U;NAME=U,U``."""
+    from capsyn.alphabet import Alphabet
+
+    rows = [row.rpartition("=") for row in text.split(";")]
+    named = [bool(equals) for _, equals, _ in rows]
+    if any(named) and not all(named):
+        raise ProblemError(f"--alphabet must have names for all symbols or none; got '{text}'")
+    names = [name.strip() for name, _, _ in rows] if any(named) else None
+    return Alphabet([number_list("--alphabet", values) for _, _, values in rows], names)

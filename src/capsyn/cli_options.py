@@ -22,7 +22,8 @@ ModelOption = Annotated[
         "--model",
         metavar="PLANT",
         help="Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, "
-        "and of p where there are parameters.",
+        "and of p where there are parameters; a policy without a model, such as an imported one, "
+        "takes a problem only.",
     ),
 ]
 Parameters = Annotated[
@@ -119,6 +120,20 @@ def one_or_list(name: str, text: str) -> Any:
     """Return a number, or the numbers of a list."""
     values = number_list(name, text)
     return values[0] if len(values) == 1 else values
+
+
+def number_or_range(name: str, text: str | None) -> Any:
+    """Return the numbers of a text, or the `Uniform` of LOW:HIGH."""
+    if text is None:
+        return None
+    low, colon, high = text.partition(":")
+    if not colon:
+        return one_or_list(name, text)
+    if ":" in high:
+        raise ProblemError(f"{name} must be a value or a range LOW:HIGH; got '{text}'")
+    from capsyn.verification.monte_carlo import Uniform
+
+    return Uniform(one_or_list(name, low), one_or_list(name, high))
 
 
 def whole_number_list(name: str, text: str | None) -> list[int] | int | None:

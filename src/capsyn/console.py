@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import sys
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from capsyn.evidence_text import circumstances, evidence_rows, headlines
+from capsyn.evidence_text import circumstances, evidence_rows, failing_trial, headlines
 
 if TYPE_CHECKING:
     from capsyn.lattice_points import Progress
@@ -64,6 +65,20 @@ def progress_bars() -> Iterator[Callable[[Progress], None] | None]:
 
 
 @contextlib.contextmanager
+def notes(logger: str) -> Iterator[None]:
+    """Print on stderr what a module logs as information, for a while."""
+    log, handler = logging.getLogger(logger), logging.StreamHandler(sys.stderr)
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+        log.removeHandler(handler)
+
+
+@contextlib.contextmanager
 def working(text: str) -> Iterator[Callable[[str], None]]:
     """Say on a terminal what is being done, and for how long; yield what changes the text."""
     if not sys.stderr.isatty():
@@ -107,7 +122,7 @@ def _line(name: str, value: str) -> None:
     typer.echo(f"{name:<13}{value}")
 
 
-def _print_monte_carlo(data: dict[str, Any], headline: str) -> None:
+def _print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -> None:
     conditions = data["conditions"]
     stay = f", and stay there the last {conditions['hold']:g} s" if conditions["hold"] else ""
     _line("monte carlo", headline)
@@ -127,18 +142,21 @@ def _print_monte_carlo(data: dict[str, Any], headline: str) -> None:
             _line(name, f"{spread} {unit}")
     if data["trials_outside_domain"]:
         _line("outside", f"{data['trials_outside_domain']:,} trials left the domain on the way")
-    states, failed = data["failing_initial_states"], data["trials"] - data["successes"]
-    for state in states[:5]:
-        _line("failed from", "(" + ", ".join(f"{v:g}" for v in state) + ")")
+    trials, failed = data["failing_trials"], data["trials"] - data["successes"]
+    for trial in trials[:5]:
+        _line("failed from", failing_trial(trial))
     if failed > 5:
         _line("", f"and {failed - 5:,} more")
+    if again is not None:
+        anew = ", but for its noise, which is drawn anew" if any(trials[0]["noise"]) else ""
+        _line("again", f"the first of them{anew}: {again}")
 
 
-def print_evidence(found: dict[str, Any]) -> None:
-    """Print what `capsyn verify` found, by kind."""
+def print_evidence(found: dict[str, Any], again: str | None = None) -> None:
+    """Print what `capsyn verify` found, by kind, and the command that repeats a failing trial."""
     lines = headlines(found)
     if "monte_carlo" in found:
-        _print_monte_carlo(found["monte_carlo"], lines["monte carlo"])
+        _print_monte_carlo(found["monte_carlo"], lines["monte carlo"], again)
     if "lyapunov" in found:
         data = found["lyapunov"]
         violated, undecided = data["violated_cell_count"], data["undecided_cell_count"]
@@ -300,6 +318,9 @@ def print_report(data: dict[str, Any]) -> None:
         roles = statistics.get("solves_by_role", {})
         parts = ", ".join(f"{roles[k]:,} {name}" for k, name in named.items() if k in roles)
         line("solves", f"{statistics['solves']:,}: {parts}")
+        budget = statistics.get("stopped_by")
+        if budget or statistics.get("stopped_by_max_solves"):
+            line("stopped by", f"{budget or 'max_solves'}, before max_level everywhere")
         for key, name, unit in (
             ("worst_case_solves", "Prop. 2", "solves at worst"),
             ("indifferent_points", "ties", "test points where several symbols tie"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Mapping
 from typing import Any
 
 
@@ -53,6 +55,51 @@ def circumstances(conditions: dict[str, Any]) -> str:
             value = circumstances(value)
         parts.append(f"{name.replace('_', ' ')} {_short(value)}")
     return ", ".join(parts)
+
+
+def failing_trial(trial: dict[str, Any]) -> str:
+    """Return where a failing trial began, and what was drawn for it."""
+    parts = [f"{name} {value:.6g}" for name, value in trial["parameters"].items()]
+    if trial["delay"]:
+        parts.append(f"delay {trial['delay']:.6g} s")
+    parts += [
+        f"{name} {_vector(trial[name])}" for name in ("disturbance", "noise") if any(trial[name])
+    ]
+    return _vector(trial["initial"]) + (f" with {', '.join(parts)}" if parts else "")
+
+
+def simulate_line(file: str, trial: dict[str, Any], options: Mapping[str, Any]) -> str:
+    """Return the command that repeats a trial of ``capsyn verify``.
+
+    Parameters
+    ----------
+    file : str
+        The policy's file.
+    trial : dict
+        What `MonteCarlo.trial` returns.
+    options : mapping of option to value
+        What both commands take in the same way; those that are None or False were not given.
+    """
+
+    def values(numbers: list[float]) -> str:
+        return ",".join(map(repr, numbers))
+
+    words = ["capsyn", "simulate", file, "--x0", values(trial["initial"])]
+    for name, value in trial["parameters"].items():
+        words += ["--parameter", f"{name}={value!r}"]
+    if trial["delay"]:
+        words += ["--delay", repr(trial["delay"])]
+    for name in ("disturbance", "noise"):
+        if any(trial[name]):
+            words += [f"--{name}", values(trial[name])]
+    for option, value in options.items():
+        if value is not None and value is not False:
+            words += [option] if value is True else [option, str(value)]
+    return shlex.join(words)
+
+
+def _vector(values: list[float]) -> str:
+    return "(" + ", ".join(f"{v:g}" for v in values) + ")"
 
 
 def _short(value: Any) -> str:

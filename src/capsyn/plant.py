@@ -150,7 +150,8 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
                 f"got {describe(model)}"
             )
         raise ProblemError(
-            "`model` must be a Problem, or a Policy with a model, for a controller without one"
+            "`model` must be a Problem, or a Policy with a model, for a controller without one, "
+            "such as an imported policy"
         )
     target = transcribe_target(source) if isinstance(source, Problem) else source.target
     plant = Plant(

@@ -199,6 +199,8 @@ def expression(
         shapes = ", ".join(
             f"{symbol}: {argument.numel()}" for symbol, argument in zip("xup", arguments)
         )
+        if name == "model" and "out of range" in reason:
+            reason += "; it may take more parameters (`parameters`, --parameter) than are given"
         raise ProblemError(
             f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
         ) from error

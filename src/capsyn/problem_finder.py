@@ -39,6 +39,11 @@ def find_problem(text: str) -> Problem:
         place, name = text, ""
     name = name or "problem"
     if not place.endswith(".py") and not colon:
+        if text not in problems.names() and Path(f"{text}.py").is_file():
+            raise ProblemError(
+                f"there is no built-in problem '{text}'; for the file give '{text}.py', or "
+                f"'{text}.py:NAME' where the problem in it is not named 'problem'"
+            )
         return problems.get(text)
     module = _load(place)
     problem = getattr(module, name, None)

@@ -9,6 +9,7 @@ from capsyn.decision_tree import CONFIDENCE, DecisionTree, Guarantee
 from capsyn.packing import lookup_arrays, packed_bytes
 from capsyn.policy import Policy
 from capsyn.policy_file import content_hash
+from capsyn.settings import SsacSettings
 from capsyn.split_tree import SplitTree
 from capsyn.targets import describe_target
 
@@ -58,6 +59,16 @@ def report(policy: Policy) -> dict[str, Any]:
 
 def _grid(cells: CellTree, axis: int) -> dict[str, int]:
     return {"partitions": cells.partitions[axis], "refinement": cells.refinement[axis]}
+
+
+def _holds_back(settings: SsacSettings | None) -> str:
+    """Return which settings keep the steepest symbol from being chosen."""
+    if settings is None:
+        return "control_weight or gamma hold it back"
+    if settings.rule == "steepest":
+        return "control_weight holds it back"
+    wanted = "gamma" if settings.alpha_d is None else "alpha_d"
+    return f"{wanted} holds it back" + (", or control_weight" if settings.control_weight else "")
 
 
 def _cells(policy: Policy, cells: CellTree) -> dict[str, Any]:
@@ -124,9 +135,6 @@ def hints(policy: Policy) -> list[str]:
             f"{count} of {solves} solves gave no finite result and take the default control, for "
             f"instance at {policy.statistics.get('not_finite_example')}: check the model there"
         )
-    budget = policy.statistics.get("stopped_by")
-    if budget or policy.statistics.get("stopped_by_max_solves"):
-        found.append(f"{budget or 'max_solves'} stopped the subdivision before max_level")
     sample = policy.statistics.get("sample")
     if not sample:
         return found
@@ -140,7 +148,7 @@ def hints(policy: Policy) -> list[str]:
     if sample["held_back"] > 0.05:
         found.append(
             f"in {sample['held_back']:.0%} of the volume the chosen symbol does not lower the cost "
-            "to first order though another would: control_weight or gamma hold it back"
+            f"to first order though another would: {_holds_back(settings)}"
         )
     if sample["no_descent"] - sample["held_back"] > 0.05:
         found.append(

@@ -362,8 +362,12 @@ def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: S
     best, least = fewest_steps(STEP_LADDER, error_of, settings.tolerance)
     if least <= settings.tolerance:
         return best
-    longest = best == STEP_LADDER[-1]
-    advice = "shorten the horizon" if longest else "give `steps` or a larger `tolerance`"
+    advice = "give `steps` or a larger `tolerance`"
+    if best == STEP_LADDER[-1]:
+        advice = (
+            "shorten the horizon, or give `steps` (--steps) where the model has switches such as "
+            "fmax or if_else"
+        )
     warnings.warn(
         f"the step-doubling check reached {least:.2g} with {best} steps, not the tolerance "
         f"{settings.tolerance:.2g}: {advice}",

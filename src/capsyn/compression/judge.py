@@ -118,7 +118,12 @@ class Judge:
             return f"{text}; mode exact agrees at {own.share:.3%}{more}"
         if had.agreement >= target:
             return f"{text}; more `states`, or another `seed`, may tell"
-        if had.mode == "freedom" and self.source is not None:
+        if had.mode == "linear" and self.source is not None:  # not bound to the cells
+            return (
+                f"{text}; finer cells do not help, for the tree is not bound to them: ask for "
+                f"less, such as {_rounded_down(had.low)}, or try another `seed`"
+            )
+        if self.source is not None:
             text += "; mode linear is not bound to the cells"
         # what cells along a surface get wrong is in proportion to their size; their number grows
         # with the area of the surface in such cells
@@ -131,3 +136,9 @@ class Judge:
             f"{text}; the policy itself agrees at {own.share:.3%}: synthesize it with max_level "
             f"{cells.max_level + levels} or so, then compress"
         )
+
+
+def _rounded_down(share: float) -> str:
+    """Return a share below 1 with two digits of what is missing, rounded down."""
+    digits = 1 - math.floor(math.log10(max(1 - share, 1e-12)))
+    return f"{math.floor(share * 10**digits) / 10**digits:.{digits}f}"

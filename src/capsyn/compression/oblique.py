@@ -48,11 +48,11 @@ FINEST = 1e-4
 MAX_NODES = 600
 """A larger tree that still misses the target ends the search."""
 BUDGET = 5e8
-"""Work, as `_Search` counts it, after which no more trees are begun."""
+"""Work, as `_Search` counts it, after which no more trees are begun; by the aim."""
 FIT_WORK = 60_000
 """Samples that take as much work to look up in a node as its fit takes at least."""
 ERRORS, FEW = 150, 20_000
-"""Wrong samples that make a fit precise enough, and least samples of a fit."""
+"""Wrong samples that make a fit precise enough, by the aim squared; least samples of a fit."""
 POLISHED_ON = 4
 """Polishing takes so many times the samples."""
 AT_ONCE = 0.25
@@ -61,10 +61,14 @@ PASSES, NEAR = 3, 0.25
 """Fits before a tree that just misses the target is given up, and how near that is."""
 MARGIN = 3.5
 """Standard deviations, of judged states, by which a tree must exceed the target to be chosen."""
+HOPE = 1.0
+"""The same of trees that are judged after all where none exceeds it by that margin."""
+OUT_OF_REACH = 3.0
+"""Times the wrong states allowed that the best tree of a search has wrong, to end the searches."""
 JUDGEMENTS = 3
 """Trees judged, on fresh states each, before a search counts as failed."""
 AIMS = (1.0, 0.7, 0.4)
-"""Shares of the wrong states allowed at which searches begin, each where those before failed."""
+"""Shares of the wrong states allowed that searches aim at, each where those before failed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,14 +158,15 @@ def fit_tree(
     surface = find_surface(cube_masks, search.fitted, [seed, 2])
     judged: list[Fit] = []
     for turn, aim in enumerate(AIMS):
-        search.run(surface, [seed, 3, turn], aim * (1 - agreement))
-        for tree in search.best():
+        share = search.run(surface, [seed, 3, turn], aim)
+        last = aim == AIMS[-1] or 1 - share > OUT_OF_REACH * (1 - agreement)
+        for tree in search.best(last):
             right = search.count_right(tree, draw(states, 4, len(judged)))
             judged.append(Fit(tree, states, right))
             if clopper_pearson(right, states, CONFIDENCE)[0] >= agreement:
                 return judged[-1]
-        if max(fit.right for fit in judged) < (agreement - (1 - agreement)) * states:
-            break  # out of reach
+        if last:
+            break
     return max(judged, key=lambda fit: fit.right)
 
 
@@ -173,33 +178,41 @@ class _Search:
     ) -> None:
         spread = math.sqrt(agreement * (1 - agreement) / min(states, len(chosen)))
         self.bar = min(agreement + MARGIN * spread, 1.0)
+        self._hopeful = min(agreement + HOPE * spread, 1.0)
         self._domain, self._agreement = domain, agreement
         self._counts = fine_lattice(domain)
         self.fitted, self._chosen = self._centred(fitted), self._centred(chosen)
-        enough = ERRORS / max(1 - agreement, 1e-9)
-        self._few = self.fitted.first(int(np.clip(enough, FEW, max(len(fitted), FEW))))
         self._candidates: list[Candidate] = []
+        self._grown: list[tuple[float, float]] = []
         self._told = 0.0
-        self._work = 0.0
+        self._work, self._budget = 0.0, BUDGET
 
-    def run(self, surface: Surface, seed: list[int], wrong: float) -> None:
+    def run(self, surface: Surface, seed: list[int], aim: float) -> float:
         """Grow trees, finer ones until they meet the target, and prune those that do.
 
-        Their fineness begins at what errs at a share `wrong` of the states.
+        Their fineness begins at what errs at the share `aim` of the wrong states allowed, or at
+        that of the best tree grown so far. The harder the aim, the more samples they are fitted to.
+        Returns the share of right states of the best tree so far.
         """
-        self._work = 0.0
+        self._work, self._budget = 0.0, BUDGET / aim
+        wrong = aim * (1 - self._agreement)
+        enough = ERRORS / max(aim * wrong, 1e-9)
+        few = self.fitted.first(int(np.clip(enough, FEW, max(len(self.fitted), FEW))))
         area = max(surface.area * len(surface.points), 1e-9)
         # a plane within a tolerance of a surface errs by about an eighth of it
         coarse = min(0.04, 8 * wrong / area)
-        fineness, pruned = FINENESS, 0
+        _, best = max(self._grown, default=(0.0, math.inf))
+        fineness, pruned = max(FINENESS, coarse / best), 0
         for attempt in range(ATTEMPTS):
             tolerance = max(coarse / fineness, FINEST)
             rng = stream(*seed, attempt)
-            root = grow(surface, self._few, tolerance, LEAST * wrong / fineness, rng)
-            self._refine(root, self._few)
-            self._refine(root, self._few)
-            if self._record(root) >= self.bar:
-                self._prune(root, self._few, whole=not pruned)
+            root = grow(surface, few, tolerance, LEAST * wrong / fineness, rng)
+            self._refine(root, few)
+            self._refine(root, few)
+            share = self._record(root)
+            self._grown.append((share, tolerance))
+            if share >= self.bar:
+                self._prune(root, few, whole=not pruned)
                 pruned += 1
             elif root.node_count > MAX_NODES:
                 break
@@ -207,25 +220,29 @@ class _Search:
                 fineness *= FINER
             if pruned == RESTARTS or self._tired:
                 break
-        more = self.fitted.first(POLISHED_ON * len(self._few))
-        for candidate in self._passing()[:POLISHED]:
+        more = self.fitted.first(POLISHED_ON * len(few))
+        for candidate in self._passing(self.bar)[:POLISHED]:
             if not self._tired:
                 self._prune(candidate.root.copy(), more)
+        return max(candidate.share for candidate in self._candidates)
 
-    def best(self) -> Iterator[SplitTree]:
-        """Yield the trees to judge: those that meet the target, the smallest first, or the best.
+    def best(self, last: bool) -> Iterator[SplitTree]:
+        """Yield the trees to judge: those that meet the target, the smallest first.
 
-        None is told twice, nor one that is no better than those told before.
+        None is told twice, nor one that is no better than those told before. Where none ever met
+        the target, the last search tells those that may, or else the best.
         """
-        found = [candidate for candidate in self._passing() if candidate.share > self._told]
-        told = 0
+        bar, told = self.bar, 0
+        if last and not self._told and not self._passing(bar):
+            bar = self._hopeful
+        found = [candidate for candidate in self._passing(bar) if candidate.share > self._told]
         for candidate in found[: JUDGEMENTS - 1] + found[JUDGEMENTS - 1 :][-1:]:
             tree = to_lattice(candidate.root, self._counts)
-            if self.count_right(tree, self._chosen) >= self.bar * len(self._chosen):
+            if self.count_right(tree, self._chosen) >= bar * len(self._chosen):
                 told += 1
                 self._told = max(self._told, candidate.share)
                 yield tree
-        if not told and not self._told:
+        if last and not told and not self._told:
             best = min(self._candidates, key=lambda c: (-c.share, c.nodes))
             yield to_lattice(best.root, self._counts)
 
@@ -249,17 +266,17 @@ class _Search:
             allowed = AT_ONCE * len(samples) * (share - self.bar if met else 1 - share)
             prune(links, allowed)
 
-    def _passing(self) -> list[Candidate]:
-        """Return the trees that meet the target, smallest first, each better than those before."""
+    def _passing(self, bar: float) -> list[Candidate]:
+        """Return the trees that meet a bar, smallest first, each better than those before."""
         found: list[Candidate] = []
         for candidate in sorted(self._candidates, key=lambda c: (c.nodes, -c.share)):
-            if candidate.share >= self.bar and (not found or candidate.share > found[-1].share):
+            if candidate.share >= bar and (not found or candidate.share > found[-1].share):
                 found.append(candidate)
         return found
 
     @property
     def _tired(self) -> bool:
-        return self._work > BUDGET
+        return self._work > self._budget
 
     def _refine(self, root: Node, samples: Samples) -> list[Link]:
         self._work += root.node_count * (FIT_WORK + len(samples))

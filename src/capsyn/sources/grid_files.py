@@ -87,7 +87,7 @@ def read_csv(
         raise ProblemError(
             f"'{path}' must have a row for each point of its grid of "
             f"{' x '.join(map(str, counts))}; {total - len(flat)} are missing, the first at "
-            f'({state}) (missing="outside" takes them as outside)'
+            f'({state}) (missing="outside", or --missing outside, takes them as outside)'
         )
     bits, alphabet = _masks(path, symbols, lines, alphabet)
     masks = np.zeros(total, dtype=np.uint64)
@@ -333,7 +333,7 @@ def read_table(
     if ending == ".csv":
         return read_csv(path, alphabet, missing)
     if missing != "error":
-        raise ProblemError(f"`missing` is for .csv files only; got '{path}'")
+        raise ProblemError(f"`missing` (--missing) is for .csv files only; got '{path}'")
     if ending == ".scs":
         return read_scots(path, alphabet)
     if ending == ".npz":

@@ -68,6 +68,11 @@ class MonteCarlo:
         model of the cost.
     parameters : mapping of name to (T,)
         What was drawn of the plant's parameters.
+    delays : (T,)
+        What was drawn of the input delay [s].
+    disturbances, noises : (T, n)
+        What was drawn of the constant disturbance [state units / s], and of the standard deviation
+        of the measurement noise [state units].
     """
 
     seed: int
@@ -86,6 +91,9 @@ class MonteCarlo:
     initial_cost: np.ndarray
     final_cost: np.ndarray
     parameters: Mapping[str, np.ndarray]
+    delays: np.ndarray
+    disturbances: np.ndarray
+    noises: np.ndarray
 
     @property
     def success_rate(self) -> float:
@@ -97,6 +105,17 @@ class MonteCarlo:
         """Initial states (F, n) of the trials that failed."""
         return self.initial[~self.success]
 
+    def trial(self, index: int) -> dict[str, Any]:
+        """Return what was drawn for a trial as plain data; of the noise, its deviation."""
+        return {
+            "trial": index,
+            "initial": self.initial[index].tolist(),
+            "parameters": {name: float(drawn[index]) for name, drawn in self.parameters.items()},
+            "delay": float(self.delays[index]),
+            "disturbance": self.disturbances[index].tolist(),
+            "noise": self.noises[index].tolist(),
+        }
+
     def __repr__(self) -> str:
         return (
             f"MonteCarlo({int(self.success.sum())} of {len(self.success)} trials succeed, "
@@ -104,7 +123,7 @@ class MonteCarlo:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures as plain data, with the first `TOLD` failing initial states."""
+        """Return the figures as plain data, with the first `TOLD` failing trials."""
         moved = self.times > 0
         known = np.isfinite(self.initial_cost) & np.isfinite(self.final_cost)
         fallen = self.final_cost[known] < self.initial_cost[known]
@@ -130,6 +149,7 @@ class MonteCarlo:
             "cost_decreased": float(fallen.mean()) if known.any() else None,
             "cost_left": _spread(left),
             "failing_initial_states": self.failures[:TOLD].tolist(),
+            "failing_trials": [self.trial(int(k)) for k in np.flatnonzero(~self.success)[:TOLD]],
         }
 
 
@@ -244,7 +264,7 @@ def monte_carlo(
     if disturbance is not None and not callable(disturbance):
         push = _draw("disturbance", disturbance, trials, n, [seed, 2])
     delays = _draw("delay", delay, trials, 1, [seed, 3], least=0.0)[:, 0]
-    noisy = None
+    noisy, deviations = None, np.zeros((trials, n))
     if noise is not None:
         deviations = _draw("noise", noise, trials, n, [seed, 4], least=0.0)
         noisy = Noise(deviations, [(seed, 5, k + 1) for k in range(trials)])
@@ -311,6 +331,9 @@ def monte_carlo(
         costs[:trials],
         costs[trials:],
         drawn,
+        delays,
+        push,
+        deviations,
     )
 
 
