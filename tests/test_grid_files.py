@@ -294,7 +294,7 @@ def test_the_command_takes_names_of_symbols(tmp_path):
     for text, reason in (
         ("fill=1,0;0,1", "--alphabet must have names for all symbols or none; got 'fill=1,0;0,1'"),
         ("fill=1,0;drain=0,x", "`--alphabet` must be a number; got 'x'"),
-        ("fill=1,0;fill=0,1", "`alphabet names` must be distinct"),
+        ("fill=1,0;fill=0,1", "`alphabet names` must be non-empty and distinct"),
     ):
         assert reason in error_of("import", path, "-o", made, "--alphabet", text)
     path.write_text("x,symbol\n0,1\n2,0\n3,0\n")

@@ -106,7 +106,7 @@ class MonteCarlo:
         return self.initial[~self.success]
 
     def trial(self, index: int) -> dict[str, Any]:
-        """Return what was drawn for a trial as plain data; of the noise, its deviation."""
+        """Return what was drawn for trial `index` as plain data; of the noise, its deviation."""
         return {
             "trial": index,
             "initial": self.initial[index].tolist(),
