@@ -22,7 +22,7 @@ from capsyn import monte_carlo, problems, synthesize
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))
 ROUNDS = 3
-STEPS = 800
+STEPS = 1700
 """Integration steps that make the solves of cart-pole level 4 a job of some 30 s."""
 
 
