@@ -254,7 +254,7 @@ def refused_unread(archive, key, head, words, how=zipfile.ZIP_DEFLATED):
 def test_other_endings_are_refused(tmp_path):
     with pytest.raises(ProblemError, match="a table must end in .scs, .csv or .npz; got 't.txt'"):
         read_table("t.txt")
-    with pytest.raises(ProblemError, match="`missing` is for .csv files only"):
+    with pytest.raises(ProblemError, match=r"`missing` \(--missing\) is for .csv files only"):
         read_table("t.scs", missing="outside")
     for name in ("t.csv", "t.scs", "t.npz"):
         with pytest.raises(ProblemError, match="`alphabet` must be a capsyn.Alphabet; got 3"):
