@@ -152,7 +152,7 @@ def synthesize(
     controller = problem_controller(problem, model, backend, seed)
     ready = time.perf_counter()
     affine = leaves == "affine"
-    asked = {
+    asked: dict[str, Any] = {
         "leaves": leaves,
         "leaf_error": leaf_error,
         "refine": refine,
@@ -171,11 +171,7 @@ def synthesize(
             partitions=problem.partitions,
             refinement=problem.refinement,
             max_level=problem.max_level,
-            leaves=leaves,
-            leaf_error=leaf_error,
-            refine=refine,
-            test_points=test_points,
-            seed=seed,
+            **asked,
             returns="masks+scores" if affine else "masks",
             preference=controller.preference,
             outside=problem.outside,

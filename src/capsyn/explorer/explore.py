@@ -18,7 +18,7 @@ from capsyn.errors import ProblemError
 from capsyn.explorer.formulas import formulas
 from capsyn.explorer.page_data import page_data
 from capsyn.explorer.program_javascript import model_javascript
-from capsyn.files import atomic_write
+from capsyn.files import write_text
 from capsyn.policy import Policy
 from capsyn.validation import describe
 
@@ -54,12 +54,7 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
     """
     if not isinstance(policy, Policy):
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
-    text = page(policy, drawing)
-
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(text.encode())
-
-    atomic_write(path, write)
+    write_text(path, page(policy, drawing))
     return Path(path)
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
-from capsyn.masks import preferred
+from capsyn.masks import masks_of_members, preferred
 from capsyn.problem import Problem
 from capsyn.processors import processors
 from capsyn.program import Program
@@ -94,9 +94,7 @@ class FiniteControlSet:
         least = costs.min(axis=1, keepdims=True)
         with np.errstate(invalid="ignore"):
             good = (costs <= least + TIE * np.abs(least)) & np.isfinite(costs)
-        return (good.astype(np.uint64) << np.arange(self.symbols, dtype=np.uint64)).sum(
-            axis=1, dtype=np.uint64
-        )
+        return masks_of_members(good)
 
     def __call__(self, states: np.ndarray) -> np.ndarray:
         """Return the first symbol (B,) of the best sequence from states (B, n).
