@@ -142,6 +142,7 @@ ORDER = [
     "exports.golden",
     "exports.made",
     "exports.identifiers",
+    "exports.long_lines",
     "exports.c_language",
     "exports.c_table",
     "exports.c_nested",

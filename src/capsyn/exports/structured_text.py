@@ -9,12 +9,11 @@ import numpy as np
 
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
+from capsyn.exports.long_lines import WIDTH, broken
 from capsyn.exports.made import Made
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Files, Plan
 from capsyn.exports.structured_text_lines import (
     KEYWORDS,
-    WIDTH,
-    broken,
     comment,
     condition,
     declared,

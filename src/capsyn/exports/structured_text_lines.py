@@ -6,8 +6,8 @@ import re
 import textwrap
 from collections.abc import Iterable, Sequence
 
-WIDTH = 99
-"""Most characters of a line."""
+from capsyn.exports.long_lines import WIDTH
+
 KEYWORDS = frozenset(
     """
     abs abstract acos action add and andn any any_bit any_date any_int any_num any_real array asin
@@ -59,15 +59,6 @@ def declared(declaration: str, about: str) -> list[str]:
     if len(declaration) + len(text) + 11 <= WIDTH:
         return [f"    {declaration} (* {text} *)"]
     return [*comment([text], indent=4), f"    {declaration}"]
-
-
-def broken(line: str, width: int = WIDTH) -> list[str]:
-    """Return a line, or several where it is too long, cut at blanks."""
-    indent = " " * (len(line) - len(line.lstrip()))
-    return textwrap.wrap(
-        line.strip(), width, initial_indent=indent, subsequent_indent=indent + "    ",
-        break_long_words=False, break_on_hyphens=False,
-    )  # fmt: skip
 
 
 def condition(before: str, parts: Sequence[str], after: str) -> list[str]:

@@ -11,12 +11,13 @@ from decimal import Decimal
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
+from capsyn.exports.long_lines import broken
 from capsyn.exports.made import Made
 from capsyn.exports.plan import Plan
 from capsyn.exports.verilog_bench import Interface, bench
 from capsyn.exports.verilog_ports import Port, changed_share, fixed_ports, fold, width_of
 from capsyn.exports.verilog_tree import TreeCircuit
-from capsyn.exports.verilog_words import KEYWORDS, broken, comment, signed
+from capsyn.exports.verilog_words import KEYWORDS, comment, signed
 from capsyn.validation import describe, finite_number, one_of, whole_number
 
 STAGE_LEVELS = 4

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from capsyn.exports.long_lines import broken
 from capsyn.exports.plan import Plan
 from capsyn.exports.verilog_ports import Port, width_of
-from capsyn.exports.verilog_words import broken, signed
+from capsyn.exports.verilog_words import signed
 from capsyn.split_tree import LEAF, SplitTree
 
 NESTING = 8

@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 
-WIDTH = 99
-"""Most characters of a line."""
+from capsyn.exports.long_lines import WIDTH
+
 KEYWORDS = frozenset(
     """
     always and assign automatic begin buf bufif0 bufif1 case casex casez cell cmos config deassign
@@ -56,19 +56,6 @@ def comment(lines: Iterable[str]) -> list[str]:
             "//"
         ]
     return found
-
-
-def broken(line: str) -> list[str]:
-    """Return a line, or several where it is too long, cut at blanks."""
-    indent = " " * (len(line) - len(line.lstrip()))
-    return textwrap.wrap(
-        line.strip(),
-        WIDTH,
-        initial_indent=indent,
-        subsequent_indent=indent + "    ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
 
 
 def signed(value: int, bits: int) -> str:
