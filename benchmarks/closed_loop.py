@@ -8,10 +8,10 @@ import time
 import numpy as np
 
 from capsyn import online_controller, problems, synthesize
-from capsyn.experiment import set_up
-from capsyn.plant import plant_of
+from capsyn.paper.reproduction import reproduce
 from capsyn.problems import cart_pendulum
-from capsyn.reproduction import reproduce
+from capsyn.simulation.experiment import set_up
+from capsyn.simulation.plant import plant_of
 from capsyn.verification.lyapunov import lyapunov
 
 TRIALS, SECONDS, RATE = 1000, 15.0, 1000.0

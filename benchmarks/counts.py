@@ -2,7 +2,7 @@
 
 import json
 
-from capsyn.paper import count_solves
+from capsyn.paper.cases import count_solves
 
 
 def measure():

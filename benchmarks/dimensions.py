@@ -269,7 +269,8 @@ def save_growth_plot(path):
     """Write the picture of solves and leaves against disagreement on a ball."""
     from matplotlib.figure import Figure
 
-    from capsyn.plots import PALETTE, reproducible, save_figure
+    from capsyn.plots.figure import reproducible, save_figure
+    from capsyn.policies.colors import PALETTE
 
     styles = {"constant": ("--", "s", "white"), "affine": ("-", "o", None)}
     with reproducible():

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from capsyn import compress, problems, synthesize
-from capsyn.exports.c import files
-from capsyn.exports.c_sizes import sizes
+from capsyn.exports.c.sizes import sizes
+from capsyn.exports.c.target import files
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 

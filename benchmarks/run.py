@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from capsyn import __version__
 from capsyn.native.build import find_compiler
+from capsyn.version import __version__
 
 HERE = Path(__file__).parent
 QUESTIONS = (

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from capsyn import problems
-from capsyn.synthesis import problem_controller
-from capsyn.transcription import runge_kutta_step, transcribe
+from capsyn.modelling.transcription import runge_kutta_step, transcribe
+from capsyn.synthesis.synthesize import problem_controller
 
 STEPS, STATES, ROUNDS = 24, 4096, 15
 

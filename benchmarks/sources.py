@@ -13,8 +13,8 @@ import numpy as np
 
 import capsyn
 from capsyn import Alphabet, problems
-from capsyn.exports.c import files
-from capsyn.exports.c_sizes import sizes
+from capsyn.exports.c.sizes import sizes
+from capsyn.exports.c.target import files
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import OUTSIDE, Plan
 from capsyn.sources.finite_control_set import finite_control_set

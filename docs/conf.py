@@ -1,6 +1,6 @@
 """How Sphinx builds the site: ``make docs``."""
 
-from capsyn import __version__
+from capsyn.version import __version__
 
 project = "capsyn"
 copyright = "2026, the capsyn authors"

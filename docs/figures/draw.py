@@ -9,8 +9,8 @@ from pathlib import Path
 
 from capsyn import explore, problems, synthesize
 from capsyn.compression.curve import size_curve
-from capsyn.curve_plot import save_curve_plot
-from capsyn.plots import save_policy_plot
+from capsyn.plots.curve import save_curve_plot
+from capsyn.plots.policy import save_policy_plot
 
 HERE = Path(__file__).parent
 

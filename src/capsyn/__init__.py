@@ -5,42 +5,42 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from capsyn.version import __version__ as __version__
+
 if TYPE_CHECKING:
-    from capsyn.alphabet import Alphabet as Alphabet
-    from capsyn.automaton import Automaton as Automaton
+    from capsyn.automata.automaton import Automaton as Automaton
     from capsyn.compression.compress import compress as compress
-    from capsyn.decision_tree import DecisionTree as DecisionTree
-    from capsyn.domain import Ball as Ball
-    from capsyn.domain import Box as Box
+    from capsyn.controllers.online import online_controller as online_controller
     from capsyn.errors import CapsynError as CapsynError
     from capsyn.explorer.explore import explore as explore
     from capsyn.exports.export import export as export
-    from capsyn.online import online_controller as online_controller
-    from capsyn.policy import Policy as Policy
-    from capsyn.problem import Problem as Problem
-    from capsyn.settings import SsacSettings as SsacSettings
-    from capsyn.simulation import Trajectory as Trajectory
-    from capsyn.simulation import simulate as simulate
-    from capsyn.subdivision import subdivide as subdivide
-    from capsyn.synthesis import synthesize as synthesize
+    from capsyn.modelling.alphabet import Alphabet as Alphabet
+    from capsyn.modelling.domain import Ball as Ball
+    from capsyn.modelling.domain import Box as Box
+    from capsyn.modelling.problem import Problem as Problem
+    from capsyn.modelling.settings import SsacSettings as SsacSettings
+    from capsyn.policies.policy import DecisionTree as DecisionTree
+    from capsyn.policies.policy import Policy as Policy
+    from capsyn.simulation.simulate import Trajectory as Trajectory
+    from capsyn.simulation.simulate import simulate as simulate
+    from capsyn.subdivision.subdivide import subdivide as subdivide
+    from capsyn.synthesis.synthesize import synthesize as synthesize
     from capsyn.verification.agreement import agreement as agreement
     from capsyn.verification.lyapunov import lyapunov as lyapunov
     from capsyn.verification.monte_carlo import Uniform as Uniform
     from capsyn.verification.monte_carlo import monte_carlo as monte_carlo
 
-__version__ = "0.1.0"
-
 _PUBLIC = {
-    "Alphabet": "alphabet",
-    "Automaton": "automaton",
-    "Ball": "domain",
-    "Box": "domain",
+    "Alphabet": "modelling.alphabet",
+    "Automaton": "automata.automaton",
+    "Ball": "modelling.domain",
+    "Box": "modelling.domain",
     "CapsynError": "errors",
-    "DecisionTree": "decision_tree",
-    "Policy": "policy",
-    "Problem": "problem",
-    "SsacSettings": "settings",
-    "Trajectory": "simulation",
+    "DecisionTree": "policies.policy",
+    "Policy": "policies.policy",
+    "Problem": "modelling.problem",
+    "SsacSettings": "modelling.settings",
+    "Trajectory": "simulation.simulate",
     "Uniform": "verification.monte_carlo",
     "agreement": "verification.agreement",
     "compress": "compression.compress",
@@ -48,10 +48,10 @@ _PUBLIC = {
     "export": "exports.export",
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",
-    "online_controller": "online",
-    "simulate": "simulation",
-    "subdivide": "subdivision",
-    "synthesize": "synthesis",
+    "online_controller": "controllers.online",
+    "simulate": "simulation.simulate",
+    "subdivide": "subdivision.subdivide",
+    "synthesize": "synthesis.synthesize",
 }
 __all__ = [
     "Alphabet",

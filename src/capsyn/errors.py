@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from collections.abc import Sequence
 
 
@@ -44,3 +46,11 @@ class KernelBuildError(CapsynError, RuntimeError):
 
 class CapsynWarning(UserWarning):
     """Something that the user should know and that does not stop the work."""
+
+
+def warn(message: str) -> None:
+    """Give a `CapsynWarning` that points at the line outside capsyn which led to it."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_globals.get("__name__", "").partition(".")[0] == "capsyn" and frame.f_back:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, CapsynWarning, stacklevel=level)

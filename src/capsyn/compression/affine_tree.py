@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from capsyn.affine_leaves import AffineLeaves
-from capsyn.cells import CellTree
+from capsyn.cells.affine_leaves import AffineLeaves
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.errors import ProblemError
-from capsyn.split_tree import LEAF, SplitTree
 
 MAX_NODES = 20_000_000
 """Most nodes of a tree."""

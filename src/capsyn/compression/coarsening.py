@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 
-from capsyn.cells import CellTree
+from capsyn.cells.cell_tree import CellTree
 from capsyn.compression.freedom import allowed_masks
 from capsyn.errors import ProblemError
-from capsyn.policy import Policy, cell_tree
+from capsyn.policies.policy import Policy, cell_tree
 
 
 def cut_off(policy: Policy, level: int) -> Policy:

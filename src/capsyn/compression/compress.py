@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Iterable, Iterator
 
 from capsyn.compression.affine_tree import affine_tree
@@ -13,10 +12,10 @@ from capsyn.compression.induction import Prices, induce
 from capsyn.compression.judge import Judge
 from capsyn.compression.oblique import fit_tree
 from capsyn.compression.proof import prove
-from capsyn.decision_tree import MODES, DecisionTree, Guarantee
-from capsyn.errors import CapsynWarning, ProblemError
-from capsyn.policy import Policy, cell_tree
-from capsyn.policy_file import content_hash
+from capsyn.errors import ProblemError, warn
+from capsyn.policies.file import content_hash
+from capsyn.policies.guarantee import MODES, Guarantee
+from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number
 from capsyn.verification.agreement import Controller
 
@@ -130,12 +129,10 @@ def compress(
     if mode == "linear":
         target = 0.99 if agreement is None else agreement
         if judge.source is None and policy.mixed_share > 1 - target:
-            warnings.warn(
+            warn(
                 f"cells whose test points disagree cover {policy.mixed_share:.2%} of the volume: "
                 f"an agreement of {target:g} follows their stairs; give a controller, or ask for "
-                "less",
-                CapsynWarning,
-                stacklevel=2,
+                "less"
             )
         tree = linear_tree(judge, target)
     elif agreement is None:
@@ -143,7 +140,7 @@ def compress(
     else:
         tree = _smallest_free_tree(judge, level, agreement)
     if not tree.guarantee.reached:
-        warnings.warn(judge.advice(tree), CapsynWarning, stacklevel=2)
+        warn(judge.advice(tree))
     return tree
 
 

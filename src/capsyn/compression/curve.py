@@ -10,14 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from capsyn.cells.packing import packed_bytes
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.compress import MAX_STATES, exact_tree, free_trees, linear_tree
 from capsyn.compression.judge import Judge
-from capsyn.decision_tree import DecisionTree
 from capsyn.errors import ProblemError
-from capsyn.files import atomic_write
-from capsyn.packing import packed_bytes
-from capsyn.policy import Policy, cell_tree
+from capsyn.execution.files import atomic_write
+from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.validation import BACKENDS, one_of, whole_number
 
 NODE_PRICES = (2.0, 0.5, 0.1)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from capsyn.cells.masks import Label, members
 from capsyn.compression.induction import Prices
-from capsyn.masks import Label, members
-from capsyn.policy import Policy, cell_tree
+from capsyn.policies.policy import Policy, cell_tree
 from capsyn.random_streams import stream
 
 VOTING = 5

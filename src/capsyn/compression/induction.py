@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.cells import CellTree
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.faces import Faces, shared_faces
+from capsyn.cells.masks import members
+from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.compression.optimal import FORBIDDEN, optimal_splits, sub_box_count
-from capsyn.faces import Faces, shared_faces
-from capsyn.masks import members
-from capsyn.split_tree import LEAF, SplitTree
 
 CUT_PENALTY = 0.1
 """What a unit of area cut between like cells counts against one between unlike cells."""

@@ -7,12 +7,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from capsyn.decision_tree import CONFIDENCE, DecisionTree
+from capsyn.cells.masks import Label, masks_of_symbols
+from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
-from capsyn.masks import Label, masks_of_symbols
-from capsyn.policy import Policy, cell_tree
+from capsyn.policies.guarantee import CONFIDENCE
+from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.random_streams import derived_seed
-from capsyn.ssac import policy_controller
 from capsyn.validation import describe
 from capsyn.verification.agreement import Agreement, Controller, agreement
 

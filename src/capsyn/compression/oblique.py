@@ -15,17 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsyn.cells import MAX_COUNT
+from capsyn.cells.masks import Label
+from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.compression.plane_tree import Link, Node, grow, prune, refine
 from capsyn.compression.surface import Plane, Samples, Surface, draw_samples, find_surface
-from capsyn.decision_tree import CONFIDENCE
-from capsyn.domain import Box
 from capsyn.errors import ProblemError
-from capsyn.masks import Label
+from capsyn.modelling.domain import Box
+from capsyn.modelling.grid import MAX_COUNT
+from capsyn.policies.guarantee import CONFIDENCE
 from capsyn.random_streams import stream
-from capsyn.split_tree import LEAF, SplitTree
+from capsyn.statistics import clopper_pearson
 from capsyn.validation import finite_number, whole_number
-from capsyn.verification.statistics import clopper_pearson
 
 STEPS = 8192
 """Most lattice steps along an axis."""

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from capsyn.cells import Boxes, CellTree
+from capsyn.cells.cell_tree import Boxes, CellTree
+from capsyn.cells.masks import holds
+from capsyn.cells.split_tree import SplitTree
 from capsyn.compression.affine_tree import affine_tree
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import allowed_masks
-from capsyn.decision_tree import DecisionTree
 from capsyn.errors import ProblemError
-from capsyn.masks import holds
-from capsyn.policy import Policy, cell_tree
-from capsyn.policy_file import content_hash
-from capsyn.split_tree import SplitTree
+from capsyn.policies.file import content_hash
+from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.validation import describe
 
 CHUNK = 100_000

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.masks import Label, masks_of_members, members
+from capsyn.cells.masks import Label, masks_of_members, members
 from capsyn.random_streams import stream
 
 NEEDLES = (0.05, 0.2, 0.8)

@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from capsyn.compression.compress import exact_tree
-from capsyn.decision_tree import DecisionTree
 from capsyn.errors import ProblemError
+from capsyn.execution.files import write_text
 from capsyn.explorer.formulas import formulas
 from capsyn.explorer.page_data import page_data
 from capsyn.explorer.program_javascript import model_javascript
-from capsyn.files import write_text
-from capsyn.policy import Policy
+from capsyn.policies.policy import DecisionTree, Policy
 from capsyn.validation import describe
 
 POLICY = "default-src 'none'; script-src '{script}'; style-src '{style}'; {nothing}"

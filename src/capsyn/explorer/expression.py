@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from capsyn.program import Program
+from capsyn.programs.program import Program
 
 Expression = tuple[Any, ...]
 LARGE = 8

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from capsyn.evidence_text import evidence_rows
+from capsyn.verification.sentences import evidence_rows
 
 ROLES = {
     "vertices": "at vertices",
@@ -17,7 +17,7 @@ Row = tuple[str, str]
 
 
 def facts(data: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return sections of rows (name, text) from what `capsyn.report.report` returns.
+    """Return sections of rows (name, text) from what `capsyn.policies.report.report` returns.
 
     Sections without rows are left out.
     """

@@ -12,8 +12,8 @@ import re
 from collections.abc import Iterator, Sequence
 
 from capsyn.explorer.expression import Expression, expressions, number, signed
-from capsyn.policy import Policy
-from capsyn.program import Program
+from capsyn.policies.policy import Policy
+from capsyn.programs.program import Program
 
 LONGEST = 250
 """Most operations of a program that is shown as a formula."""

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.automaton import edges_between
-from capsyn.cells import CellTree
-from capsyn.domain import Ball
+from capsyn.automata.automaton import edges_between
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
 from capsyn.explorer.facts import facts
 from capsyn.explorer.policy_data import policy_data
-from capsyn.policy import Policy
-from capsyn.report import report
-from capsyn.split_tree import SplitTree
-from capsyn.targets import describe_target, target_axes
+from capsyn.modelling.domain import Ball
+from capsyn.modelling.targets import describe_target, target_axes
+from capsyn.policies.policy import Policy
+from capsyn.policies.report import report
 
 DRAWINGS = {
     "pendulum": ("theta", "omega"),

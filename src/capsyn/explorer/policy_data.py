@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells import CellTree
-from capsyn.packing import smallest_type
-from capsyn.plant import ACCURACY, MOST_SUBSTEPS, SAMPLES
-from capsyn.policy import Policy
-from capsyn.policy_file import arrays_of, content_of
-from capsyn.ssac import UNRESOLVED
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.packing import smallest_type
+from capsyn.policies.file import arrays_of, content_of
+from capsyn.policies.policy import Policy
+from capsyn.programs.step_doubling import UNRESOLVED
+from capsyn.simulation.plant import ACCURACY, MOST_SUBSTEPS, SAMPLES
 
 RATE = 1000.0
 """Sample rate of closed loops [1 / s] where a policy has no settings."""

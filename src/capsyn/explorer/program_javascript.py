@@ -6,10 +6,10 @@ import math
 import re
 
 from capsyn.errors import ProblemError
-from capsyn.operations import OPERATIONS
-from capsyn.policy import Policy
-from capsyn.program import Program
-from capsyn.targets import target_program
+from capsyn.modelling.targets import target_program
+from capsyn.policies.policy import Policy
+from capsyn.programs.operations import OPERATIONS
+from capsyn.programs.program import Program
 
 HELPERS = {
     "fabs": "Math.abs",

@@ -6,11 +6,11 @@ import hashlib
 from collections.abc import Mapping
 from typing import Any
 
-from capsyn.complexity import mean_depth
+from capsyn.cells.packing import packed_bytes
+from capsyn.compression.complexity import mean_depth
 from capsyn.exports.made import Made
 from capsyn.exports.plan import Plan
-from capsyn.packing import packed_bytes
-from capsyn.policy_file import content_hash
+from capsyn.policies.file import content_hash
 
 
 def certificate(plan: Plan, made: Made, target: str, options: Mapping[str, Any]) -> dict[str, Any]:

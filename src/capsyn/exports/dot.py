@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from capsyn.automaton import Automaton
+from capsyn.automata.automaton import Automaton
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name

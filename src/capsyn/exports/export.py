@@ -15,22 +15,22 @@ from types import ModuleType
 from typing import Any
 
 from capsyn.errors import ProblemError
-from capsyn.exports.c_sizes import sizes
+from capsyn.exports.c.sizes import sizes
 from capsyn.exports.certificate import certificate
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Files, Plan
-from capsyn.policy import Policy
+from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
 TARGETS = {
-    "c": "c",
-    "structured-text": "structured_text",
-    "verilog": "verilog",
-    "fmu": "fmu",
+    "c": "c.target",
+    "structured-text": "structured_text.target",
+    "verilog": "verilog.target",
+    "fmu": "fmu.target",
     "python": "python_module",
-    "javascript": "javascript",
+    "javascript": "javascript.target",
     "dot": "dot",
-    "json": "policy_json",
+    "json": "policy_json.target",
 }
 """Targets and their modules, each with ``files(plan, golden, **options) -> Made``."""
 

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn import __version__
-from capsyn.alphabet import Alphabet
 from capsyn.compression.compress import exact_tree
-from capsyn.decision_tree import DecisionTree
-from capsyn.domain import Box
 from capsyn.errors import ProblemError
-from capsyn.policy import Policy, check_outside
-from capsyn.policy_file import content_hash
+from capsyn.modelling.alphabet import Alphabet, check_outside
+from capsyn.modelling.domain import Box
+from capsyn.policies.file import content_hash
+from capsyn.policies.policy import DecisionTree, Policy
 from capsyn.validation import describe, finite_array, finite_number, numbers
+from capsyn.version import __version__
 
 Files = dict[str, bytes]
 """Contents of files by name."""

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.native.single import single_lookup
-from capsyn.plant import choose_substeps, plant_of
-from capsyn.policy import Policy
-from capsyn.problem import Problem
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.targets import target_program
+from capsyn.policies.policy import Policy
+from capsyn.policies.single_lookup import single_lookup
 from capsyn.random_streams import derived_seed
+from capsyn.simulation.plant import choose_substeps, plant_of
 from capsyn.sources.callables import foreign
-from capsyn.targets import target_program
 from capsyn.validation import describe, finite_array, finite_number, numbers, one_line, whole_number
 
 try:

@@ -1,1 +1,1 @@
-"""Compiled kernels: programs as C lanes inside hand-written loops, called through ctypes."""
+"""The C compiler, the cache of what it built, and C around programs as lanes."""

@@ -20,11 +20,10 @@ import sys
 import tempfile
 import threading
 import time
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from capsyn.errors import CapsynWarning, KernelBuildError
+from capsyn.errors import KernelBuildError, warn
 
 FLAGS = (
     "-O2",
@@ -157,11 +156,7 @@ def _trusted_cache() -> Path | None:
 
 @functools.lru_cache(maxsize=8)
 def _warn_open_cache(directory: Path) -> None:
-    warnings.warn(
-        f"the kernel cache '{directory}' is not used, since {OTHERS_MAY_WRITE}",
-        CapsynWarning,
-        stacklevel=2,
-    )
+    warn(f"the kernel cache '{directory}' is not used, since {OTHERS_MAY_WRITE}")
 
 
 def load(source: str, flags: tuple[str, ...] = ()) -> ctypes.CDLL:

@@ -9,17 +9,21 @@ import sys
 from collections.abc import Iterable
 from importlib import resources
 
-from capsyn.native.build import find_compiler
-from capsyn.operations import OPERATIONS
-from capsyn.program import Program
+import numpy as np
 
+from capsyn.native.build import find_compiler
+from capsyn.programs.operations import OPERATIONS
+from capsyn.programs.program import Program
+
+LANES = 64
+"""States that a kernel of batches handles side by side."""
 INLINE = {"sqrt": 1, "fabs": 1, "floor": 1, "ceil": 1, "rint": 1, "copysign": 2}
 """Functions that compilers turn into instructions by themselves, with their arity."""
 
 
-def hand_written(name: str) -> str:
-    """Return the text of a C file of this package."""
-    return resources.files("capsyn.native").joinpath(name).read_text(encoding="utf-8")
+def hand_written(path: str) -> str:
+    """Return the text of a C file of capsyn, such as ``policies/lookup.c``."""
+    return resources.files("capsyn").joinpath(path).read_text(encoding="utf-8")
 
 
 def declarations(programs: Iterable[Program], precision: str, lanes: int) -> str:
@@ -87,3 +91,8 @@ def _has_vector_version(function: str, arity: int, precision: str) -> bool:
     library, letter = found
     lanes = 4 if precision == "single" else 2
     return hasattr(library, f"_ZGV{letter}N{lanes}{'v' * arity}_{function}")
+
+
+def pointer(array: np.ndarray) -> ctypes.c_void_p:
+    """Return where an array lies, as an argument of a kernel."""
+    return ctypes.c_void_p(array.ctypes.data)

@@ -7,7 +7,7 @@ import importlib
 from collections.abc import Callable
 
 from capsyn.errors import ProblemError
-from capsyn.problem import Problem
+from capsyn.modelling.problem import Problem
 
 _MAKERS = {
     "cart-pendulum": ("cart_pendulum", "cart_pendulum"),

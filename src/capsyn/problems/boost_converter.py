@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from capsyn.alphabet import Alphabet
-from capsyn.domain import Box
-from capsyn.problem import Problem
-from capsyn.settings import SsacSettings
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import Box
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.settings import SsacSettings
 
 SUPPLY = 20.0  # V
 OUTPUT = 40.0  # V, wanted

@@ -6,10 +6,10 @@ from typing import Any
 
 import casadi as ca
 
-from capsyn.alphabet import Alphabet
-from capsyn.domain import Box
-from capsyn.problem import Problem
-from capsyn.settings import SsacSettings
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import Box
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.settings import SsacSettings
 
 GRAVITY = 9.81  # m/s^2
 LENGTH = 2.0  # m

@@ -7,10 +7,10 @@ from typing import Any
 
 import casadi as ca
 
-from capsyn.alphabet import Alphabet
-from capsyn.domain import Ball, Box
-from capsyn.problem import Problem
-from capsyn.settings import SsacSettings
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.settings import SsacSettings
 
 HEIGHT = 0.5  # of the upper tank above the lower
 SMOOTHING = 1e-6  # of the square root at 0

@@ -7,10 +7,10 @@ from typing import Any
 
 import casadi as ca
 
-from capsyn.alphabet import Alphabet
-from capsyn.domain import Ball, Box
-from capsyn.problem import Problem
-from capsyn.settings import SsacSettings
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.settings import SsacSettings
 
 GRAVITY = 9.81  # m/s^2
 MASS = 1.0  # kg

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from capsyn.alphabet import Alphabet
-from capsyn.domain import Ball, Box
-from capsyn.problem import Problem
-from capsyn.settings import SsacSettings
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.settings import SsacSettings
 
 INERTIA = (1.0, 1.3, 0.8)  # kg m^2, about the principal axes
 TORQUE = 0.4  # N m

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.alphabet import Alphabet
+from capsyn.cells.masks import Label
 from capsyn.errors import ProblemError
-from capsyn.masks import Label
-from capsyn.policy import Policy
-from capsyn.problem import Problem
-from capsyn.subdivision import subdivide
-from capsyn.transcription import transcribe, transcribe_target
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.transcription import transcribe, transcribe_target
+from capsyn.policies.policy import Policy
+from capsyn.subdivision.subdivide import subdivide
 from capsyn.validation import describe, one_line, one_of
 
 

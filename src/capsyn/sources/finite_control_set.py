@@ -9,8 +9,8 @@ References
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
-import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,12 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
-from capsyn.masks import masks_of_members, preferred
-from capsyn.problem import Problem
-from capsyn.processors import processors
-from capsyn.program import Program
-from capsyn.transcription import transcribe
+from capsyn.cells.masks import masks_of_members, preferred
+from capsyn.errors import ProblemError
+from capsyn.execution.processors import processors
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.transcription import transcribe
+from capsyn.native.build import load
+from capsyn.native.compiled import compiled
+from capsyn.native.source import LANES, declarations, hand_written
+from capsyn.programs.program import Program
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number, whole_numbers
 
 TIE = 1e-9
@@ -171,23 +174,14 @@ def finite_control_set(
     end = model.terminal_cost
     end = Program(end.name, end.inputs, end.outputs[:1], end.instructions, end.results[:1])
     plan = (values, efforts, np.full(depth, period / steps), held * steps)
-    solver: Solver | None = None
-    if backend != "numpy":
-        from capsyn.native.finite_control_set import FiniteControlSetKernel
-
-        try:
-            kernel = FiniteControlSetKernel.build(model.step, end, count, depth)
-
-            def solver(states: np.ndarray) -> np.ndarray:
-                return kernel(states, *plan)
-
-        except KernelBuildError as error:
-            if backend == "c":
-                raise
-            warnings.warn(f"predicting with NumPy: {error}", CapsynWarning, stacklevel=2)
-    used = "numpy" if solver is None else "c"
-    if solver is None:
-        solver = _NumpySolver(model.step, end, *plan)
+    kernel = compiled(
+        lambda: FiniteControlSetKernel.build(model.step, end, count, depth), backend, "predicting"
+    )
+    if kernel is None:
+        solver: Solver = _NumpySolver(model.step, end, *plan)
+    else:
+        solver = lambda states: kernel(states, *plan)  # noqa: E731
+    used = "numpy" if kernel is None else "c"
     return FiniteControlSet(solver, used, problem.domain.n, count, processors(threads))
 
 
@@ -226,3 +220,63 @@ class _NumpySolver:
             least = self._least(y, cost, depth + 1, range(len(self.controls)))
             best = np.minimum(best, least)
         return best
+
+
+class PredictionArguments(ctypes.Structure):
+    """The ``prediction`` of finite_control_set.c."""
+
+    _fields_ = [(name, ctypes.c_void_p) for name in "controls efforts dt steps".split()]
+
+
+@dataclass(frozen=True)
+class FiniteControlSetKernel:
+    """Least costs of sequences by their first symbol, compiled. Safe to call from threads."""
+
+    function: Any
+    symbols: int
+
+    @staticmethod
+    def build(
+        step: Program, terminal_cost: Program, symbols: int, depth: int
+    ) -> FiniteControlSetKernel:
+        """Return the kernel of two programs of a model; `KernelBuildError` if it fails.
+
+        ``terminal_cost`` has one output, the cost.
+        """
+        sizes = dict(step.inputs)
+        source = "\n".join(
+            [
+                declarations([step, terminal_cost], "double", LANES),
+                f"#define STATES {sizes['x']}\n#define INPUTS {sizes['u']}",
+                f"#define SYMBOLS {symbols}\n#define DEPTH {depth}",
+                step.to_c("step", uniform=["u", "dt"]),
+                terminal_cost.to_c("terminal_cost"),
+                hand_written("sources/finite_control_set.c"),
+            ]
+        )
+        function = load(source, ("-ffp-contract=fast",)).capsyn_finite_control_set
+        function.restype = None
+        p = ctypes.c_void_p
+        function.argtypes = [ctypes.c_int64, p, p, p]
+        return FiniteControlSetKernel(function, symbols)
+
+    def __call__(
+        self,
+        states: np.ndarray,
+        controls: np.ndarray,
+        efforts: np.ndarray,
+        dt: np.ndarray,
+        steps: np.ndarray,
+    ) -> np.ndarray:
+        """Return costs (B, N) of states (B, n); controls (N, m), efforts (N,), dt, steps (D,)."""
+        states = np.ascontiguousarray(states, dtype=np.float64)
+        costs = np.empty((len(states), self.symbols))
+        arrays = [
+            np.ascontiguousarray(controls, dtype=np.float64),
+            np.ascontiguousarray(efforts, dtype=np.float64),
+            np.ascontiguousarray(dt, dtype=np.float64),
+            np.ascontiguousarray(steps, dtype=np.int64),
+        ]
+        plan = PredictionArguments(*(array.ctypes.data for array in arrays))
+        self.function(len(states), states.ctypes.data, ctypes.addressof(plan), costs.ctypes.data)
+        return costs

@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.alphabet import Alphabet
-from capsyn.domain import LARGEST
 from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import LARGEST
 from capsyn.sources.table import MOST_POINTS, Table, check_points, check_symbols
 from capsyn.sources.text import check_alphabet, fail, naming, path_text, read_bytes
 from capsyn.validation import one_line, one_of

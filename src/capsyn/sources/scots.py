@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.alphabet import MAX_SYMBOLS, Alphabet
 from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import MAX_SYMBOLS, Alphabet
 from capsyn.sources.table import MOST_AXES, Table, check_points
 from capsyn.sources.text import check_alphabet, fail, naming, path_text, read_bytes
 

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.alphabet import Alphabet
-from capsyn.cells import MAX_COUNT, CellTree
-from capsyn.domain import LARGEST, Box
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.masks import preferred, several
 from capsyn.errors import ProblemError
-from capsyn.masks import preferred, several
-from capsyn.policy import Outside, Policy, check_outside
+from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
+from capsyn.modelling.domain import LARGEST, Box
+from capsyn.modelling.grid import MAX_COUNT
+from capsyn.policies.policy import Policy
 from capsyn.validation import describe, finite_array
 
 MOST_POINTS = 1 << 24

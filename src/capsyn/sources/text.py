@@ -7,8 +7,8 @@ import os
 from collections.abc import Iterator
 from typing import Any, NoReturn
 
-from capsyn.alphabet import Alphabet
 from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import Alphabet
 from capsyn.validation import describe
 
 MOST_BYTES = 1 << 30

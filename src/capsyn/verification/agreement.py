@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells import CellTree
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.masks import Label, holds, masks_of_symbols, preferred, several
+from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
-from capsyn.lattice_points import CHUNK
-from capsyn.masks import Label, holds, masks_of_symbols, preferred, several
-from capsyn.policy import Policy, cell_tree
-from capsyn.processors import processors
-from capsyn.ssac import policy_controller
+from capsyn.execution.processors import processors
+from capsyn.policies.policy import Policy, cell_tree
+from capsyn.statistics import TOLD, check_confidence, clopper_pearson
+from capsyn.subdivision.lattice_points import CHUNK
 from capsyn.validation import BACKENDS, describe, one_of, whole_number
-from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
 KEPT = 10_000
 """Most disagreeing states, and most islands, that are kept; all are counted."""

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.expansion import Expansion, expand
-from capsyn.intervals import Interval, evaluate_intervals
-from capsyn.operations import OPERATIONS
-from capsyn.policy import Policy
-from capsyn.program import Program
-from capsyn.program_builder import ProgramBuilder
-from capsyn.transcription import user_program
+from capsyn.modelling.transcription import user_program
+from capsyn.policies.policy import Policy
+from capsyn.programs.builder import ProgramBuilder
+from capsyn.programs.expansion import Expansion, expand
+from capsyn.programs.intervals import Interval, evaluate_intervals
+from capsyn.programs.operations import OPERATIONS
+from capsyn.programs.program import Program
 from capsyn.validation import describe
 
 CHUNK = 4096

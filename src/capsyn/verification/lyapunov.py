@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells import CellTree
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.faces import shared_faces
 from capsyn.errors import ProblemError
-from capsyn.faces import shared_faces
-from capsyn.policy import Policy
+from capsyn.policies.policy import Policy
+from capsyn.statistics import TOLD
 from capsyn.validation import describe, finite_number, is_list, one_line, whole_number
 from capsyn.verification.bisection import Boxes, bisect
 from capsyn.verification.loop_derivative import LoopDerivative
-from capsyn.verification.statistics import TOLD
 
 MAX_STATES = 50_000_000
 """Most states of a grid."""

@@ -8,17 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.closed_loop import ENDINGS, TIME, Noise
-from capsyn.domain import Ball, Box
+from capsyn.controllers.command import ENDINGS, TIME
+from capsyn.controllers.online import OnlineController
+from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
-from capsyn.experiment import per_state, set_up
-from capsyn.online import OnlineController
-from capsyn.plant import plant_of
-from capsyn.policy import Outside, Policy, check_outside
-from capsyn.ssac import policy_controller
-from capsyn.targets import check_target, describe_target, target_axes, with_tolerance
+from capsyn.modelling.alphabet import Outside, check_outside
+from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.targets import check_target, describe_target, target_axes, with_tolerance
+from capsyn.policies.policy import Policy
+from capsyn.simulation.closed_loop import Noise
+from capsyn.simulation.experiment import per_state, set_up
+from capsyn.simulation.plant import plant_of
+from capsyn.statistics import TOLD, check_confidence, clopper_pearson
 from capsyn.validation import describe, finite_number, one_line, whole_number
-from capsyn.verification.statistics import TOLD, check_confidence, clopper_pearson
 
 MOST_TRIALS = 10**8
 ROUNDING, SLACK = 1e-12, 1e-6
@@ -56,7 +58,7 @@ class MonteCarlo:
     initial, final : (T, n)
         Its first and last states [state units].
     ended : (T,)
-        Why it ended, as numbers into `capsyn.closed_loop.ENDINGS`.
+        Why it ended, as numbers into `capsyn.controllers.command.ENDINGS`.
     times : (T,)
         How long it ran [s].
     arrived : (T,)

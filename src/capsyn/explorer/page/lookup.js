@@ -1,4 +1,4 @@
-import { latticeStep } from "./lattice.js";
+import { latticeStep } from "../../exports/javascript/lattice.js";
 
 /** Symbols beside 0 .. N-1: the default control, none, and a cell that is cut further. */
 export const DEFAULT = -1, NONE = -2, MIXED = -3;

@@ -1,0 +1,1 @@
+"""Which symbols follow which: policies as finite automata."""

@@ -1,0 +1,381 @@
+"""The automaton of a policy: Definition 2 as a directed multigraph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.automata.face_rates import POSSIBLE, SLIDING, UNDECIDED
+from capsyn.automata.regions import Partitions, Region, connected_partitions, regions
+from capsyn.automata.switching import Switching, switching
+from capsyn.cells.cell_tree import CellTree
+from capsyn.errors import ProblemError
+from capsyn.modelling.domain import Box
+from capsyn.policies.policy import Policy
+from capsyn.validation import describe
+
+TOLD = 20
+"""Most sliding faces among plain data."""
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A transition: whatever symbol is held, a state in region A_j takes the machine to symbol j.
+
+    Parameters
+    ----------
+    source, target : int
+        Symbols, N for the default control. An edge with both the same holds the symbol.
+    region : int
+        The region that is its guard, by its place in ``Automaton.regions``.
+    possible : bool or None
+        Whether the closed loop can take it in continuous time: False only where that is proved
+        impossible, True only where it is proved at some state, None where neither is, or where
+        there is no model.
+    sliding : bool or None
+        Likewise, whether the loop slides (chatters) between the two symbols anywhere.
+    rate : float or None
+        Rate of crossings from evenly spread states [1/s]; see `Switching`. None without a model
+        and for edges that hold.
+    sliding_rate : float or None
+        Rate of arrivals at faces on which the loop then slides [1/s].
+    """
+
+    source: int
+    target: int
+    region: int
+    possible: bool | None = None
+    sliding: bool | None = None
+    rate: float | None = None
+    sliding_rate: float | None = None
+
+
+@dataclass(frozen=True)
+class SlidingFace:
+    """A face between two cells on which the loop slides: both sides push into it.
+
+    Parameters
+    ----------
+    axis : int
+        State that is constant on the face.
+    lower, upper : n floats
+        Its bounds [state units], equal on that axis.
+    below, above : int
+        The symbols on its two sides, N for the default control.
+    share : float
+        Share of the face on which the loop slides, from samples.
+    """
+
+    axis: int
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    below: int
+    above: int
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Automaton:
+    """A policy as a finite state machine ``<U, L, T>`` (Definition 2 of the paper).
+
+    Symbols are the vertices, those that the policy uses. V of them have V^2 edges, with the
+    regions as guards.
+
+    Parameters
+    ----------
+    name : str
+        Name of the policy.
+    domain : Box
+        Its domain.
+    counts : n ints
+        Finest cells along each axis.
+    symbols : int
+        Symbols N of the alphabet, and the number that stands for the default control.
+    vertices : tuple of int
+        The symbols that occur, ascending, N for the default control.
+    names : tuple of str
+        Their names.
+    controls : (V, m)
+        Their control vectors [input units].
+    regions : tuple of Region
+        Their regions, as boxes that tile them.
+    edges : tuple of Edge
+        All V^2 edges, by source and then by target.
+    partitions : Partitions
+        The connected partitions L that the regions are made of.
+    switching : Switching or None
+        What the vector field does on the faces between symbols; None without a model.
+    """
+
+    name: str
+    domain: Box
+    counts: tuple[int, ...]
+    symbols: int
+    vertices: tuple[int, ...]
+    names: tuple[str, ...]
+    controls: np.ndarray
+    regions: tuple[Region, ...]
+    edges: tuple[Edge, ...]
+    partitions: Partitions
+    switching: Switching | None
+
+    @staticmethod
+    def of(policy: Policy) -> Automaton:
+        """Return a policy as a finite state machine.
+
+        Parameters
+        ----------
+        policy : Policy
+            The policy. Without a model it is not known which edges its loop can take.
+
+        Raises
+        ------
+        ProblemError
+            No policy, or one whose tree has oblique splits.
+        """
+        if not isinstance(policy, Policy):
+            raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
+        if policy.has_planes:
+            what = "affine leaves" if isinstance(policy.cells, CellTree) else "oblique splits"
+            raise ProblemError(
+                f"`policy` must have cells of one symbol each or splits along the axes; {policy!r} "
+                f"has {what}"
+            )
+        partitions = connected_partitions(policy.cells, policy.domain.periodic)
+        found = tuple(regions(policy.cells, partitions))
+        vertices = tuple(region.label for region in found)
+        names = (*policy.alphabet.names, policy.symbol_name(-1))
+        analysis = None if policy.model is None else switching(policy)
+        return Automaton(
+            name=policy.name,
+            domain=policy.domain,
+            counts=tuple(policy.cells.counts),
+            symbols=len(policy.alphabet),
+            vertices=vertices,
+            names=tuple(names[label] for label in vertices),
+            controls=policy.controls[list(vertices)],
+            regions=found,
+            edges=_edges(vertices, analysis),
+            partitions=partitions,
+            switching=analysis,
+        )
+
+    def region_name(self, label: int) -> str:
+        """Return the name of the region of symbol `label`: A1 of the first, A0 of the default."""
+        return f"A{self.symbol_number(label)}"
+
+    def symbol_number(self, label: int) -> int:
+        """Return the number of symbol `label` in the paper: from 1, of the default control 0."""
+        self._vertex(label)
+        return (label + 1) % (self.symbols + 1)
+
+    def region(self, label: int) -> Region:
+        """Return the region of symbol `label`, N for the default control."""
+        return self.regions[self._vertex(label)]
+
+    def edge(self, source: int, target: int) -> Edge:
+        """Return the edge from symbol `source` to `target`, N for the default control."""
+        return self.edges[self._vertex(source) * len(self.vertices) + self._vertex(target)]
+
+    def bounds(self, label: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return lower and upper bounds (K, n) of the boxes of symbol `label` [state units].
+
+        See `Region.bounds`.
+        """
+        return self.region(label).bounds(self.domain, self.counts)
+
+    def sliding_faces(self) -> list[SlidingFace]:
+        """Return the faces on which the loop slides, those with most sliding area first.
+
+        Without a model it is not known, and there are none.
+        """
+        found, domain = self.switching, self.domain
+        if found is None:
+            return []
+        area = found.areas * found.shares[:, SLIDING]
+        rows = np.flatnonzero(found.found[:, SLIDING] == POSSIBLE)
+        rows = rows[np.argsort(-area[rows], kind="stable")]
+        lower = domain.points(found.faces.lower[rows], self.counts)
+        upper = domain.points(found.faces.upper[rows], self.counts)
+        axes, pairs = found.faces.axis[rows].tolist(), found.labels[rows].tolist()
+        return [
+            SlidingFace(axis, tuple(low), tuple(high), below, above, share)
+            for axis, low, high, (below, above), share in zip(
+                axes, lower.tolist(), upper.tolist(), pairs, found.shares[rows, SLIDING].tolist()
+            )
+        ]
+
+    def _vertex(self, label: int) -> int:
+        if label not in self.vertices:
+            used = ", ".join(map(str, self.vertices))
+            raise ProblemError(f"`label` must be one of {used}; got {describe(label)}")
+        return self.vertices.index(label)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the automaton as plain data, without the corners of its boxes.
+
+        Of the sliding faces, the first `TOLD`.
+        """
+        found = self.switching
+        labels = self.partitions.labels
+        return {
+            "name": self.name,
+            "states": list(self.domain.names),
+            "vertices": [
+                {
+                    "symbol": region.label,
+                    "name": name,
+                    "value": control.tolist(),
+                    "region": self.region_name(region.label),
+                    "volume_share": region.share,
+                    "cells": region.cells,
+                    "boxes": len(region),
+                    "partitions": int((labels == region.label).sum()),
+                }
+                for region, name, control in zip(self.regions, self.names, self.controls)
+            ],
+            "edges": [
+                {
+                    "source": edge.source,
+                    "target": edge.target,
+                    "region": self.region_name(edge.target),
+                    "possible": edge.possible,
+                    "sliding": edge.sliding,
+                    "rate": edge.rate,
+                    "sliding_rate": edge.sliding_rate,
+                }
+                for edge in self.edges
+            ],
+            "partitions": len(self.partitions),
+            "switching": None
+            if found is None
+            else {
+                "faces": len(found.faces),
+                "rate": found.rate,
+                "sliding_rate": float(found.sliding_rates.sum()),
+                "sliding_share": found.sliding_share,
+                "exit_rate": float(found.exit_rates.sum()),
+                "sliding_faces": [vars(face) for face in self.sliding_faces()[:TOLD]],
+            },
+        }
+
+    def to_dot(self, colors: Mapping[int, str] | None = None) -> str:
+        """Return the graph in the language of Graphviz; the same automaton gives the same text.
+
+        Edges that are proved impossible are dashed and grey, those that are not decided dotted.
+        A star marks edges on which the loop chatters somewhere.
+
+        Parameters
+        ----------
+        colors : mapping of symbol to text, optional
+            Colours of the vertices, as ``#rrggbb``.
+        """
+        lines = [
+            "// Finite state machine of a control alphabet policy; A is the region of a symbol.",
+            "// Dashed: proved impossible; dotted: undecided; *: the loop chatters somewhere.",
+            f"digraph {_quoted(self.name)} {{",
+            "    node [shape=circle];",
+        ]
+        for label, name in zip(self.vertices, self.names):
+            filled = _filled(colors[label]) if colors else ""
+            lines.append(f"    {label} [label={_quoted(name)}{filled}];")
+        for edge in self.edges:
+            text = self.edge_text(edge)
+            style = ""
+            if edge.possible is False:
+                style = ', style=dashed, color="#999999", fontcolor="#999999"'
+            elif edge.possible is None and self.switching:
+                style = ", style=dotted"
+            lines.append(f"    {edge.source} -> {edge.target} [label={_quoted(text)}{style}];")
+        return "\n".join([*lines, "}"]) + "\n"
+
+    def edge_text(self, edge: Edge) -> str:
+        """Return the label of an edge: its region, with a star where the loop chatters."""
+        return self.region_name(edge.target) + ("*" if edge.sliding else "")
+
+    def to_networkx(self) -> Any:
+        """Return the graph as a ``networkx.MultiDiGraph``.
+
+        Its nodes are symbols, with their ``name``, ``value``, ``volume_share``, ``cells``,
+        ``boxes`` and ``partitions``; the key of an edge is the name of its region, and what is
+        known of it are attributes named as in `Edge`. All are numbers or text, as files of graphs
+        need them.
+
+        Raises
+        ------
+        ProblemError
+            NetworkX is not installed.
+        """
+        try:
+            import networkx
+        except ImportError:
+            raise ProblemError(
+                "`to_networkx` needs NetworkX: pip install 'capsyn[graphs]'"
+            ) from None
+        data = self.to_json()
+        graph = networkx.MultiDiGraph(name=self.name)
+        for vertex in data["vertices"]:
+            vertex["value"] = ", ".join(f"{number:g}" for number in vertex["value"])
+            graph.add_node(vertex.pop("symbol"), **vertex)
+        for edge in data["edges"]:
+            known = {key: value for key, value in edge.items() if value is not None}
+            graph.add_edge(known.pop("source"), known.pop("target"), known["region"], **known)
+        return graph
+
+    def __repr__(self) -> str:
+        possible = sum(edge.possible is not False for edge in self.edges)
+        boxes = sum(map(len, self.regions))
+        return (
+            f"Automaton('{self.name}', {len(self.vertices)} vertices, {len(self.edges)} edges "
+            f"({possible} possible), {len(self.partitions)} partitions, {boxes} boxes)"
+        )
+
+
+def edges_between(policy: Policy, vertices: Sequence[int]) -> tuple[Edge, ...]:
+    """Return all edges between symbols, by source and then by target, without their regions.
+
+    The policy is as in `Automaton.of`; N is the default control.
+    """
+    return _edges(vertices, None if policy.model is None else switching(policy))
+
+
+def _edges(vertices: Sequence[int], found: Switching | None) -> tuple[Edge, ...]:
+    return tuple(
+        _edge(source, target, place, found)
+        for source in vertices
+        for place, target in enumerate(vertices)
+    )
+
+
+def _edge(source: int, target: int, region: int, found: Switching | None) -> Edge:
+    if source == target:
+        return Edge(source, target, region, True, False)
+    if found is None:
+        return Edge(source, target, region)
+    return Edge(
+        source,
+        target,
+        region,
+        _known(found.switches[source, target]),
+        _known(found.slidings[source, target]),
+        float(found.switch_rates[source, target]),
+        float(found.sliding_rates[source, target]),
+    )
+
+
+def _filled(color: str) -> str:
+    """Return the attributes of a vertex of a colour ``#rrggbb``, with a text that can be read."""
+    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
+    dark = 0.299 * red + 0.587 * green + 0.114 * blue < 128
+    return f', style=filled, fillcolor="{color}", fontcolor="{"white" if dark else "black"}"'
+
+
+def _known(status: int) -> bool | None:
+    return None if status == UNDECIDED else bool(status == POSSIBLE)
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

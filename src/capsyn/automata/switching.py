@@ -1,0 +1,292 @@
+"""Which switches the closed loop can take: the vector field on the faces between symbols.
+
+On a face perpendicular to axis k, with symbol i below and j above, the loop moves along the axis
+with ``f_k(x, u_i)`` on the lower side and ``f_k(x, u_j)`` on the upper one. Their signs tell what
+happens there [1]_:
+
+=================  =================  =========================================
+``f_k(x, u_i)``    ``f_k(x, u_j)``    the loop
+=================  =================  =========================================
+> 0                >= 0               crosses upwards, a switch from i to j
+<= 0               < 0                crosses downwards, a switch from j to i
+> 0                < 0                slides in the face, chattering between both
+< 0                > 0                leaves the face on either side (repelling)
+=================  =================  =========================================
+
+All statements are for continuous time and dynamics that are locally Lipschitz on each side of a
+face. A loop that is sampled may jump over a thin region, and chatters beside a sliding face instead
+of sliding in it. A trajectory may also go through an edge or corner of cells, from one region to
+another that it touches in fewer than n - 1 dimensions. From crossings alone only a set of measure
+zero does; sliding leads many there, so that switches around a face on which the loop may slide are
+never called impossible.
+
+References
+----------
+.. [1] A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer, 1988,
+   section 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.automata.face_rates import (
+    DOWNWARD,
+    IMPOSSIBLE,
+    MAX_PARTS,
+    SAMPLES,
+    SLIDING,
+    UNDECIDED,
+    UPWARD,
+    AxisFaces,
+)
+from capsyn.cells.cell_tree import ragged
+from capsyn.cells.faces import Faces, shared_faces
+from capsyn.errors import ProblemError
+from capsyn.policies.policy import Policy
+from capsyn.validation import describe
+
+PIECES = {2: 32, 3: 16}
+"""Faces are cut into pieces no longer than an axis by so many; by 8 where there are more axes."""
+MAX_SAMPLES = 1 << 22
+"""On all faces; where there would be more, pieces are longer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Switching:
+    """What the loop does on the faces between symbols, for N symbols and the default, F faces.
+
+    Rates are of states spread evenly over the domain: how many per second, of one state, arrive at
+    faces. A loop spends its time elsewhere than evenly, so they compare policies, and say what a
+    loop does at first, not what it does at last.
+
+    Parameters
+    ----------
+    faces : Faces
+        The faces between cells of different symbols, large ones in pieces.
+    labels : (F, 2)
+        Symbols below and above, N for the default control.
+    areas : (F,)
+        Areas, in those of the domain's cross-sections: each axis is 1 long.
+    found : (F, 3)
+        Whether the loop reaches a face from below, from above, and slides in it: `IMPOSSIBLE`,
+        `UNDECIDED` or `POSSIBLE`. The first and the last are proved by interval arithmetic.
+    shares : (F, 4)
+        Shares of a face where the loop crosses upwards, downwards, slides, and is repelled, from
+        samples. The rest has no flow through it.
+    switches : (N + 1, N + 1)
+        Whether the loop can switch from a symbol (row) to another (column) on any face, crossing
+        or chattering: `IMPOSSIBLE`, `UNDECIDED` or `POSSIBLE`.
+    slidings : (N + 1, N + 1)
+        Whether it slides between two symbols anywhere; symmetric.
+    switch_rates : (N + 1, N + 1)
+        Rates [1/s] of crossings from a symbol to another: the integral of ``|f_k|`` over where the
+        loop crosses, divided by the domain's volume.
+    sliding_rates : (N + 1, N + 1)
+        Rates [1/s] of arrivals, from a symbol, at faces to another on which the loop then slides.
+    areas_between, sliding_areas : (N + 1, N + 1)
+        Areas of the faces between two symbols, and where the loop slides; symmetric.
+    exit_rates : (N + 1,)
+        Rates [1/s] at which states leave the domain under each symbol.
+    volume_shares : (N + 1,)
+        Shares of the domain's volume of each symbol.
+    """
+
+    faces: Faces
+    labels: np.ndarray
+    areas: np.ndarray
+    found: np.ndarray
+    shares: np.ndarray
+    switches: np.ndarray
+    slidings: np.ndarray
+    switch_rates: np.ndarray
+    sliding_rates: np.ndarray
+    areas_between: np.ndarray
+    sliding_areas: np.ndarray
+    exit_rates: np.ndarray
+    volume_shares: np.ndarray
+
+    @property
+    def rate(self) -> float:
+        """Expected switches per second from an evenly spread state, without those of chattering."""
+        return float(self.switch_rates.sum())
+
+    @property
+    def sliding_share(self) -> float:
+        """Share of the area between symbols on which the loop slides; 0 where there is none."""
+        total = float(self.areas_between.sum())
+        return float(self.sliding_areas.sum()) / total if total else 0.0
+
+
+def switching(policy: Policy) -> Switching:
+    """Return what the closed loop of a policy does on the faces between its symbols.
+
+    Parameters
+    ----------
+    policy : Policy
+        A policy with a model. Its angles are taken to be angles of the model too: at the seam of a
+        periodic axis the lower side of a face is at the domain's upper bound.
+
+    Raises
+    ------
+    ProblemError
+        No policy, one without a model, or one whose tree has oblique splits.
+    """
+    if not isinstance(policy, Policy):
+        raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
+    if policy.model is None:
+        raise ProblemError(
+            f"`policy` must have a model to follow; '{policy.name}' was made without one"
+        )
+    cells, domain, number = policy.cells, policy.domain, len(policy.alphabet) + 1
+    boxes = cells.boxes()
+    label_at = np.zeros(boxes.places.max() + 1, dtype=np.int64)
+    label_at[boxes.places] = boxes.labels
+    faces = shared_faces(cells, lambda a, b: label_at[a] != label_at[b], domain.periodic)
+    faces = _pieces(faces, cells.counts)
+    labels = np.stack([label_at[faces.below], label_at[faces.above]], axis=1)
+    low, high = domain.points(faces.lower, cells.counts), domain.points(faces.upper, cells.counts)
+
+    shares, flows = np.empty((len(faces), 4)), np.empty((len(faces), 4))
+    found = np.empty((len(faces), 3), dtype=np.int8)
+    areas = np.empty(len(faces))
+    exits = np.zeros(number)
+    for axis in range(domain.n):
+        own = np.flatnonzero(faces.axis == axis)
+        at = low[own, axis]
+        seam = faces.lower[own, axis] == 0
+        sides = np.stack([np.where(seam, domain.upper[axis], at), at])
+        some = AxisFaces(policy, axis, low[own].T, high[own].T, sides, labels[own].T)
+        areas[own] = some.areas
+        shares[own], flows[own], points = some.sampled()
+        found[own] = some.decided(points)
+        exits += _exits(policy, axis, boxes.lower, boxes.upper, boxes.labels)
+
+    def total(values: np.ndarray, downward: bool) -> np.ndarray:
+        table = np.zeros((number, number))
+        np.add.at(table, tuple(labels.T[::-1] if downward else labels.T), values)
+        return table
+
+    switches, slidings = _tables(labels, found, number)
+    slides = np.flatnonzero(found[:, SLIDING] != IMPOSSIBLE)
+    ends = np.where(domain.periodic, cells.counts, 0)
+    around = _around_sliding(faces, labels, slides, ends, number)
+    switches[around & (switches == IMPOSSIBLE)] = UNDECIDED
+    return Switching(
+        faces=faces,
+        labels=labels,
+        areas=areas,
+        found=found,
+        shares=shares,
+        switches=switches,
+        slidings=slidings,
+        switch_rates=total(flows[:, 0], False) + total(flows[:, 1], True),
+        sliding_rates=total(flows[:, 2], False) + total(flows[:, 3], True),
+        areas_between=total(areas, False) + total(areas, True),
+        sliding_areas=total(areas * shares[:, SLIDING], False)
+        + total(areas * shares[:, SLIDING], True),
+        exit_rates=exits,
+        volume_shares=policy.volume_shares,
+    )
+
+
+def _pieces(faces: Faces, counts: Sequence[int]) -> Faces:
+    """Return faces with the large ones cut into pieces: samples are so many on each."""
+    n = len(counts)
+    per_axis = PIECES.get(n, 8)
+    while True:
+        longest = -(-np.array(counts) // per_axis)
+        numbers = np.maximum(-(-(faces.upper - faces.lower) // longest), 1)
+        samples = np.prod(numbers, axis=1, dtype=float).sum() * SAMPLES.get(n, 2) ** (n - 1)
+        if per_axis == 1 or samples <= MAX_SAMPLES:
+            break
+        per_axis //= 2
+    lower, upper, source = faces.lower, faces.upper, np.arange(len(faces))
+    for axis in range(n):
+        row, place = ragged(numbers[source, axis])
+        lower, upper, source = lower[row], upper[row], source[row]
+        lower[:, axis] += place * longest[axis]
+        upper[:, axis] = np.minimum(upper[:, axis], lower[:, axis] + longest[axis])
+    return Faces(faces.axis[source], lower, upper, faces.below[source], faces.above[source])
+
+
+def _tables(labels: np.ndarray, found: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return whether symbols switch and slide on any of the faces, (N + 1, N + 1) each."""
+    switches, slidings = np.zeros((2, number, number), dtype=np.int8)
+    below, above = labels.T
+    np.maximum.at(switches, (below, above), found[:, UPWARD])
+    np.maximum.at(switches, (above, below), found[:, DOWNWARD])
+    np.maximum.at(slidings, (below, above), found[:, SLIDING])
+    return switches, np.maximum(slidings, slidings.T)
+
+
+def _around_sliding(
+    faces: Faces, labels: np.ndarray, slides: np.ndarray, ends: np.ndarray, number: int
+) -> np.ndarray:
+    """Return which switches (N + 1, N + 1) sliding may lead to through edges and corners.
+
+    Sliding gathers states on the edges of a face, where other cells meet: those across another face
+    of one of its two cells that touches it.
+
+    Parameters
+    ----------
+    faces, labels
+        As in `Switching`.
+    slides : (S,) ints
+        Faces on which the loop may slide.
+    ends : (n,)
+        Finest cells along periodic axes, whose ends meet; 0 along others.
+    number : int
+        Labels, N + 1.
+    """
+    table = np.zeros((number, number), dtype=bool)
+    cells, rows = np.concatenate([faces.below, faces.above]), np.tile(np.arange(len(faces)), 2)
+    order = np.argsort(cells, kind="stable")
+    cells, rows = cells[order], rows[order]
+    others = np.concatenate([labels[:, 1], labels[:, 0]])[order]  # beyond the face, from the cell
+    for side in (faces.below, faces.above):
+        start, stop = (np.searchsorted(cells, side[slides], end) for end in ("left", "right"))
+        for part in _chunks(stop - start, MAX_PARTS):
+            slide, within = ragged(stop[part] - start[part])
+            face, place = slides[part][slide], start[part][slide] + within
+            low, high = faces.lower[face], faces.upper[face]
+            low_other, high_other = faces.lower[rows[place]], faces.upper[rows[place]]
+            touch = (low <= high_other) & (low_other <= high)
+            touch |= (ends > 0) & (low == 0) & (high_other == ends)
+            touch |= (ends > 0) & (low_other == 0) & (high == ends)
+            touch = touch.all(axis=1)
+            for own in labels[face[touch]].T:
+                table[own, others[place[touch]]] = True
+    return table | table.T
+
+
+def _chunks(sizes: np.ndarray, most: int) -> Iterator[slice]:
+    """Yield slices over sizes (K,) whose sums are at most a number, or of one size."""
+    ends = np.cumsum(sizes)
+    start = 0
+    while start < len(sizes):
+        before = ends[start - 1] if start else 0
+        stop = max(int(np.searchsorted(ends, before + most, "right")), start + 1)
+        yield slice(start, stop)
+        start = stop
+
+
+def _exits(
+    policy: Policy, axis: int, lower: np.ndarray, upper: np.ndarray, labels: np.ndarray
+) -> np.ndarray:
+    """Return the rates (N + 1,) [1/s] at which states leave the domain on one axis by symbol."""
+    domain, counts = policy.domain, policy.cells.counts
+    rates = np.zeros(len(policy.alphabet) + 1)
+    if domain.periodic[axis]:
+        return rates
+    for outer, side in ((lower[:, axis] == 0, 1), (upper[:, axis] == counts[axis], 0)):
+        low, high = (domain.points(corner[outer], counts) for corner in (lower, upper))
+        at = (high if side == 0 else low)[:, axis]
+        both = np.stack([labels[outer]] * 2)
+        faces = AxisFaces(policy, axis, low.T, high.T, np.stack([at, at]), both)
+        _, flows, _ = faces.sampled()
+        rates += np.bincount(both[0], flows[:, side], minlength=len(rates))
+    return rates

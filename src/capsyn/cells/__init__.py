@@ -1,0 +1,1 @@
+"""Partitions of a domain: grids of cells, trees of splits, affine leaves."""

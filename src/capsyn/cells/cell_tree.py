@@ -1,0 +1,371 @@
+"""The cells of a policy: a grid of trees in one integer array."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from capsyn.cells.affine_leaves import AffineLeaves
+from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.modelling.grid import lattice_counts
+
+MAX_MASKED = 16
+"""Most axes of a tree whose cells are split along some of them only."""
+
+
+class Cells(NamedTuple):
+    """All cells of one level, or the leaves among them.
+
+    Parameters
+    ----------
+    level : int
+        Level of subdivision, 0 for the root grid.
+    places : (M,)
+        Their places in ``CellTree.entries``.
+    lower, sizes : (M, n)
+        Integer coordinates of their lower corners, and their edge lengths, in finest cells.
+    """
+
+    level: int
+    places: np.ndarray
+    lower: np.ndarray
+    sizes: np.ndarray
+
+    def where(self, chosen: np.ndarray) -> Cells:
+        """Return the chosen cells, booleans (M,)."""
+        return Cells(self.level, self.places[chosen], self.lower[chosen], self.sizes[chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Labelled boxes of the lattice, ``lower <= z < upper``, that tile it.
+
+    Parameters
+    ----------
+    places : (M,)
+        What ``find`` gives for the lattice points in them.
+    lower, upper : (M, n)
+        Integer corners, in finest cells.
+    labels : (M,)
+        Leaf numbers: symbols, and N for the default.
+    levels : (M,)
+        Levels of subdivision.
+    """
+
+    places: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    labels: np.ndarray
+    levels: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def volumes(self) -> np.ndarray:
+        """Return the finest cells in each box, (M,) floats."""
+        return np.prod(self.upper - self.lower, axis=1, dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class CellTree:
+    """Cells as a grid of trees, on integer coordinates of finest cells.
+
+    Parameters
+    ----------
+    partitions, refinement : (n,) ints
+        Cells of the root grid per axis, and children of a split cell per axis (>= 2) that it is
+        split along.
+    max_level : int
+        Most times that a cell may be split along an axis.
+    entries : (M,) int32
+        The root grid in C order, then blocks of children in C order, level by level: ``refinement``
+        along each axis that the cell is split along. An entry >= 0 is the place of its block; an
+        entry < 0 is ``-1 - leaf``.
+    mixed_cells : (K,) int32
+        Leaf entries, ascending, whose test points did not agree; in a tree with affine leaves
+        those whose rows are wrong at one.
+    mixed_labels : (K,) uint64
+        For each of them the set of labels seen, as a bit mask, with those of its rows.
+    affine : AffineLeaves, optional
+        The affine leaves, numbered in the order of their entries. Their rows are values on the
+        lattice of finest cells; `max_level` is then that of the lattice, and no cell may be split
+        so often.
+    splits : (M,) uint16, optional
+        The axes that each cell is split along, as a bit mask, 0 for leaves. Without it all of them.
+    """
+
+    partitions: tuple[int, ...]
+    refinement: tuple[int, ...]
+    max_level: int
+    entries: np.ndarray
+    mixed_cells: np.ndarray
+    mixed_labels: np.ndarray
+    affine: AffineLeaves | None = None
+    splits: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("entries", "mixed_cells", "mixed_labels", "splits"):
+            if getattr(self, name) is None:
+                continue
+            frozen = getattr(self, name).view()
+            frozen.flags.writeable = False
+            object.__setattr__(self, name, frozen)
+
+    @property
+    def n(self) -> int:
+        """Number of axes."""
+        return len(self.partitions)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Finest cells along each axis."""
+        return lattice_counts(self.partitions, self.refinement, self.max_level)
+
+    @property
+    def node_count(self) -> int:
+        """Number of entries: leaf cells and blocks."""
+        return len(self.entries)
+
+    def sizes(self, level: int) -> np.ndarray:
+        """Return the edge lengths (n,) of cells split `level` times along each axis."""
+        return np.array([r ** (self.max_level - level) for r in self.refinement], dtype=np.int64)
+
+    def factors(self, places: np.ndarray) -> np.ndarray:
+        """Return into how many children along each axis (M, n) split cells (M,) are split."""
+        refinement = np.array(self.refinement, dtype=np.int64)
+        if self.splits is None:
+            return np.broadcast_to(refinement, (len(places), self.n))
+        return np.where(axes_of(self.splits[places], self.n), refinement, 1)
+
+    def find(self, steps: np.ndarray) -> np.ndarray:
+        """Return the entries (B,) of the leaves that hold finest cells (B, n)."""
+        size = self.sizes(0)
+        entry = np.ravel_multi_index(tuple((steps // size).T), self.partitions)
+        active = np.flatnonzero(self.entries[entry] >= 0)
+        rest = steps[active] % size
+        while active.size:
+            place = entry[active]
+            factors = self.factors(place)
+            size = size // factors
+            digits, rest = np.divmod(rest, size)
+            child = digits[:, 0]
+            for i in range(1, self.n):
+                child = child * factors[:, i] + digits[:, i]
+            place = self.entries[place] + child
+            entry[active] = place
+            deeper = self.entries[place] >= 0
+            active, rest, size = active[deeper], rest[deeper], size[deeper]
+        return entry
+
+    def labels(self, steps: np.ndarray) -> np.ndarray:
+        """Return the labels (B,) of finest cells (B, n): symbols, and N for the default."""
+        return self.labels_in(self.find(steps), steps)
+
+    def labels_in(self, places: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return the labels (B,) of finest cells (B, n) in leaf entries (B,)."""
+        labels = self.labels_at(places)
+        if self.affine is not None:
+            rest = np.flatnonzero(labels >= self.affine.first)
+            labels[rest] = self.affine.labels(labels[rest], steps[rest])
+        return labels
+
+    def labels_at(self, places: np.ndarray) -> np.ndarray:
+        """Return the leaf numbers of leaf entries."""
+        return -1 - self.entries[places]
+
+    def levels(self) -> Iterator[Cells]:
+        """Yield all cells, level by level: those of the root grid, their children, and so on."""
+        offsets = np.stack(np.unravel_index(np.arange(math.prod(self.partitions)), self.partitions))
+        lower = offsets.T * self.sizes(0)
+        here = Cells(0, np.arange(len(lower)), lower, np.broadcast_to(self.sizes(0), lower.shape))
+        while len(here.places):
+            yield here
+            here = self._children(here.where(self.entries[here.places] >= 0))
+
+    def _children(self, parents: Cells) -> Cells:
+        """Return the cells of the blocks of split cells."""
+        factors = self.factors(parents.places)
+        parent, number = ragged(np.prod(factors, axis=1))
+        places = self.entries[parents.places][parent] + number
+        sizes = (parents.sizes // factors)[parent]
+        lower = parents.lower[parent]
+        for i in reversed(range(self.n)):
+            number, digit = np.divmod(number, factors[parent, i])
+            lower[:, i] += digit * sizes[:, i]
+        return Cells(parents.level + 1, places, lower, sizes)
+
+    def leaves(self) -> Iterator[Cells]:
+        """Yield the leaf cells of every level."""
+        for cells in self.levels():
+            yield cells.where(self.entries[cells.places] < 0)
+
+    @property
+    def depth(self) -> int:
+        """Highest level of a cell."""
+        return max(cells.level for cells in self.levels())
+
+    def times(self, cells: Cells) -> np.ndarray:
+        """Return how often cells have been split along each axis, (M, n)."""
+        shares = np.log(self.sizes(0) / cells.sizes) / np.log(self.refinement)
+        return np.rint(shares).astype(np.int64)
+
+    def volumes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the leaf entries (M,) and their volumes (M,) [finest cells]."""
+        leaves = list(self.leaves())
+        volumes = [np.prod(cells.sizes, axis=1, dtype=float) for cells in leaves]
+        return np.concatenate([cells.places for cells in leaves]), np.concatenate(volumes)
+
+    def boxes(self) -> Boxes:
+        """Return the leaf cells as boxes, level by level; `ProblemError` where some are affine."""
+        if self.affine is not None:
+            raise ProblemError(
+                "a policy with affine leaves has no boxes of one symbol each; "
+                "synthesize with leaves='constant' for this"
+            )
+        leaves = list(self.leaves())
+        places, lower, sizes = (
+            np.concatenate([getattr(cells, name) for cells in leaves])
+            for name in ("places", "lower", "sizes")
+        )
+        levels = np.repeat([x.level for x in leaves], [len(x.places) for x in leaves])
+        return Boxes(places, lower, lower + sizes, self.labels_at(places), levels)
+
+    def parts(
+        self, lower: np.ndarray, upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return what the leaves cut boxes into, each of which lies in one cell of the root grid.
+
+        Arguments and results are those of `SplitTree.parts`.
+        """
+        size = np.broadcast_to(self.sizes(0), lower.shape)
+        place = np.ravel_multi_index(tuple((lower // size).T), self.partitions)
+        box, corner, done = np.arange(len(lower)), lower // size * size, []
+        while True:
+            leaf = self.entries[place] < 0
+            done.append((place[leaf], box[leaf], lower[leaf], upper[leaf]))
+            if leaf.all():
+                break
+            place, box, lower, upper, corner, size = (
+                x[~leaf] for x in (place, box, lower, upper, corner, size)
+            )
+            factors = self.factors(place)
+            size = size // factors
+            first = (lower - corner) // size
+            counts = (upper - 1 - corner) // size - first + 1  # of children that a box meets
+            parent, number = ragged(np.prod(counts, axis=1))
+            digits = np.empty((len(parent), self.n), dtype=np.int64)
+            for i in reversed(range(self.n)):
+                number, digits[:, i] = np.divmod(number, counts[parent, i])
+            digits += first[parent]
+            child = digits[:, 0]
+            for i in range(1, self.n):
+                child = child * factors[parent, i] + digits[:, i]
+            place, box, size = self.entries[place[parent]] + child, box[parent], size[parent]
+            corner = corner[parent] + digits * size
+            lower = np.maximum(lower[parent], corner)
+            upper = np.minimum(upper[parent], corner + size)
+        leaves, boxes, lower, upper = (np.concatenate(x) for x in zip(*done))
+        return leaves, boxes, lower, upper
+
+    @functools.cached_property
+    def leaf_count(self) -> int:
+        """Number of leaf cells."""
+        return int(np.count_nonzero(self.entries < 0))
+
+    def check(self, label_count: int) -> None:
+        """Raise `PolicyFormatError` unless the arrays are one well-formed grid of trees.
+
+        Parameters
+        ----------
+        label_count : int
+            N + 1: leaf numbers of constant leaves must be below it.
+        """
+        known = label_count + (0 if self.affine is None else len(self.affine))
+        entries, n = self.entries, self.n
+        if self.splits is not None:
+            self._check_splits()
+        end = math.prod(self.partitions)
+        if len(entries) < end:
+            raise PolicyFormatError(f"{len(entries)} cells are fewer than the root grid's {end}")
+        # how often the cells have been split along each axis
+        start, times = 0, np.zeros((1 if self.splits is None else end, n), dtype=np.int8)
+        while True:  # blocks follow each other without gaps, so this ends at the last entry
+            here = entries[start:end]
+            if (here < -known).any():
+                raise PolicyFormatError("a cell has an unknown label")
+            split = np.flatnonzero(here >= 0)
+            if not split.size:
+                break
+            factors = self.factors(start + split)
+            counts = np.prod(factors, axis=1, dtype=float)
+            if end + counts.sum() > len(entries):
+                raise PolicyFormatError("the cells are deeper or more than the file says")
+            counts = counts.astype(np.int64)
+            if not np.array_equal(here[split], end + np.cumsum(counts) - counts):
+                raise PolicyFormatError("the blocks of cells are not one after the other")
+            if self.splits is None:
+                times = times + 1
+            else:
+                times = np.repeat(times[split] + (factors > 1), counts, axis=0).astype(np.int8)
+            if times.max() > self.max_level:
+                raise PolicyFormatError("the cells are deeper or more than the file says")
+            start, end = end, end + int(counts.sum())
+        if end != len(entries):
+            raise PolicyFormatError(f"{len(entries) - end} cells belong to no block")
+        mixed = self.mixed_cells
+        if mixed.shape != self.mixed_labels.shape:
+            raise PolicyFormatError("mixed cells and their labels differ in number")
+        if len(mixed) and (
+            mixed.min() < 0
+            or mixed.max() >= len(entries)
+            or (np.diff(mixed.astype(np.int64)) <= 0).any()
+            or (entries[mixed] >= 0).any()
+        ):
+            raise PolicyFormatError("the mixed cells are no ascending leaf cells")
+        leaf = -1 - entries[mixed].astype(np.int64)
+        own = np.uint64(1) << np.minimum(leaf, 63).astype(np.uint64)
+        if self.affine is not None:
+            self._check_affine(label_count)
+            rest = leaf >= label_count
+            own[rest] = self.affine.masks()[leaf[rest] - label_count]
+        if (own & ~self.mixed_labels).any():
+            raise PolicyFormatError("a mixed cell's label is not among the labels seen in it")
+        if label_count < 64 and (self.mixed_labels >> np.uint64(label_count)).any():
+            raise PolicyFormatError("a mixed cell has an unknown label")
+
+    def _check_splits(self) -> None:
+        assert self.splits is not None
+        if self.n > MAX_MASKED:
+            raise PolicyFormatError(
+                f"cells of {self.n} axes cannot be split along some of them only"
+            )
+        if self.splits.shape != self.entries.shape or (self.splits >> self.n).any():
+            raise PolicyFormatError(
+                "the axes that cells are split along are not those of the cells"
+            )
+        if ((self.splits != 0) != (self.entries >= 0)).any():
+            raise PolicyFormatError("a cell is split along no axis, or a leaf along some")
+
+    def _check_affine(self, label_count: int) -> None:
+        assert self.affine is not None
+        self.affine.check(self.counts, label_count)
+        leaves = -1 - self.entries[self.entries < 0].astype(np.int64)
+        numbers = leaves[leaves >= label_count] - label_count
+        if not np.array_equal(numbers, np.arange(len(self.affine))):
+            raise PolicyFormatError("the affine leaves are not numbered in the order of the cells")
+
+
+def ragged(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row and the place in it, (sum,) each, of the items of rows of `counts` (M,)."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    return row, np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
+
+
+def axes_of(masks: np.ndarray, n: int) -> np.ndarray:
+    """Return which of `n` axes bit masks (M,) name, booleans (M, n)."""
+    return masks[:, None] >> np.arange(n, dtype=masks.dtype) & masks.dtype.type(1) != 0

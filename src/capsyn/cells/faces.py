@@ -1,0 +1,85 @@
+"""Faces that neighbouring cells share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.split_tree import SplitTree
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Faces between two cells each, which do not overlap.
+
+    Parameters
+    ----------
+    axis : (F,)
+        Axis that a face is perpendicular to.
+    lower, upper : (F, n)
+        Its corners in finest cells; equal on its axis. A seam of a periodic axis is at 0.
+    below, above : (F,)
+        The cells on its two sides, as places that ``find`` gives.
+    """
+
+    axis: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    below: np.ndarray
+    above: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.axis)
+
+
+Keep = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Places (F,) of two cells each to booleans (F,): whether their face matters."""
+
+
+def shared_faces(
+    cells: CellTree | SplitTree, keep: Keep, periodic: Sequence[bool] | None = None
+) -> Faces:
+    """Return the faces that two cells share.
+
+    Parameters
+    ----------
+    cells : CellTree or SplitTree
+        The cells, or the leaves of a tree without oblique splits.
+    keep : function
+        Of which pairs of cells; the others are dropped early, to save memory.
+    periodic : n booleans, optional
+        Axes whose ends meet. Default: none.
+    """
+    boxes, counts = cells.boxes(), cells.counts
+    found = []
+    nested = isinstance(cells, CellTree) and cells.splits is None  # of two cells one is the smaller
+    level = np.zeros(cells.node_count, dtype=np.int16)
+    level[boxes.places] = boxes.levels
+    for axis in range(cells.n):
+        wraps = periodic is not None and periodic[axis]
+        for side in (-1, 1) if nested else (1,):
+            at = (boxes.lower if side < 0 else boxes.upper)[:, axis]
+            inside = (at > 0) & (at < counts[axis])
+            some = np.flatnonzero(inside | wraps)
+            beyond = (at[some] + min(side, 0)) % counts[axis]
+            lower, upper = boxes.lower[some], boxes.upper[some]
+            lower[:, axis] = beyond
+            upper[:, axis] = beyond + 1
+            if nested:
+                # a face is told once: by the smaller cell, of equals by the upper one
+                other = cells.find(lower)
+                tells = boxes.levels[some] + (side < 0) > level[other]
+                some, other, lower, upper = (x[tells] for x in (some, other, lower, upper))
+            else:
+                other, part, lower, upper = cells.parts(lower, upper)
+                some = some[part]
+            own = boxes.places[some]
+            below, above = (other, own) if side < 0 else (own, other)
+            kept = keep(below, above) & (own != other)
+            some, below, above, lower, upper = (x[kept] for x in (some, below, above, lower, upper))
+            lower[:, axis] = upper[:, axis] = at[some] % counts[axis]
+            found.append((np.full(len(some), axis), lower, upper, below, above))
+    return Faces(*(np.concatenate(parts) for parts in zip(*found)))

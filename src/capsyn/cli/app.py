@@ -1,0 +1,383 @@
+"""The command line: words in, tables out; no numerics."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from capsyn.cli.compression import automaton, compress
+from capsyn.cli.console import notes, print_table, progress_bars, show, working
+from capsyn.cli.doctor import doctor
+from capsyn.cli.evidence import simulate, verify
+from capsyn.cli.explore import explore
+from capsyn.cli.export import export
+from capsyn.cli.import_table import import_table
+from capsyn.cli.options import (
+    Backend,
+    Dask,
+    File,
+    Json,
+    MinDwell,
+    Outside,
+    Seed,
+    Threads,
+    assignments,
+    executor,
+    number,
+    whole_number_list,
+)
+from capsyn.cli.paper import bench, reproduce
+from capsyn.cli.printed import print_report
+from capsyn.errors import CapsynError, CapsynWarning, ProblemError
+
+if TYPE_CHECKING:
+    from capsyn.modelling.settings import SsacSettings
+
+app = typer.Typer(
+    name="capsyn",
+    help="Control alphabet policies: from a nonlinear model and a list of actuator settings to a "
+    "controller small enough for any machine.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C."""
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from capsyn.version import __version__
+
+        typer.echo(f"capsyn {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command("list")
+def list_problems(as_json: Json = False) -> None:
+    """List the built-in problems."""
+    from capsyn import problems
+
+    found = [problems.get(name) for name in problems.names()]
+    rows = [
+        {
+            "name": p.name,
+            "states": p.domain.n,
+            "symbols": len(p.alphabet),
+            "max_level": p.max_level,
+            "description": p.description,
+        }
+        for p in found
+    ]
+    show(as_json, rows, lambda: print_table(rows))
+
+
+@app.command()
+def synth(
+    problem: Annotated[
+        str,
+        typer.Argument(
+            metavar="PROBLEM",
+            help="A built-in name, path/to/file.py[:name] or package.module:name.",
+        ),
+    ],
+    output: Annotated[
+        str | None, typer.Option("--output", "-o", metavar="FILE", help="Default: NAME.cap")
+    ] = None,
+    horizon: Annotated[float | None, typer.Option(help="Prediction horizon in seconds.")] = None,
+    default: Annotated[
+        str | None, typer.Option(metavar="U[,U..]", help="Control of the prediction.")
+    ] = None,
+    max_level: Annotated[
+        int | None, typer.Option(help="Most times that a cell is split along an axis.")
+    ] = None,
+    partitions: Annotated[
+        str | None, typer.Option(metavar="Q[,Q..]", help="Cells of the root grid per axis.")
+    ] = None,
+    refinement: Annotated[
+        str | None, typer.Option(metavar="R[,R..]", help="Children of a split cell per axis.")
+    ] = None,
+    rule: Annotated[str | None, typer.Option(help="schedule or steepest.")] = None,
+    gamma: Annotated[float | None, typer.Option(help="Wanted sensitivity over cost.")] = None,
+    alpha_d: Annotated[float | None, typer.Option(help="Wanted sensitivity, absolute.")] = None,
+    control_weight: Annotated[float | None, typer.Option(help="Weight R of the effort.")] = None,
+    on_no_descent: Annotated[str | None, typer.Option(help="best or default.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Integration steps over the horizon.")] = None,
+    tolerance: Annotated[float | None, typer.Option(help="Of the step-doubling check.")] = None,
+    precision: Annotated[str | None, typer.Option(help="double or single.")] = None,
+    outside: Outside = None,
+    min_dwell: MinDwell = None,
+    test_points: Annotated[
+        str,
+        typer.Option(help="vertices or center+faces, then +center, +edge_midpoints, +random:R."),
+    ] = "vertices+center",
+    leaves: Annotated[
+        str, typer.Option(help="constant, or affine for far fewer solves.")
+    ] = "constant",
+    leaf_error: Annotated[float, typer.Option(help="Of affine leaves, accepted share.")] = 0.01,
+    refine: Annotated[
+        str, typer.Option(help="isotropic, or adaptive: split along the axes that matter.")
+    ] = "isotropic",
+    seed: Seed = 0,
+    max_solves: Annotated[
+        int | None, typer.Option(help="Most solves; affine or adaptive cells spend them.")
+    ] = None,
+    max_seconds: Annotated[
+        float | None, typer.Option(help="Stop after so long; the result depends on the machine.")
+    ] = None,
+    max_memory: Annotated[
+        str | None, typer.Option(metavar="BYTES", help="Stop before so much, as 2GB.")
+    ] = None,
+    memory_limit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BYTES",
+            help="Refuse what may take more at worst [default: what is available].",
+        ),
+    ] = None,
+    backend: Backend = "auto",
+    threads: Threads = None,
+    dask: Dask = None,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Keep what is solved there; a run that was killed goes on from it."
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Make the control alphabet policy of a problem."""
+    from capsyn.cli.problem_finder import find_problem
+    from capsyn.execution.files import check_writable
+    from capsyn.policies.report import report
+    from capsyn.synthesis.synthesize import synthesize
+
+    if output is not None:
+        check_writable(output)
+    chosen = find_problem(problem)
+    if horizon is not None:
+        chosen = chosen.replace(horizon=horizon)
+    if default is not None:
+        chosen = chosen.replace(default=[number("--default", u) for u in default.split(",")])
+    path = output
+    if path is None:
+        path = f"{chosen.name}.cap"
+        if "/" in path:
+            raise ProblemError(f"the name '{chosen.name}' makes no file name; give one with -o")
+        check_writable(path)
+    changes = {
+        "rule": rule,
+        "gamma": gamma,
+        "alpha_d": alpha_d,
+        "control_weight": control_weight,
+        "on_no_descent": on_no_descent,
+        "steps": steps,
+        "tolerance": tolerance,
+        "precision": precision,
+    }
+    with (
+        executor(dask) as client,
+        progress_bars() as progress,
+        notes("capsyn.execution.checkpoint"),
+    ):
+        policy = synthesize(
+            chosen,
+            partitions=whole_number_list("--partitions", partitions),
+            refinement=whole_number_list("--refinement", refinement),
+            max_level=max_level,
+            settings=_settings(chosen.settings, changes),
+            outside=outside,
+            min_dwell=min_dwell,
+            test_points=test_points,
+            leaves=leaves,
+            leaf_error=leaf_error,
+            refine=refine,
+            seed=seed,
+            max_solves=max_solves,
+            max_seconds=max_seconds,
+            max_memory=max_memory,
+            memory_limit=memory_limit,
+            backend=backend,
+            threads=threads,
+            executor=client,
+            checkpoint=checkpoint,
+            progress=progress,
+        )
+    policy.save(path)
+    data = report(policy) | {"file": path, "seconds": policy.timings}
+
+    def told() -> None:
+        print_report(data)
+        typer.echo(f"wrote {path} in {sum(policy.timings.values()):.2f} s")
+
+    show(as_json, data, told)
+
+
+@app.command()
+def info(
+    file: File,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Leave out how complex the policy is.")
+    ] = False,
+    proof: Annotated[
+        str | None,
+        typer.Option(
+            metavar="POLICY",
+            help="Prove again what an exact or free tree guarantees of the policy in this file.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Say what a policy is, how complex, and what smells."""
+    from capsyn.policies.policy import Policy
+    from capsyn.policies.report import report
+
+    policy = Policy.load(file)
+    data = report(policy)
+    if proof is not None:
+        from capsyn.compression.proof import prove
+
+        data["proof"] = {"policy": proof, "changed": prove(policy, Policy.load(proof))}
+    if not quick:
+        from capsyn.compression.complexity import complexity
+
+        with working("how complex"):
+            data["complexity"] = complexity(policy)
+    show(as_json, data, lambda: print_report(data))
+
+
+@app.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
+def query(
+    file: File,
+    state: Annotated[list[str], typer.Argument(metavar="X1 X2 ..", help="A state.")],
+    outside: Outside = None,
+    as_json: Json = False,
+) -> None:
+    """Look up the symbol of a state."""
+    from capsyn.policies.policy import Policy
+
+    policy = Policy.load(file)
+    names = policy.domain.names
+    if len(state) != len(names):
+        raise ProblemError(
+            f"the state must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
+        )
+    values = [number(name, text) for name, text in zip(names, state)]
+    symbol = int(policy(values, outside))
+    control = policy.control(values, outside).tolist()
+    data = {
+        "state": values,
+        "symbol": symbol,
+        "name": policy.symbol_name(symbol),
+        "control": control,
+    }
+    pairs = [
+        f"{name} = {value:g} {unit}".rstrip()
+        for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)
+    ]
+    show(as_json, data, lambda: typer.echo(f"symbol {symbol} '{data['name']}': {', '.join(pairs)}"))
+
+
+@app.command()
+def plot(
+    file: File,
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="FILE", help="A .png, .pdf or .svg file.")
+    ],
+    plane: Annotated[str | None, typer.Option(metavar="X,Y", help="Two states.")] = None,
+    at: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Another state's value; may be repeated."),
+    ] = None,
+    outlines: Annotated[bool, typer.Option(help="Outline the cells.")] = True,
+) -> None:
+    """Draw the cells of a policy in the plane of two states."""
+    from capsyn.execution.files import check_writable
+    from capsyn.plots.figure import check_format
+    from capsyn.plots.policy import save_policy_plot
+    from capsyn.policies.policy import Policy
+
+    check_format(output)
+    check_writable(output)
+    policy = Policy.load(file)
+    names = policy.domain.names
+    axes = tuple(name.strip() for name in plane.split(",")) if plane else names[:2]
+    values = {name: number(name, text) for name, text in assignments("--at", at or []).items()}
+    save_policy_plot(policy, output, axes, values, outlines)
+    typer.echo(f"wrote {output}")
+
+
+app.command("import")(import_table)
+app.command()(compress)
+app.command()(automaton)
+app.command()(export)
+app.command()(explore)
+app.command()(simulate)
+app.command()(verify)
+
+
+app.command()(bench)
+app.command()(reproduce)
+app.command()(doctor)
+
+
+def main() -> None:
+    """Run the command line; an error is one line on stderr and exit status 2."""
+    warnings.showwarning = _show_warning
+    # ClickException, wherever this Typer keeps its click
+    click_error: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+    try:
+        status = typer.main.get_command(app).main(standalone_mode=False)
+    except CapsynError as error:
+        _fail(str(error))
+    except typer.Abort:
+        status = INTERRUPTED  # what other versions of Typer return
+    except click_error as error:
+        text = error.format_message()
+        if text:
+            _fail(text)
+        status = 2  # the help has been printed
+    except (OSError, MemoryError) as error:
+        _fail(f"{type(error).__name__}: {error}")
+    if status == INTERRUPTED:
+        print("interrupted", file=sys.stderr)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _fail(message: str) -> None:
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+def _show_warning(message: Any, category: type[Warning], *rest: Any, **more: Any) -> None:
+    text = (
+        str(message) if issubclass(category, CapsynWarning) else f"{category.__name__}: {message}"
+    )
+    print(f"warning: {' '.join(text.split())}", file=sys.stderr)
+
+
+def _settings(settings: SsacSettings, changes: dict[str, Any]) -> SsacSettings | None:
+    import dataclasses
+
+    changes = {k: v for k, v in changes.items() if v is not None}
+    if "alpha_d" in changes and "gamma" not in changes:
+        changes["gamma"] = type(settings).gamma  # the problem's own gamma gives way
+    if "gamma" in changes and "alpha_d" not in changes:
+        changes["alpha_d"] = None
+    return dataclasses.replace(settings, **changes) if changes else None

@@ -1,0 +1,172 @@
+"""Commands that make a policy small and show it as an automaton."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from capsyn.cli.console import print_table, show, working
+from capsyn.cli.options import Backend, File, Json, Seed
+from capsyn.cli.printed import print_automaton, print_compression
+from capsyn.errors import ProblemError
+
+if TYPE_CHECKING:
+    from capsyn.policies.policy import Policy
+
+
+def compress(
+    file: File,
+    mode: Annotated[str, typer.Option(help="exact, freedom or linear.")] = "exact",
+    output: Annotated[
+        str | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="The tree [default: FILE-MODE.cap]; with --curve a .png, .pdf or .svg picture, "
+            "with a .csv beside it [default: FILE-curve.png].",
+        ),
+    ] = None,
+    agreement: Annotated[
+        float | None,
+        typer.Option(help="Least agreement, for freedom and linear [default for linear: 0.99]."),
+    ] = None,
+    level: Annotated[
+        int | None, typer.Option(help="Merge cells below this level first; not for linear.")
+    ] = None,
+    node_price: Annotated[
+        float | None,
+        typer.Option(
+            help="For freedom: finest cells of disagreement that a node less is worth [default: "
+            "0.5]."
+        ),
+    ] = None,
+    curve: Annotated[
+        bool, typer.Option("--curve", help="Size against agreement, by mode and level.")
+    ] = False,
+    states: Annotated[int, typer.Option(help="Random states that trees are judged at.")] = 100_000,
+    seed: Seed = 0,
+    backend: Backend = "auto",
+    as_json: Json = False,
+) -> None:
+    """Make a small decision tree of a policy.
+
+    Exit status 1: the tree was written, but does not reach the agreement asked for.
+    """
+    from capsyn.compression.compress import compress
+    from capsyn.execution.files import check_writable
+    from capsyn.policies.policy import Policy
+    from capsyn.policies.report import report
+
+    if curve:
+        given = {"--agreement": agreement, "--level": level, "--node-price": node_price}
+        wrong = [name for name, value in given.items() if value is not None]
+        if wrong or mode != "exact":
+            raise ProblemError(
+                f"--curve tries all modes and takes no {', '.join(wrong) or '--mode'}"
+            )
+        _curve(Policy.load(file), file, output, states, seed, backend, as_json)
+        return
+    path = _beside(file, f"-{mode}.cap") if output is None else output
+    check_writable(path)
+    if Path(path).resolve() == Path(file).resolve():
+        raise ProblemError(f"the output must be another file than the policy; got '{path}'")
+    policy = Policy.load(file)
+    with working(f"compressing, mode {mode}"):
+        tree = compress(
+            policy,
+            mode,
+            agreement=agreement,
+            level=level,
+            node_price=node_price,
+            states=states,
+            seed=seed,
+            backend=backend,
+        )
+    tree.save(path)
+    data = report(tree) | {"file": path}
+
+    def told() -> None:
+        print_compression(data, report(policy))
+        typer.echo(f"wrote {path}")
+
+    show(as_json, data, told)
+    if not tree.guarantee.reached:
+        raise typer.Exit(1)
+
+
+def _curve(
+    policy: Policy,
+    file: str,
+    output: str | None,
+    states: int,
+    seed: int,
+    backend: str,
+    as_json: bool,
+) -> None:
+    from capsyn.compression.curve import save_curve, size_curve
+    from capsyn.execution.files import check_writable
+    from capsyn.plots.curve import save_curve_plot
+    from capsyn.plots.figure import check_format
+
+    picture = _beside(file, "-curve.png") if output is None else output
+    check_format(picture)
+    table = str(Path(picture).with_suffix(".csv"))
+    for path in (picture, table):
+        check_writable(path)
+    with working("trying modes and levels") as say:
+        points = size_curve(policy, states=states, seed=seed, backend=backend, progress=say)
+    save_curve(points, table)
+    save_curve_plot(points, policy.name, picture)
+    rows = [point.to_json() for point in points]
+
+    def told() -> None:
+        print_table([_shown(row) for row in rows])
+        typer.echo(f"wrote {table} and {picture}")
+
+    show(as_json, {"points": rows, "table": table, "picture": picture}, told)
+
+
+def _shown(row: dict[str, Any]) -> dict[str, Any]:
+    shares = {name: f"{row[name]:.3%}" for name in ("agreement", "low", "high")}
+    level = "" if row["level"] is None else str(row["level"])
+    smallest = "*" if row["smallest"] else ""
+    return row | shares | {"level": level, "smallest": smallest}
+
+
+def _beside(file: str, ending: str) -> str:
+    """Return a path in the working directory named after a policy file."""
+    return f"{Path(file).stem}{ending}"
+
+
+def automaton(
+    file: File,
+    output: Annotated[
+        str | None,
+        typer.Option("--output", "-o", metavar="FILE", help="A .dot, .svg, .png or .pdf file."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Show a policy as a finite state machine, and the switches that its loop can take."""
+    from capsyn.automata.automaton import Automaton
+    from capsyn.execution.files import check_writable
+    from capsyn.plots.automaton import check_drawing, save_automaton
+    from capsyn.policies.policy import Policy
+
+    if output is not None:
+        check_drawing(output)
+        check_writable(output)
+    with working("looking at faces"):
+        machine = Automaton.of(Policy.load(file))
+    if output is not None:
+        save_automaton(machine, output)
+    data = machine.to_json()
+
+    def told() -> None:
+        print_automaton(data)
+        if output is not None:
+            typer.echo(f"wrote {output}")
+
+    show(as_json, data, told)

@@ -1,0 +1,148 @@
+"""The command that writes a policy in other languages."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from capsyn.cli.console import show, working
+from capsyn.cli.options import File, Json, assignments, one_or_list
+
+TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
+
+
+def export(
+    file: File,
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="TARGET[,..]",
+            help=f"One of {TARGETS}; several, or all, into a folder each.",
+        ),
+    ],
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="DIR", help="Where; made if need be.")
+    ],
+    safe: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SYMBOL",
+            help="Symbol of states that have no other: its name, index, or default [default: the "
+            "policy's own safe symbol, else default].",
+        ),
+    ] = None,
+    dwell: Annotated[
+        float | None, typer.Option(help="Least time between switches [s] [default: the policy's].")
+    ] = None,
+    scale: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S[,S..]", help="A state is reading * scale + offset, for all or each [1]."
+        ),
+    ] = None,
+    offset: Annotated[str | None, typer.Option(metavar="O[,O..]", help="See --scale [0].")] = None,
+    style: Annotated[
+        str | None,
+        typer.Option(
+            help="c: table (smallest), nested, grid (fastest); structured-text: nested, table."
+        ),
+    ] = None,
+    arithmetic: Annotated[str | None, typer.Option(help="c: lattice, double, float.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(help="What files and functions are called [default: the policy's name]."),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Another option of the target, such as sources_only=yes of fmu; may be repeated.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a policy or a tree in another language, with golden vectors and what it costs."""
+    from capsyn.exports.export import CERTIFICATE, MEASURED, all_targets, check_options, export
+    from capsyn.policies.policy import Policy
+
+    options: dict[str, Any] = {
+        key.replace("-", "_"): _value(text)
+        for key, text in assignments("--option", option or []).items()
+    }
+    own = {"style": style, "arithmetic": arithmetic, "name": name}
+    options |= {key: value for key, value in own.items() if value is not None}
+    targets = TARGETS.split(", ") if to == "all" else [part.strip() for part in to.split(",")]
+    check_options(targets, options)
+    given = {
+        "safe": safe,
+        "dwell": dwell,
+        "scale": None if scale is None else one_or_list("--scale", scale),
+        "offset": None if offset is None else one_or_list("--offset", offset),
+    }
+    options |= {key: value for key, value in given.items() if value is not None}
+    policy = Policy.load(file)
+    if to == "all":
+        targets = list(all_targets(policy))
+    one = len(targets) == 1
+    with working(f"exporting to {to}"):
+        written = export(policy, targets[0] if one else targets, output, **options)
+    found, measured = (
+        [json.loads(path.read_bytes()) for path in written if path.name == name]
+        for name in (CERTIFICATE, MEASURED)
+    )
+    data = {
+        "files": [str(path) for path in written],
+        "certificate": found[0] if one else dict(zip(targets, found)),
+    } | ({"measured": measured[0]} if measured else {})
+
+    def told() -> None:
+        print_export(list(map(str, written)), found, measured)
+
+    show(as_json, data, told)
+
+
+def _value(text: str) -> Any:
+    """Return a whole number, a number, a truth value, a list of numbers, or the text itself."""
+    words = {"true": True, "yes": True, "false": False, "no": False}
+    if text.lower() in words:
+        return words[text.lower()]
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    if "," in text:
+        return [_value(part) for part in text.split(",")]
+    return text
+
+
+def print_export(
+    files: list[str], certificates: list[dict[str, Any]], measured: list[dict[str, Any]]
+) -> None:
+    """Print what a decision costs, and which files were written."""
+    tree = certificates[0]
+    compared = tree["comparisons"]
+    mean = "" if compared["mean"] is None else f", {compared['mean']:.1f} on average"
+    typer.echo(
+        f"{tree['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
+        f"{tree['tree_bytes']:,} bytes"
+    )
+    typer.echo(tree["guarantee"])
+    for figures in certificates:
+        changed, lines = figures["changed_by_rounding"], list(figures["notes"])
+        if changed is None:
+            lines.append("quantisation changes no symbol: the lattice is the policy's own")
+        else:
+            lines.append(f"rounding changes the symbol of {changed:.2%} of random states")
+        if figures["renamed"]:
+            pairs = (f"{old!r} is {new}" for old, new in figures["renamed"].items())
+            lines.append(f"renamed: {', '.join(pairs)}")
+        for line in lines:
+            typer.echo(f"{figures['target']}: {line}")
+    for processor, found in (measured[0] if measured else {}).items():
+        words = [f"{k.replace('_', ' ')} {v:,}" for k, v in found.items() if k != "compiler"]
+        typer.echo(f"c, {processor}, {found['compiler']}, bytes: {', '.join(words)}")
+    for name in files:
+        typer.echo(f"wrote {name}")

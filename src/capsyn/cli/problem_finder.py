@@ -1,0 +1,108 @@
+"""Finds what a text names: a built-in problem, or a problem or function in the user's files."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+import os
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from capsyn import problems
+from capsyn.errors import ProblemError
+from capsyn.modelling.problem import Problem
+
+
+def find_problem(text: str) -> Problem:
+    """Return the problem that a text names.
+
+    What the user's file prints while it is run goes to stderr.
+
+    Parameters
+    ----------
+    text : str
+        A built-in name, ``path/to/file.py[:name]`` or ``package.module:name``; the name of the
+        `Problem` in the file or module is ``problem`` unless given.
+
+    Raises
+    ------
+    ProblemError
+        There is no such problem, or the file that holds it fails; the message names the file and,
+        where it can, the line.
+    """
+    place, colon, name = text.rpartition(":")
+    if not colon or name.endswith(".py"):
+        place, name = text, ""
+    name = name or "problem"
+    if not place.endswith(".py") and not colon:
+        if text not in problems.names() and Path(f"{text}.py").is_file():
+            raise ProblemError(
+                f"there is no built-in problem '{text}'; for the file give '{text}.py', or "
+                f"'{text}.py:NAME' where the problem in it is not named 'problem'"
+            )
+        return problems.get(text)
+    module = _load(place)
+    problem = getattr(module, name, None)
+    if not isinstance(problem, Problem):
+        held = [key for key, value in vars(module).items() if isinstance(value, Problem)]
+        found = ", ".join(f"{place}:{key}" for key in held) or "none"
+        raise ProblemError(f"'{place}' must hold a capsyn.Problem named '{name}'; found {found}")
+    return problem
+
+
+def find_function(text: str, others: tuple[type, ...] = ()) -> Any:
+    """Return the function that ``path/to/file.py:name`` or ``package.module:name`` names.
+
+    What is there may also be one of `others`.
+
+    Raises
+    ------
+    ProblemError
+        There is none, or the file fails.
+    """
+    place, colon, name = text.rpartition(":")
+    if not colon or not name.isidentifier():
+        raise ProblemError(f"a function must be given as FILE.py:NAME; got '{text}'")
+    function = getattr(_load(place), name, None)
+    if not callable(function) and not isinstance(function, others):
+        raise ProblemError(f"'{place}' must hold a function named '{name}'")
+    return function
+
+
+def _load(place: str) -> ModuleType:
+    """Return the module that a file or a dotted name makes; files beside it can be imported."""
+    path = Path(place)
+    is_file = place.endswith(".py")
+    if is_file and not path.is_file():
+        raise ProblemError(f"there is no file '{place}'")
+    entry = str(path.parent.resolve()) if is_file else os.getcwd()
+    sys.path.insert(0, entry)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            return _run_file(path) if is_file else importlib.import_module(place)
+    except (Exception, SystemExit) as error:  # the user's own code may raise anything
+        lines = [
+            frame.lineno
+            for frame in traceback.extract_tb(error.__traceback__)
+            if is_file and Path(frame.filename).resolve() == path.resolve()
+        ]
+        where = f"'{place}'" + (f", line {lines[-1]}" if lines else "")
+        reason = " ".join(str(error).split())
+        kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
+        raise ProblemError(f"{where}: {kind}{reason}") from error
+    finally:
+        if entry in sys.path:
+            sys.path.remove(entry)
+
+
+def _run_file(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up there
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,111 @@
+"""How complex a policy is: as a table, as a tree, as an automaton."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from capsyn.automata.automaton import Automaton
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.packing import packed_bytes
+from capsyn.compression.compress import exact_tree
+from capsyn.policies.policy import DecisionTree, Policy
+
+
+def complexity(policy: Policy) -> dict[str, Any]:
+    """Return how complex a policy is, as plain data.
+
+    Returns
+    -------
+    dict
+        ``symbol_entropy``: of the symbols' shares of the volume [bits]. ``table``: of a policy of
+        cells, ``bytes`` and ``comparisons``, most that a lookup takes as nested inequalities.
+        ``tree``: of a decision tree, or of the exact one of a policy of cells, ``mode``,
+        ``nodes``, ``planes``, ``bytes``, ``comparisons`` (most) and ``mean_comparisons`` (over the
+        volume, None where splits are oblique). ``automaton``: ``regions``, ``boxes`` that tile
+        them, ``partitions`` (connected), ``edges`` and ``possible_edges``, ``switch_rate`` [1/s],
+        ``sliding_share`` and ``switching_entropy`` [bits] (None without a model, see
+        `switching_entropy`). None where splits are oblique or leaves affine.
+    """
+    tree = policy if isinstance(policy, DecisionTree) else exact_tree(policy)
+    oblique = len(tree.cells.planes) > 0
+    return {
+        "symbol_entropy": entropy(policy.volume_shares),
+        "table": _table(policy.cells) if isinstance(policy.cells, CellTree) else None,
+        "tree": {
+            "mode": tree.guarantee.mode,
+            "nodes": tree.node_count,
+            "planes": len(tree.cells.planes),
+            "bytes": packed_bytes(tree.cells),
+            "comparisons": tree.depth,
+            "mean_comparisons": mean_depth(tree),
+        },
+        "automaton": None if oblique or policy.has_planes else _automaton(policy),
+    }
+
+
+def entropy(shares: np.ndarray) -> float:
+    """Return the entropy [bits] of shares that sum to 1."""
+    some = shares[shares > 0]
+    return abs(float(-(some * np.log2(some)).sum()))  # not -0.0
+
+
+def switching_entropy(rates: np.ndarray) -> float:
+    """Return how uncertain the next symbol is at a switch [bits].
+
+    Parameters
+    ----------
+    rates : (V, V)
+        Rates [1/s] of switches from a symbol (row) to another.
+
+    Returns
+    -------
+    float
+        Entropy of the next symbol given the present one, averaged over the switches; 0 where there
+        are none.
+    """
+    out = rates.sum(axis=1)
+    total = out.sum()
+    if total <= 0:
+        return 0.0
+    return sum(float(one / total) * entropy(row / one) for one, row in zip(out, rates) if one > 0)
+
+
+def _table(cells: CellTree) -> dict[str, int]:
+    """Return the size of a table of cells; a lookup halves each axis that a cell is split along."""
+
+    def halvings(sizes: tuple[int, ...]) -> np.ndarray:
+        return np.array([math.ceil(math.log2(size)) for size in sizes])
+
+    most = max(int((cells.times(x) @ halvings(cells.refinement)).max()) for x in cells.levels())
+    comparisons = int(halvings(cells.partitions).sum()) + most
+    if cells.affine is not None:  # the rows of a leaf, one after the other
+        comparisons += int(np.diff(cells.affine.starts).max()) - 1
+    return {"bytes": packed_bytes(cells), "comparisons": comparisons}
+
+
+def mean_depth(tree: DecisionTree) -> float | None:
+    """Return a lookup's mean comparisons over the volume; None where splits are oblique."""
+    if len(tree.cells.planes):
+        return None
+    boxes = tree.cells.boxes()
+    volumes = boxes.volumes()
+    return float((tree.cells.depths[boxes.places] * volumes).sum() / volumes.sum())
+
+
+def _automaton(policy: Policy) -> dict[str, Any]:
+    machine = Automaton.of(policy)
+    found = machine.switching
+    rates = None if found is None else found.switch_rates + found.sliding_rates
+    return {
+        "regions": len(machine.regions),
+        "boxes": sum(len(region) for region in machine.regions),
+        "partitions": len(machine.partitions),
+        "edges": len(machine.edges),
+        "possible_edges": sum(edge.possible is not False for edge in machine.edges),
+        "switch_rate": None if found is None else found.rate,
+        "sliding_share": None if found is None else found.sliding_share,
+        "switching_entropy": None if rates is None else switching_entropy(rates),
+    }

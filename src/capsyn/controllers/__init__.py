@@ -1,0 +1,1 @@
+"""Sequential action control: sSAC for batches of states, whole actions, and online."""

@@ -1,0 +1,179 @@
+"""Whole actions of sSAC and SAC by NumPy, as action.c finds them; see `online`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.controllers.action_kernel import action_type
+from capsyn.controllers.command import NONE
+from capsyn.controllers.formulation import Formulation
+from capsyn.controllers.solver import relative_rounding
+from capsyn.controllers.ssac import BatchController, Solution
+from capsyn.policies.policy import Policy
+from capsyn.programs.program import Program
+
+EXPONENT = 1.6
+"""Of the cost of waiting, ``(t - t0)^1.6``, in the search of the application time."""
+ROUNDING = relative_rounding(float)
+
+
+@dataclass(frozen=True)
+class NumpyActions:
+    """What finds whole actions, by NumPy on all states at once.
+
+    Parameters
+    ----------
+    formulation : Formulation
+        What the controller is made of, its settings with `steps`.
+    chooser : BatchController
+        What chooses symbols by scores.
+    sac : Program, optional
+        The schedule of SAC, in place of the chooser's.
+    """
+
+    formulation: Formulation
+    chooser: BatchController
+    sac: Program | None
+
+    def __call__(
+        self, states: np.ndarray, signal: np.ndarray | Policy, schedules: np.ndarray | None
+    ) -> np.ndarray:
+        """Return actions (B,), records of `action_type`, of states (B, n).
+
+        Parameters
+        ----------
+        states : (B, n)
+            States [state units].
+        signal : (steps, m) or Policy
+            Default control of each step of the prediction, or the background policy.
+        schedules : (B, steps + 1, m), optional
+            Gets the schedules.
+        """
+        formulation, count = self.formulation, len(states)
+        model, steps = formulation.model, formulation.settings.steps
+        assert steps is not None
+        dt, m = [formulation.horizon / steps], formulation.values.shape[1]
+        found = np.zeros(count, action_type(m))
+        found["base_symbol"] = -1
+        x, total, path, controls = states.T, np.zeros(count), [], []
+        for k in range(steps):
+            if isinstance(signal, Policy):
+                labels = predicted_labels(signal, x.T)
+                u = signal.controls[labels].T
+                if k == 0:
+                    found["base_symbol"] = np.where(labels == len(signal.alphabet), -1, labels)
+            else:
+                u = np.tile(signal[k][:, None], count)
+            path.append(x)
+            controls.append(u)
+            x, part = model.step.evaluate(x, u, dt)
+            total = total + part[0]
+        path.append(x)
+        controls.append(controls[-1])
+        part, rho = model.terminal_cost.evaluate(x)
+        total = total + part[0]
+        adjoints = [rho]
+        for k in reversed(range(steps)):
+            adjoints.append(model.adjoint.evaluate(path[k], controls[k], dt, adjoints[-1])[0])
+        adjoints.reverse()
+
+        found["cost"], found["base"], found["control"] = total, controls[0].T, controls[0].T
+        search = self.formulation.settings.application_time == "search"
+        best = np.full(count, np.inf)
+        for k in range(steps + 1 if search or schedules is not None else 1):
+            control, gradient, symbol = self._schedule(path[k], controls[k], adjoints[k], total)
+            if schedules is not None:
+                schedules[:, k] = control.T
+            with np.errstate(invalid="ignore"):
+                value = np.sqrt((control**2).sum(axis=0)) + gradient + (k * dt[0]) ** EXPONENT
+                take = value < best if search else np.full(count, k == 0)
+            best[take] = value[take]
+            found["time"][take] = k * dt[0]
+            found["gradient"][take] = gradient[take]
+            found["symbol"][take] = symbol[take]
+            found["control"][take] = control.T[take]
+        wanted = np.isfinite(total) & (found["gradient"] < 0)
+        self._search_duration(found, np.flatnonzero(wanted), path[0], controls)
+        return found
+
+    def _schedule(
+        self, x: np.ndarray, u: np.ndarray, rho: np.ndarray, cost: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return controls (m, B), gradients (B,) and symbols (B,) at one time, eq. (8)."""
+        count = len(cost)
+        if self.sac is not None:
+            with np.errstate(over="ignore", invalid="ignore"):
+                alpha = self.formulation.settings.wanted_sensitivity(cost)
+            control, gradient = self.sac.evaluate(x, u, rho, alpha[None, :])
+            return control, gradient[0], np.full(count, NONE)
+        gradients, scales = self.formulation.model.insertion.evaluate(
+            x, u, rho, cost[None, :], [ROUNDING]
+        )
+        symbol = self.chooser.chosen(self.chooser.possible(Solution(cost, gradients.T, scales.T)))
+        chosen = symbol >= 0
+        control = np.where(chosen, self.formulation.values[symbol].T, u)
+        return control, np.where(chosen, gradients[symbol, np.arange(count)], 0.0), symbol
+
+    def _search_duration(
+        self, found: np.ndarray, rows: np.ndarray, x0: np.ndarray, controls: list[np.ndarray]
+    ) -> None:
+        """Find start, duration and decrease of the actions `rows`, in place."""
+        settings = self.formulation.settings
+        width = settings.initial_duration
+        for attempt in range(settings.max_backtracks + 1):
+            start = np.maximum(found["time"][rows] - width, 0.0)
+            stop = np.minimum(found["time"][rows] + width, self.formulation.horizon)
+            action = found["control"][rows].T
+            base = [u[:, rows] for u in controls[:-1]]
+            idle = self._cost(x0[:, rows], base, action, start, stop, False)
+            acting = self._cost(x0[:, rows], base, action, start, stop, True)
+            last = attempt == settings.max_backtracks
+            with np.errstate(invalid="ignore"):
+                good = acting < idle - (0.0 if last else settings.descent * np.abs(idle))
+            taken = rows[good]
+            found["start"][taken], found["duration"][taken] = start[good], (stop - start)[good]
+            found["decrease"][taken] = (idle - acting)[good]
+            rows, width = rows[~good], width * settings.shrink
+
+    def _cost(
+        self,
+        x: np.ndarray,
+        base: list[np.ndarray],
+        action: np.ndarray,
+        start: np.ndarray,
+        stop: np.ndarray,
+        act: bool,
+    ) -> np.ndarray:
+        """Return costs (B,) with or without the action, on a grid with its ends as points."""
+        steps = len(base)
+        dt = self.formulation.horizon / steps
+        total, now, k = np.zeros(len(start)), np.zeros(len(start)), np.zeros(len(start), int)
+        signal = np.stack(base)
+        lanes = np.arange(len(start))
+        for _ in range(steps + 2):
+            whole = np.where(k < steps, (k + 1) * dt, now)
+            until = np.where((now < start) & (start < whole), start, whole)
+            until = np.where((now < stop) & (stop < until), stop, until)
+            acts = act & (now >= start) & (now < stop)
+            u = np.where(acts, action, signal[np.minimum(k, steps - 1), :, lanes].T)
+            x, part = self.formulation.model.step.evaluate(x, u, (until - now)[None, :])
+            total = total + part[0]
+            k, now = k + (until == whole), until
+        return total + self.formulation.model.terminal_cost.evaluate(x)[0][0]
+
+
+def outside_label(policy: Policy) -> int:
+    """Return the label of predicted states outside a background policy's domain, -1: nearest."""
+    if policy.outside == "nearest":
+        return -1
+    count = len(policy.alphabet)
+    return count if policy.outside == "error" else int(policy.outside) % (count + 1)
+
+
+def predicted_labels(policy: Policy, states: np.ndarray) -> np.ndarray:
+    """Return labels (B,) of predicted states; the default where a rule would raise."""
+    rule = outside_label(policy)
+    labels = policy.leaves(states, rule < 0, "numpy")
+    return np.where(labels < 0, len(policy.alphabet) if rule < 0 else rule, labels)

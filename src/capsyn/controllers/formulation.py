@@ -1,0 +1,97 @@
+"""What a controller is made of: model, alphabet, default control, horizon, settings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from capsyn.modelling.domain import Box
+from capsyn.modelling.settings import SsacSettings
+from capsyn.policies.policy import Policy
+from capsyn.programs.model import Model
+
+if TYPE_CHECKING:
+    from capsyn.modelling.problem import Problem  # brings CasADi, which policies do without
+
+
+@dataclass(frozen=True, eq=False)
+class Formulation:
+    """What a controller is made of, whether it comes from a problem, a policy or another process.
+
+    Parameters
+    ----------
+    model : Model
+        The system and its costs, as programs.
+    domain : Box
+        Its states.
+    values : (N, m)
+        The symbols' control vectors [input units].
+    default : (m,)
+        Control of the prediction [input units].
+    horizon : float
+        Prediction horizon T [s].
+    settings : SsacSettings
+        Options of the controller.
+    """
+
+    model: Model
+    domain: Box
+    values: np.ndarray
+    default: np.ndarray
+    horizon: float
+    settings: SsacSettings
+
+    @staticmethod
+    def of_problem(problem: Problem, model: Model) -> Formulation:
+        """Return that of a problem and its transcribed model."""
+        return Formulation(
+            model,
+            problem.domain,
+            problem.alphabet.values,
+            problem.default,
+            problem.horizon,
+            problem.settings,
+        )
+
+    @staticmethod
+    def of_policy(policy: Policy) -> Formulation | None:
+        """Return that of the controller that a policy came from; None where it carries none."""
+        if policy.model is None or policy.horizon is None or policy.settings is None:
+            return None
+        return Formulation(
+            policy.model,
+            policy.domain,
+            policy.alphabet.values,
+            policy.default,
+            policy.horizon,
+            policy.settings,
+        )
+
+    def to_text(self) -> str:
+        """Return the formulation as JSON, with the programs as a policy's file holds them."""
+        plain = {
+            "model": self.model.to_json(),
+            "domain": self.domain.to_json(),
+            "values": self.values.tolist(),
+            "default": self.default.tolist(),
+            "horizon": self.horizon,
+            "settings": self.settings.to_json(),
+        }
+        return json.dumps(plain, sort_keys=True)
+
+    @staticmethod
+    def from_text(text: str) -> Formulation:
+        """Return the formulation in a `to_text`."""
+        data = json.loads(text)
+        domain, values = Box(**data["domain"]), np.array(data["values"])
+        return Formulation(
+            Model.from_json(data["model"], domain.n, values.shape[1], len(values)),
+            domain,
+            values,
+            np.array(data["default"]),
+            data["horizon"],
+            SsacSettings(**data["settings"]),
+        )

@@ -1,0 +1,370 @@
+"""sSAC and SAC in receding horizon: one whole action per sample (Section III of the paper).
+
+An action is found in four steps. (1) Predict: the state and the cost J0 under the default control,
+and the adjoint. (2) Schedule: at every sample time of the prediction the control that would lower
+the cost best, eq. (8). (3) Application time: now, or where ``|u| + dJ/dlambda + (t - t0)^1.6`` is
+least. (4) Duration: a window around it, clipped to the horizon, halved until the predicted cost
+falls by the wanted share; with and without the action it is integrated on one grid that has the
+window's ends as points. Where nothing lowers the cost the action is the default control.
+
+The default control is a constant, a signal ``u(t)``, or a policy: a "background controller", whose
+symbols are recorded along the prediction and frozen as a signal.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.controllers.action_kernel import ActionKernel, ActionOptions
+from capsyn.controllers.actions import EXPONENT, ROUNDING, NumpyActions, outside_label
+from capsyn.controllers.command import TIME, Command
+from capsyn.controllers.formulation import Formulation
+from capsyn.controllers.sac import sac_program
+from capsyn.controllers.solver import TIE
+from capsyn.controllers.ssac import batch_controller
+from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import Box
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.targets import Target
+from capsyn.modelling.transcription import transcribe, transcribe_target
+from capsyn.native.compiled import compiled
+from capsyn.policies.lookup import TreeArguments
+from capsyn.policies.policy import Policy
+from capsyn.programs.model import Model
+from capsyn.validation import BACKENDS, describe, finite_number, one_of, state_array
+
+POLICY_STEPS = 100
+"""Least steps of a prediction under a policy, whose symbols may change at every step."""
+
+Default = np.ndarray | Callable[[float], Any] | Policy
+
+
+@dataclass(frozen=True)
+class Actions:
+    """What sSAC or SAC would do in some states; the shapes (...) are those of the states.
+
+    Parameters
+    ----------
+    symbol : (...)
+        Symbol of the action; -1 for the default control, -2 for a control of SAC.
+    control : (..., m)
+        Its control [input units].
+    application_time : (...)
+        Time tau at which the action is chosen [s from now].
+    start, duration : (...)
+        It acts from `start` for `duration` [s]; the duration is 0 where there is no action.
+    gradient : (...)
+        Mode insertion gradient at tau, eq. (6) [cost / s].
+    cost, decrease : (...)
+        Cost J0 of the default prediction, and what the action takes off it.
+    base : (..., m)
+        Default control now [input units].
+    base_symbol : (...)
+        Its symbol where a policy gives it, else -1.
+    schedule : (..., steps + 1, m), optional
+        The controls u*(t) at the sample times of the prediction.
+    """
+
+    symbol: np.ndarray
+    control: np.ndarray
+    application_time: np.ndarray
+    start: np.ndarray
+    duration: np.ndarray
+    gradient: np.ndarray
+    cost: np.ndarray
+    decrease: np.ndarray
+    base: np.ndarray
+    base_symbol: np.ndarray
+    schedule: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineController:
+    """sSAC or SAC in receding horizon; build it with `online_controller`.
+
+    `simulate` and `monte_carlo` take it like a policy. Calling it with a time and states (B, n)
+    returns the controls (B, m) that act at once.
+
+    Parameters
+    ----------
+    method : "ssac" or "sac"
+        Symbols, or continuous controls.
+    formulation : Formulation
+        What it is made of: of the problem or policy, or what replaced it.
+    alphabet, min_dwell, target
+        Those of the problem or policy.
+    background : callable ``time -> (m,)``, Policy or None
+        Default control of the prediction, where it is no constant.
+    kernel, numpy
+        What finds actions: compiled, where there is a compiler, and in NumPy.
+    """
+
+    method: str
+    formulation: Formulation
+    alphabet: Alphabet
+    background: Callable[[float], Any] | Policy | None
+    min_dwell: float
+    target: Target | None
+    kernel: ActionKernel | None
+    numpy: NumpyActions
+
+    def __repr__(self) -> str:
+        kind = "policy" if isinstance(self.background, Policy) else "signal"
+        around = "" if self.background is None else f" around a {kind}"
+        return f"OnlineController('{self.method}'{around}, horizon {self.horizon:g} s)"
+
+    def actions(self, states: Any, time: float = 0.0, schedule: bool = False) -> Actions:
+        """Return the actions in states (..., n) at a time [s]; see `Actions`.
+
+        Parameters
+        ----------
+        states : (..., n)
+            States [state units].
+        time : float
+            Now [s], for a default control that is a signal.
+        schedule : bool
+            Whether to return the whole schedule, too.
+
+        Raises
+        ------
+        ProblemError
+            States of another shape.
+        """
+        n, m = self.domain.n, self.alphabet.m
+        states = state_array(states, n)
+        flat, shape = states.reshape(-1, n), states.shape[:-1]
+        signal = None if isinstance(self.background, Policy) else self.background
+        steps = self.steps
+        schedules = np.empty((len(flat), steps + 1, m)) if schedule else None
+        if self.kernel is not None:
+            options = self._options
+            if signal is not None:
+                feed = self._feed(time)
+                options = ActionOptions.from_buffer_copy(options)  # other threads have their own
+                options.feed = feed.ctypes.data
+            found = self.kernel(flat, options, schedules)
+        else:
+            policy = self.background if isinstance(self.background, Policy) else None
+            found = self.numpy(flat, policy or self._feed(time), schedules)
+        if signal is not None:  # now, not in the middle of the first step
+            found["base"] = self.alphabet.control("default", signal(time))
+            idle = found["symbol"] == -1
+            found["control"][idle] = found["base"][idle]
+        found = found.reshape(shape)
+        return Actions(
+            symbol=found["symbol"][()],  # [()]: numbers of a single state, not arrays
+            control=found["control"][()],
+            application_time=found["time"][()],
+            start=found["start"][()],
+            duration=found["duration"][()],
+            gradient=found["gradient"][()],
+            cost=found["cost"][()],
+            decrease=found["decrease"][()],
+            base=found["base"][()],
+            base_symbol=found["base_symbol"][()],
+            schedule=None if schedules is None else schedules.reshape((*shape, steps + 1, m)),
+        )
+
+    def __call__(self, time: float, states: Any) -> np.ndarray:
+        """Return the controls (..., m) that act at once in states (..., n) at a time [s]."""
+        found = self.actions(states, time)
+        acts = np.asarray((found.duration > 0) & (found.start <= 0))
+        return np.where(acts[..., None], found.control, found.base)
+
+    def decide(self, time: float, measured: np.ndarray) -> Command:
+        """Return the command over a sample: default control, action, default control.
+
+        `measured` are the states (B, n) at `time` [s]; `simulate` calls this.
+        """
+        found = self.actions(measured, time)
+        start = np.where(found.duration > 0, found.start, np.inf)
+        stop, now = start + found.duration, start <= 0
+        first = np.where(now[:, None], found.control, found.base)
+        return Command(
+            np.stack([first, found.control, found.base], axis=1),
+            np.stack([np.where(now, stop, start), stop, np.full(len(start), np.inf)], axis=1),
+            np.where(now, found.symbol, found.base_symbol),
+            np.full(len(start), TIME),
+            np.zeros(len(start), dtype=bool),
+        )
+
+    @property
+    def model(self) -> Model:
+        """The system and its costs, as programs."""
+        return self.formulation.model
+
+    @property
+    def domain(self) -> Box:
+        """States of the problem or policy."""
+        return self.formulation.domain
+
+    @property
+    def default(self) -> np.ndarray:
+        """Default control (m,) where it is a constant [input units]."""
+        return self.formulation.default
+
+    @property
+    def horizon(self) -> float:
+        """Prediction horizon T [s]."""
+        return self.formulation.horizon
+
+    @property
+    def settings(self) -> SsacSettings:
+        """Options, with `steps` given."""
+        return self.formulation.settings
+
+    @property
+    def steps(self) -> int:
+        """Integration steps over the horizon."""
+        assert self.settings.steps is not None
+        return self.settings.steps
+
+    def _feed(self, time: float) -> np.ndarray:
+        """Return default controls (steps, m) of the prediction's steps, taken at their middles."""
+        if self.background is None:
+            return np.tile(self.default, (self.steps, 1))
+        middles = time + (np.arange(self.steps) + 0.5) * (self.horizon / self.steps)
+        return np.array([self.alphabet.control("default", self.background(t)) for t in middles])
+
+    @functools.cached_property
+    def _options(self) -> ActionOptions:
+        """What the kernel needs, with the arrays that it points to kept alive."""
+        settings, policy = self.settings, self.background
+        arrays = {
+            "values": np.ascontiguousarray(self.alphabet.values),
+            "efforts": np.ascontiguousarray(self.numpy.chooser.efforts),
+            "preference": np.array(self.numpy.chooser.preference, dtype=np.int64),
+        }
+        if isinstance(policy, Policy):
+            outside, lost = outside_label(policy), len(policy.alphabet)
+            gap = lost if policy.gaps else -1
+            arrays["table"] = policy.controls
+            cells = TreeArguments.of(policy.domain, policy.cells)
+        else:
+            outside, lost, gap, cells = -1, -1, -1, TreeArguments()
+            arrays["feed"] = self._feed(0.0)
+        options = ActionOptions(
+            horizon=self.horizon,
+            gamma=settings.gamma,
+            alpha_d=np.nan if settings.alpha_d is None else settings.alpha_d,
+            initial=settings.initial_duration,
+            shrink=settings.shrink,
+            descent=settings.descent,
+            exponent=EXPONENT,
+            tie=TIE,
+            rounding=ROUNDING,
+            steps=self.steps,
+            search=settings.application_time == "search",
+            steepest=settings.rule == "steepest",
+            to_default=settings.on_no_descent == "default",
+            backtracks=settings.max_backtracks,
+            outside=outside,
+            lost=lost,
+            gap=gap,
+            cells=cells,
+            **{name: array.ctypes.data for name, array in arrays.items()},
+        )
+        options.arrays = [arrays, cells]
+        return options
+
+
+def online_controller(
+    source: Problem | Policy,
+    method: str = "ssac",
+    *,
+    default: Any = None,
+    horizon: float | None = None,
+    settings: SsacSettings | None = None,
+    limits: Any = None,
+    backend: str = "auto",
+) -> OnlineController:
+    """Return sSAC or SAC in receding horizon for a problem, or for the model of a policy.
+
+    Parameters
+    ----------
+    source : Problem or Policy
+        Model, costs, alphabet, and what is not given below.
+    method : "ssac" or "sac"
+        Symbols of the alphabet, or continuous controls ``u* = (Lambda + R)^-1 (Lambda u_default +
+        h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h`` for ``f = g(x) + h(x) u``,
+        saturated.
+    default : (m,), callable ``time -> (m,)`` or Policy, optional
+        Default control of the prediction, which also acts where nothing is better. Under a policy
+        the prediction has `POLICY_STEPS` steps at least, unless `settings` say how many.
+    horizon : float, optional
+        Prediction horizon T [s].
+    settings : SsacSettings, optional
+        Options; SAC needs a positive definite `control_weight`.
+    limits : (lower (m,), upper (m,)), optional
+        Bounds of SAC's controls [input units]. Default: those of the alphabet.
+    backend : "auto", "c" or "numpy"
+        How to solve.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used, or dynamics that are not control-affine under SAC.
+
+    References
+    ----------
+    A. R. Ansari and T. D. Murphey, "Sequential Action Control: Closed-Form Optimal Control for
+    Nonlinear and Nonsmooth Systems", IEEE Transactions on Robotics 32 (2016).
+    """
+    one_of("method", method, ["ssac", "sac"])
+    one_of("backend", backend, BACKENDS)
+    if isinstance(source, Problem):
+        model, target = transcribe(source), transcribe_target(source)
+    elif isinstance(source, Policy) and source.model is not None:
+        model, target = source.model, source.target
+    else:
+        raise ProblemError(
+            f"`source` must be a Problem or a Policy with a model; got {describe(source)}"
+        )
+    horizon = source.horizon if horizon is None else finite_number("horizon", horizon, above=0.0)
+    said = source.settings if settings is None and isinstance(source, Problem) else settings
+    settings = source.settings if settings is None else settings
+    if horizon is None or settings is None:
+        raise ProblemError("`horizon` and `settings` must be given for a policy without them")
+    if not isinstance(settings, SsacSettings):
+        raise ProblemError(f"`settings` must be a capsyn.SsacSettings; got {describe(settings)}")
+    settings.efforts(source.alphabet.values)
+    alphabet, constant, background = source.alphabet, source.default, None
+    if isinstance(default, Policy):
+        if (default.domain.n, default.alphabet.m) != (source.domain.n, alphabet.m):
+            raise ProblemError(
+                f"`default` must be a policy of {source.domain.n} state(s) and {alphabet.m} "
+                f"input(s); got {default.domain.n} and {default.alphabet.m}"
+            )
+        background = default
+    elif callable(default):
+        background = default
+        alphabet.control("default", default(0.0))
+    elif default is not None:
+        constant = alphabet.control("default", default)
+    sac = sac_program(model, alphabet, settings, limits) if method == "sac" else None
+    formulation = Formulation(model, source.domain, alphabet.values, constant, horizon, settings)
+    chooser = batch_controller(formulation, backend)
+    chosen = chooser.settings
+    assert chosen.steps is not None
+    if isinstance(background, Policy) and (said is None or said.steps is None):
+        chosen = dataclasses.replace(chosen, steps=max(chosen.steps, POLICY_STEPS))
+    kernel = compiled(lambda: ActionKernel.build(model, sac), backend, "solving")
+    formulation = dataclasses.replace(formulation, settings=chosen)
+    return OnlineController(
+        method,
+        formulation,
+        alphabet,
+        background,
+        source.min_dwell,
+        target,
+        kernel,
+        NumpyActions(formulation, chooser, sac),
+    )

@@ -1,0 +1,269 @@
+"""Switched sequential action control (Section III of the paper), for batches of states."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.cells.masks import preferred
+from capsyn.controllers.formulation import Formulation
+from capsyn.controllers.solver import TIE, Solver, bind_default, make_solver
+from capsyn.errors import warn
+from capsyn.modelling.settings import SsacSettings
+from capsyn.policies.policy import Policy
+from capsyn.programs.step_doubling import UNRESOLVED, fewest_steps
+
+STEP_LADDER = tuple(steps << k for k in range(10) for steps in (4, 6)) + (4096,)
+"""Steps that `choose_steps` tries."""
+STEP_SAMPLES = 512
+"""Random states at which it tries them."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Steps 1 and 2 of sSAC at t0 for B states and N symbols.
+
+    Parameters
+    ----------
+    cost : (B,)
+        Cost ``J0`` of the default prediction, eq. (3).
+    gradients : (B, N)
+        Mode insertion gradients ``dJ/dlambda+`` at t0, eq. (6) [cost / s].
+    scales : (B, N)
+        Largest size each gradient could have given the adjoint and the change of dynamics.
+    """
+
+    cost: np.ndarray
+    gradients: np.ndarray
+    scales: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class BatchController:
+    """sSAC for batches of states: one forward and one adjoint pass each.
+
+    Build it with `batch_controller`.
+
+    Parameters
+    ----------
+    solver : callable
+        ``(states, horizon, steps) -> (cost, gradients, scales)``, safe to call from threads.
+    backend : "c" or "numpy"
+        What the solver is.
+    formulation : Formulation
+        What the controller is made of, its settings with `steps`.
+    efforts : (N,)
+        Control efforts ``u^T R u`` of the symbols.
+    preference : N + 1 ints
+        Symbols (N for the default) by least control effort, then by lowest index.
+    """
+
+    solver: Solver
+    backend: str
+    formulation: Formulation
+    efforts: np.ndarray
+    preference: tuple[int, ...]
+
+    @property
+    def settings(self) -> SsacSettings:
+        """Options, with `steps` given."""
+        return self.formulation.settings
+
+    @property
+    def horizon(self) -> float:
+        """Prediction horizon T [s]."""
+        return self.formulation.horizon
+
+    def solve(self, states: np.ndarray) -> Solution:
+        """Return costs and mode insertion gradients of states (B, n)."""
+        assert self.settings.steps is not None
+        return Solution(*self.solver(states, self.horizon, self.settings.steps))
+
+    def scores(self, solution: Solution) -> np.ndarray:
+        """Return what each symbol scores (B, N), eq. (8) or the steepest rule; least is best."""
+        distance = solution.gradients
+        if self.settings.rule == "schedule":
+            with np.errstate(invalid="ignore", over="ignore"):
+                distance = (distance - self._wanted(solution)) ** 2
+        return distance + self.efforts
+
+    def symbols(self, states: np.ndarray) -> np.ndarray:
+        """Return the symbols (B,) that sSAC applies at t0; see `masks` and `chosen`."""
+        return self.chosen(self.masks(states))
+
+    def chosen(self, masks: np.ndarray) -> np.ndarray:
+        """Return the symbols (B,) of masks (B,); -1 is the default control.
+
+        Ties go as in a policy, by `preference`. States without a finite result get the default.
+        """
+        best = preferred(masks, self.preference)
+        best[(masks == 0) | (best == len(self.efforts))] = -1
+        return best
+
+    def masks(self, states: np.ndarray) -> np.ndarray:
+        """Return the symbols that could be best as bit masks (B,), 0 without a finite result.
+
+        A symbol could be best when it is for some perturbation of each mode insertion gradient
+        by at most `TIE` of its scale. Bit N stands for the default control.
+        """
+        return self.possible(self.solve(states))
+
+    def scored(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `masks` (B,) and, of the same solves, `smooth_scores` of states (B, n)."""
+        solution = self.solve(states)
+        return self.possible(solution), self.smooth_scores(solution)
+
+    def smooth_scores(self, solution: Solution) -> np.ndarray:
+        """Return scores (B, V, N) as affine in the state as can be, in V variants.
+
+        The largest of the first variant is best. Steepest rule: ``-dJ_dlam - |u|_R^2``. Eq. (8)
+        grows with the fourth power of the state where costs are quadratic; without ``alpha_d^2``,
+        which all symbols share, it is ``dJ_dlam (dJ_dlam - 2 alpha_d) + |u|_R^2``. The first
+        variant is minus this over ``2 (alpha_d^2 + mean(dJ_dlam^2))^(1/2)``. The second leaves the
+        square out, so that what is left, over ``2 |alpha_d|``, is ``dJ_dlam`` and the effort: it
+        orders two symbols alike wherever the mean of their ``dJ_dlam`` exceeds ``alpha_d``, and
+        has slopes where J0, and with it alpha_d, vanishes. With ``on_no_descent="default"`` the
+        default's comes last, (B, V, N + 1): the best score plus that symbol's ``dJ_dlam``.
+        """
+        gradients = solution.gradients
+        with np.errstate(all="ignore"):
+            if self.settings.rule == "steepest":
+                scores = (-gradients - self.efforts)[:, None]
+            else:
+                wanted, extra = self._wanted(solution), self.efforts - self.efforts.min()
+                size = 2 * np.sqrt(wanted**2 + (gradients**2).mean(axis=1, keepdims=True))
+                squares = (2 * wanted - gradients) * gradients - extra
+                first = np.where(size > 0, squares / size, -extra)
+                price = np.where(extra > 0, extra / (2 * np.abs(wanted)), 0.0)
+                finite = np.isfinite(price).all(axis=1, keepdims=True)
+                second = np.where(finite, -gradients - price, first)
+                scores = np.stack([first, second], axis=1)
+            if self.settings.on_no_descent == "default":
+                best = scores[:, :1].argmax(axis=2)[:, :, None]
+                slope = np.take_along_axis(gradients[:, None], best, axis=2)
+                default = scores.max(axis=2, keepdims=True) + slope
+                # symbols that are the default itself must not tie with it
+                same = (solution.scales == 0)[:, None]
+                low, high = scores.min(axis=2, keepdims=True), scores.max(axis=2, keepdims=True)
+                scores = np.where(same, 2 * low - high, scores)
+                scores = np.concatenate([scores, default], axis=2)
+        return scores
+
+    def possible(self, solution: Solution) -> np.ndarray:
+        """Return the masks (B,) of solved states; see `masks`."""
+        low, high = self._bounds(solution)
+        least = high.min(axis=1)
+        could = low <= least[:, None]
+        n = could.shape[1]
+        margin = TIE * solution.scales
+        default = np.zeros(len(could), dtype=bool)
+        if self.settings.on_no_descent == "default":
+            with np.errstate(invalid="ignore"):
+                default = (could & (solution.gradients + margin >= 0)).any(axis=1)
+                could &= solution.gradients - margin < 0
+        masks = default.astype(np.uint64) << np.uint64(n)
+        for i in range(n):
+            masks |= could[:, i].astype(np.uint64) << np.uint64(i)
+        masks[~np.isfinite(high).all(axis=1)] = 0
+        return masks
+
+    def _wanted(self, solution: Solution) -> np.ndarray:
+        """Return ``alpha_d`` (B, 1)."""
+        return self.settings.wanted_sensitivity(solution.cost)[:, None]
+
+    def _bounds(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and greatest scores (B, N) under the perturbations of a tie.
+
+        The greatest is finite only where cost, gradient and scale are: the scale holds the cost.
+        """
+        margin = TIE * solution.scales
+        with np.errstate(invalid="ignore", over="ignore"):
+            if self.settings.rule == "steepest":
+                low, high = solution.gradients - margin, solution.gradients + margin
+            else:
+                distance = np.abs(solution.gradients - self._wanted(solution))
+                low = np.maximum(distance - margin, 0.0) ** 2
+                high = (distance + margin) ** 2
+            return low + self.efforts, high + self.efforts
+
+
+def batch_controller(
+    formulation: Formulation, backend: str = "auto", seed: int = 0
+) -> BatchController:
+    """Return the controller of a formulation, with its kernel built and its steps chosen.
+
+    Parameters
+    ----------
+    formulation : Formulation
+        What it is made of; steps that are not given are chosen by `choose_steps`.
+    backend : "auto", "c" or "numpy"
+        ``"auto"`` takes C where there is a working compiler, else NumPy with a warning.
+    seed : int
+        Seed of the states at which steps are tried, drawn from the domain.
+
+    Raises
+    ------
+    KernelBuildError
+        ``backend="c"`` and the kernel cannot be built.
+    """
+    default, settings = formulation.default, formulation.settings
+    bound = bind_default(formulation.model, default)
+    solver, used = make_solver(bound, settings.precision, backend)
+    if settings.steps is None:
+        states = formulation.domain.sample(STEP_SAMPLES, seed)
+        steps = choose_steps(solver, states, formulation.horizon, settings)
+        settings = dataclasses.replace(settings, steps=steps)
+        formulation = dataclasses.replace(formulation, settings=settings)
+    efforts = settings.efforts(np.vstack([formulation.values, default]))
+    preference = tuple(int(k) for k in np.argsort(efforts, kind="stable"))
+    return BatchController(solver, used, formulation, efforts[:-1], preference)
+
+
+def policy_controller(policy: Policy, backend: str = "auto") -> BatchController | None:
+    """Return the controller that a policy came from, or None where it does not carry it."""
+    formulation = Formulation.of_policy(policy)
+    return None if formulation is None else batch_controller(formulation, backend)
+
+
+def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: SsacSettings) -> int:
+    """Return the fewest steps of `STEP_LADDER` whose error meets ``settings.tolerance``.
+
+    The error is the 99th percentile, over the states (B, n), of the difference that twice the
+    steps make to the mode insertion gradients, relative to their scales. It is infinite for states
+    that only more steps make finite, and for those whose cost changes by more than a tenth:
+    steps that are too long for a stiff model may agree on garbage. Where it stops falling first (a
+    switch in the dynamics, single precision), the best steps so far are returned with a warning.
+    """
+    solve = functools.cache(lambda steps: solver(states, horizon, steps))
+
+    def error_of(steps: int) -> float:
+        (coarse_cost, coarse, _), (cost, fine, scale) = solve(steps), solve(2 * steps)
+        with np.errstate(all="ignore"):
+            errors = np.abs(coarse - fine) / scale
+            errors[~np.isfinite(errors)] = np.nan
+            usual = np.median(np.abs(cost[np.isfinite(cost)])) if np.isfinite(cost).any() else 0
+            errors[np.abs(coarse_cost - cost) > UNRESOLVED * (np.abs(cost) + usual)] = np.inf
+            failed = ~(np.isfinite(coarse) & np.isfinite(fine) & np.isfinite(scale))
+            if failed.any():
+                failed &= np.isfinite(solve(2 * STEP_LADDER[-1])[1])
+                errors[failed] = np.inf
+            errors = errors[~np.isnan(errors)]
+            return float(np.percentile(errors, 99)) if errors.size else 0.0
+
+    best, least = fewest_steps(STEP_LADDER, error_of, settings.tolerance)
+    if least <= settings.tolerance:
+        return best
+    advice = "give `steps` or a larger `tolerance`"
+    if best == STEP_LADDER[-1]:
+        advice = (
+            "shorten the horizon, or give `steps` (--steps) where the model has switches such as "
+            "fmax or if_else"
+        )
+    warn(
+        f"the step-doubling check reached {least:.2g} with {best} steps, not the tolerance "
+        f"{settings.tolerance:.2g}: {advice}"
+    )
+    return best

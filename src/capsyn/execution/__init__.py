@@ -1,0 +1,1 @@
+"""Files, processors, memory, answers that are kept, and workers of a cluster."""

@@ -1,0 +1,87 @@
+"""The minimum dwell time in C: a state of a few bytes between decisions."""
+
+from __future__ import annotations
+
+import math
+
+from capsyn.errors import ProblemError
+from capsyn.exports.c.language import Part, rows
+from capsyn.exports.plan import Plan
+
+
+def ticks_of(plan: Plan, tick: float) -> int:
+    """Return the least whole ticks of the dwell time, by the rule of capsyn's closed loop."""
+    ticks = plan.dwell / tick - 1e-9
+    if ticks > (1 << 32) - 1:
+        least = plan.dwell / ((1 << 32) - 1)
+        raise ProblemError(f"`tick` must be at least {least!r} s; got {tick!r}")
+    return max(1, math.ceil(ticks))
+
+
+def declarations(prefix: str, dwell: float, tick: float, ticks: int) -> str:
+    """Return what the header says of the state and its functions, but for ``_step``."""
+    return f"""
+#define {prefix.upper()}_DWELL {ticks}uL /* ticks of {tick!r} s: {dwell!r} s */
+
+/* Between decisions; the caller has one for each plant. */
+typedef struct {{
+    uint32_t since; /* tick of the last change */
+    int16_t symbol; /* in force */
+    uint8_t phase;  /* 0: none yet, 1: must hold, 2: may change */
+}} {prefix}_state;
+
+/* Forget all symbols: the next one is taken at once. */
+void {prefix}_init({prefix}_state *state);
+
+/*
+ * Return the symbol in force when `symbol` is wanted at tick `now`: another control is taken only
+ * when the one before was held for at least {prefix.upper()}_DWELL ticks. Ticks may wrap around to
+ * 0 after 2^32 - 1; call it at least once in so many.
+ */
+int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now);
+"""
+
+
+def functions(plan: Plan, prefix: str) -> Part:
+    """Return ``_init`` and ``_hold``."""
+    classes = list(range(plan.labels))
+    classes[-1] = (plan.like_default or classes)[-1]
+    same, table, reads = "symbol == state->symbol", "", set()
+    if plan.like_default:
+        kind, integer = ("BYTE", "uint8_t") if plan.labels <= 256 else ("INT16", "int16_t")
+        entries = rows([f"{k}u" if kind == "BYTE" else str(k) for k in classes])
+        table = (
+            f"    /* symbols of the same number have the same control */\n"
+            f"    static const {integer} {prefix}_same[{plan.labels}] CAPSYN_ROM = {{\n{entries}\n"
+            "    };\n"
+        )
+        read = f"CAPSYN_{kind}(&{prefix}_same[{{}}])"
+        same = f"{read.format('symbol')} == {read.format('state->symbol')}"
+        reads = {kind}
+    text = f"""
+void {prefix}_init({prefix}_state *state)
+{{
+    state->since = 0u;
+    state->symbol = 0;
+    state->phase = 0u;
+}}
+
+int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now)
+{{
+{table}    const bool same = {same};
+    if ((state->phase == 1u) && ((uint32_t)(now - state->since) >= {prefix.upper()}_DWELL)) {{
+        state->phase = 2u;
+    }}
+    if ((state->phase == 0u) || ((state->phase == 2u) && (!same))) {{
+        state->symbol = symbol;
+        state->since = now;
+        state->phase = 1u;
+    }} else if (same) {{
+        state->symbol = symbol;
+    }} else {{
+        /* the one before is held */
+    }}
+    return state->symbol;
+}}
+"""
+    return Part(text, frozenset(reads))

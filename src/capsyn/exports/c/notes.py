@@ -1,0 +1,131 @@
+"""What the C header of an export says to its reader."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from capsyn.cells.packing import packed_bytes
+from capsyn.errors import ProblemError
+from capsyn.exports.c.language import z_type
+from capsyn.exports.c.readings.counts import CountAxis, count_axes
+from capsyn.exports.c.readings.single import SAMPLES
+from capsyn.exports.plan import Plan
+
+TOLD_COUNTS = 1024
+"""Bytes of tables of counts that a user is not warned of."""
+TOLD_FACES = 4096
+"""Bytes of tables of faces that a user is not told of."""
+
+
+def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
+    """Return each axis of counts with a line about it."""
+    found = []
+    for i, axis in enumerate(axes):
+        line = f"Readings are counts r; the step of axis {i} is {axis.text}."
+        if axis.table_bytes:
+            line += f" It takes {axis.table_bytes:,} bytes of tables."
+        if axis.turn:
+            line += f" A turn is {axis.turn} counts; those of other turns are brought into one."
+        if axis.missed:
+            line += (
+                f" Counts are coarse: {axis.missed} of {len(axis.changes) + 1} steps never occur."
+            )
+        found.append((axis, line))
+    return found
+
+
+def told(
+    counts: tuple[int, ...], faces: list[np.ndarray] | None, axes: list[CountAxis]
+) -> tuple[str, ...]:
+    """Return what a user is told as the export is made."""
+    found = [line for _, line in count_lines(axes)]
+    size = 4 * sum(map(len, faces or []))
+    if size > TOLD_FACES:
+        found.append(f"tables of the faces take {size:,} bytes; arithmetic lattice has none")
+    if z_type(counts) != "int16_t":
+        found.append(f"lattice steps are of 32 bits: an axis has {max(counts):,}, beyond 16 bits")
+    return tuple(found)
+
+
+def heavy_tables(plan: Plan, axes: list[CountAxis], readings: str, function: str) -> str | None:
+    """Return a warning where tables of counts take more than the tree, else none.
+
+    `function` is the one that takes lattice steps.
+    """
+    sizes = [axis.table_bytes for axis in axes]
+    tree = packed_bytes(plan.tree.cells)
+    if sum(sizes) <= max(tree, TOLD_COUNTS):
+        return None
+    i = int(np.argmax(sizes))
+    name = plan.policy.domain.names[i]
+    why = "counts fall on faces of its lattice" if axes[i].line else "no line gives its steps"
+    found = f"tables of `readings` {readings} take {sizes[i]:,} bytes for axis '{name}'"
+    found += f" (the tree: {tree:,}), since {why}: "
+    offset = plan.offset.copy()
+    step = plan.policy.domain.widths[i] / plan.tree.cells.counts[i]
+    offset[i] += min(abs(plan.scale[i]), step) / 2  # between faces
+    with contextlib.suppress(ProblemError):  # counts may no more reach every step
+        (moved,) = count_axes(dataclasses.replace(plan, offset=offset), readings, [i])
+        if moved.table_bytes <= sizes[i] / 2:
+            found += f"an `offset` of {float(offset[i])!r} takes {moved.table_bytes:,}; "
+    return f"{found}otherwise take another `scale`, or give lattice steps to {function}(z)"
+
+
+def notes(
+    plan: Plan,
+    arithmetic: str,
+    axes: list[CountAxis],
+    renamed: Mapping[str, str],
+    changed: float | None,
+) -> list[str]:
+    """Return what a user must know, as lines.
+
+    `changed` is the share of states whose symbol rounding changes.
+    """
+    counts = ", ".join(map(str, plan.tree.cells.counts))
+    lines = [
+        f"Quantisation: the axes have {counts} equal steps. Step k of an axis with C steps "
+        "holds the states face(k) <= x < face(k + 1), where face(k) = lower + (upper - lower) "
+        "* (k / C), rounded as written in double precision; the upper bound belongs to the "
+        "last step; periodic states are brought into [lower, upper) first. The tree compares "
+        "steps: its symbol is the same for all states of a step, and quantising changes the "
+        "symbol of 0 % of the states.",
+    ]
+    if arithmetic == "lattice":
+        lines.append(f"Steps are {z_type(plan.tree.cells.counts)}: 0 to C - 1 fit.")
+    if arithmetic == "float":
+        state, what = "the float state", "states"
+        if plan.folded:
+            state += ", reading * scale + offset in single precision"
+            what = "readings, scale and offset"
+        lines.append(
+            f"Single precision: the symbol is the policy's at {state}. Rounding {what} to floats "
+            f"changed the symbol or the status of {changed:.3%} of {SAMPLES:,} random states. A "
+            "periodic state beyond its bounds is brought back in single precision."
+        )
+    domain = plan.policy.domain
+    if any(domain.periodic) and not axes:
+        most = np.finfo(np.float32 if arithmetic == "float" else np.float64).max
+        narrowest = domain.widths[list(domain.periodic)].min()
+        turns = 2 * int(np.ceil(np.log2(most) - np.log2(narrowest))) + 1
+        lines.append(
+            "Time: a periodic state between 2^k and 2^(k + 1) periods off takes 2 k + 1 turns of "
+            f"a loop, the farthest that is finite up to {turns:,}. Where time counts, bring "
+            "states near first."
+        )
+    lines += [line for _, line in count_lines(axes)]
+    lines.append(
+        "Status: OUTSIDE of the domain, or NOT_FINITE, or OK. Symbols outside are those above."
+    )
+    if plan.policy.gaps:
+        told = f"Symbol {plan.gap} of steps: no symbol, the state is OUTSIDE."
+        lines.append(told if arithmetic == "lattice" else "Gaps are OUTSIDE, too.")
+    lines.append(
+        "MISRA C:2012: deviations, of the category advisory only: 2.4 (symbols are for "
+        "callers), 8.7 (callers may call every function of this file)."
+    )
+    return lines + [f"Name '{old}' became {new}." for old, new in renamed.items()]

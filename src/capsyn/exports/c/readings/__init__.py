@@ -1,0 +1,1 @@
+"""How readings become steps of the lattice, in C."""

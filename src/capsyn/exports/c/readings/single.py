@@ -1,0 +1,93 @@
+"""Single precision in C: what it can tell apart, and what it decides, as the exported code does."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from capsyn.cells.split_tree import SplitTree
+from capsyn.errors import ProblemError
+from capsyn.exports.c.language import round_up
+from capsyn.exports.golden import Golden, decide
+from capsyn.exports.plan import Plan
+from capsyn.modelling.domain import Box
+
+SAMPLES = 20_000
+"""Random states at which the effect of rounding is counted."""
+LARGEST_PERIODIC = 1e31
+"""Largest bound of a periodic axis: no float minus a bound overflows."""
+
+
+def check_single_precision(plan: Plan, tree: SplitTree) -> None:
+    """Raise `ProblemError` where single precision does not hold what the plan is made of."""
+    domain = plan.policy.domain
+    given = {"`scale`": plan.scale, "`offset`": plan.offset, "controls": plan.policy.controls}
+    for name, values in given.items():
+        with np.errstate(over="ignore"):
+            single = np.asarray(values).astype(np.float32)
+        lost = ~np.isfinite(single) | ((single == 0) & (values != 0))
+        if lost.any():
+            raise ProblemError(
+                f"`arithmetic` float needs {name} between 1.5e-45 and 3.4e38 in size, or 0; "
+                f"got {float(values[lost][0])!r}; take double"
+            )
+    for i, count in enumerate(tree.counts):
+        lower, upper = float(domain.lower[i]), float(domain.upper[i])
+        bounds, largest = f"axis '{domain.names[i]}', in [{lower!r}, {upper!r}]", max(-lower, upper)
+        if domain.periodic[i] and largest > LARGEST_PERIODIC:
+            raise ProblemError(
+                f"`arithmetic` float needs bounds of a periodic axis within "
+                f"+-{LARGEST_PERIODIC:g}; got {bounds}; take double"
+            )
+        apart = count < 1 << 25 and largest < 3e38
+        if apart:
+            faces = round_up(domain.faces(i, np.arange(count + 1), count))
+            apart = bool((np.diff(faces) > 0).all())
+        if not apart:
+            raise ProblemError(
+                f"`arithmetic` float does not tell the {count} steps of {bounds} apart: "
+                "it has 24 bits; take double"
+            )
+
+
+def decide_single(plan: Plan, readings: np.ndarray) -> Golden:
+    """Return what the exported code must give for readings (K, n), rounded to floats here.
+
+    That is the policy's decision at float states: periodic ones are brought back, and readings
+    made states, in single precision.
+    """
+    domain = plan.policy.domain
+    with np.errstate(over="ignore", invalid="ignore"):
+        given = readings.astype(np.float32)
+        states = given.copy()
+        if plan.folded:
+            states *= plan.scale.astype(np.float32)
+            states += plan.offset.astype(np.float32)
+    for i in np.flatnonzero(domain.periodic):
+        states[:, i] = _wrapped(states[:, i], domain, int(i))
+    whole = np.ones(plan.n), np.zeros(plan.n)
+    unfolded = dataclasses.replace(plan, scale=whole[0], offset=whole[1])
+    found = decide(unfolded, states.astype(np.float64))
+    return dataclasses.replace(found, readings=given.astype(np.float64))
+
+
+def _wrapped(x: np.ndarray, domain: Box, i: int) -> np.ndarray:
+    """Return floats brought into the floats of a periodic axis, those that are not finite as is."""
+    low, high = round_up(domain.lower[i : i + 1])[0], round_up(domain.upper[i : i + 1])[0]
+    width = np.float32(float(high) - float(low))
+    off = np.isfinite(x) & ~((x >= low) & (x < high))
+    rest = np.fmod(x[off] - low, width)
+    rest = low + np.where(rest < 0, rest + width, rest)
+    wrapped = x.copy()
+    wrapped[off] = np.where(rest >= high, low, rest)
+    return wrapped
+
+
+def share_changed(plan: Plan) -> float:
+    """Return the share of random states in the domain whose symbol or status rounding changes."""
+    states = plan.policy.domain.sample(SAMPLES)
+    readings = (states - plan.offset) / plan.scale
+    exact, single = decide(plan, readings), decide_single(plan, readings)
+    same = (exact.labels == single.labels) & (exact.statuses == single.statuses)
+    return float(1 - same.mean())

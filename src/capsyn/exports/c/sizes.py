@@ -1,0 +1,164 @@
+"""What the C code of an export takes on a processor, measured with its compiler."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from capsyn.exports.plan import Files
+
+COMPILERS = {
+    "cortex-m0": ["arm-none-eabi-gcc", "-mcpu=cortex-m0", "-mthumb"],
+    "cortex-m4": ["arm-none-eabi-gcc", "-mcpu=cortex-m4", "-mthumb"],
+    "avr": ["avr-gcc", "-mmcu=atmega328p"],
+    "host": ["gcc"],
+}
+"""Processors and their compilers."""
+SECONDS = 20
+"""Longest that a compiler may take; a processor whose compiler takes longer is left out."""
+FLASH = (".text", ".rodata", ".progmem")
+RAM = (".data", ".bss")
+
+
+def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
+    """Return what the code takes at ``-Os``, by processor, of those whose compiler is here.
+
+    Parameters
+    ----------
+    files : dict of bytes by name
+        What `capsyn.exports.c.target.files` gave.
+    prefix : str
+        Name of the header and the source, without their endings.
+
+    Returns
+    -------
+    dict of dict
+        Of each processor ``compiler``: its name and version; ``decision``: code and tables from
+        lattice steps, or from states, to a symbol; ``quantiser``: how much more it takes from
+        states, without the compiler's arithmetic; ``with_library``: what both take with it, where
+        it links [bytes]; ``ram``: static memory [bytes]; ``stack`` and ``stack_from_states``: of
+        the deepest chains of calls, without the compiler's arithmetic [bytes]. Without
+        ``quantiser`` where a processor has no double precision. Processors are left out whose
+        compiler is missing, fails or has not its linker.
+    """
+    with ThreadPoolExecutor(len(COMPILERS)) as pool:
+        found = pool.map(lambda command: _of_compiler(command, files, prefix), COMPILERS.values())
+        return {name: measured for name, measured in zip(COMPILERS, found) if measured}
+
+
+def _of_compiler(command: list[str], files: Files, prefix: str) -> dict[str, int | str]:
+    """Return the sizes for one compiler; none where it is missing or the code is not for it."""
+    if not shutil.which(command[0]):
+        return {}
+    with tempfile.TemporaryDirectory() as made:
+        for name in (f"{prefix}.h", f"{prefix}.c"):
+            Path(made, name).write_bytes(files[name])
+        measured = _measure(command, Path(made), prefix)
+        version = (_run([command[0], "-dumpfullversion", "-dumpversion"], Path(made)) or "").strip()
+    return {"compiler": f"{command[0]} {version}".strip(), **measured} if measured else {}
+
+
+def _run(command: list[str], directory: Path) -> str | None:
+    """Return what a command says; none where it fails, is missing or does not end."""
+    try:
+        process = subprocess.Popen(
+            command, cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            start_new_session=True,
+        )  # fmt: skip
+    except OSError:
+        return None
+    with process:
+        try:
+            told, _ = process.communicate(timeout=SECONDS)
+        except BaseException as error:
+            os.killpg(process.pid, signal.SIGKILL)  # the driver and the compiler that it started
+            if isinstance(error, subprocess.TimeoutExpired):
+                return None
+            raise
+    return told if process.returncode == 0 else None
+
+
+def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]:
+    """Return the sizes for one compiler; none where the code is not for it."""
+    tool = command[0].removesuffix("gcc")
+    compile_ = [*command, "-std=c99", "-Os", "-ffreestanding", "-fno-pic"]
+    compile_.append("-fno-asynchronous-unwind-tables")
+    apart = ["-ffunction-sections", "-fdata-sections", "-fstack-usage"]
+    if _run([*compile_, *apart, "-c", f"{prefix}.c", "-o", "code.o"], directory) is None:
+        return {}
+    source = (directory / f"{prefix}.c").read_text()
+    defined = (_run([f"{tool}nm", "code.o"], directory) or "").split()
+    public = f"{prefix}_symbol" in defined
+    roots = [f"{prefix}_symbol"] if public else []
+    roots += [f"{prefix}_decide"] if f"{prefix}_decide" in defined else []
+    frames = _frames((directory / "code.su").read_text())
+    calls = _calls(source, prefix)
+    by_root = {root: _linked(command, directory, tool, root) for root in roots}
+    if not roots or not all(flash for flash, _, _ in by_root.values()):
+        return {}
+    measured = dict(zip(("decision", "ram"), by_root[roots[0]][:2]))
+    if len(roots) == 2:
+        measured["quantiser"] = by_root[roots[1]][0] - measured["decision"]
+    library = by_root[roots[-1]][2]
+    if library:
+        measured["with_library"] = library
+    measured["stack"] = _deepest(roots[0], calls, frames)
+    measured["stack_from_states"] = _deepest(roots[-1], calls, frames)
+    return measured
+
+
+def _linked(
+    command: list[str], directory: Path, tool: str, root: str
+) -> tuple[int, int, int | None]:
+    """Return flash and static RAM of what a function needs of our own, and flash with libraries."""
+    own = [*command, "-nostdlib", "-nostartfiles", "-r", "-Wl,--gc-sections", f"-Wl,-e,{root}"]
+    own += [f"-Wl,-u,{root}", "code.o", "-o", "own.o"]
+    whole = [*command, "-nostdlib", "-nostartfiles", "-Wl,--gc-sections", f"-Wl,-e,{root}"]
+    whole += ["code.o", "-lgcc", "-o", "whole.elf"]
+    sections = []
+    for link, name in ((own, "own.o"), (whole, "whole.elf")):
+        text = None
+        if _run(link, directory) is not None:
+            text = _run([f"{tool}size", "-A", name], directory)
+        sections.append(_sections(text) if text else None)
+    flash, ram = sections[0] or (0, 0)
+    return flash, ram, sections[1][0] if sections[1] else None
+
+
+def _sections(text: str) -> tuple[int, int]:
+    """Return bytes of flash and of static RAM in what ``size -A`` says."""
+    flash = ram = 0
+    for line in text.splitlines():
+        words = line.split()
+        if len(words) == 3 and words[1].isdigit():
+            flash += int(words[1]) * words[0].startswith(FLASH)
+            ram += int(words[1]) * words[0].startswith(RAM)
+    return flash, ram
+
+
+def _frames(text: str) -> dict[str, int]:
+    """Return the bytes of stack of each function that is left, of ``-fstack-usage``."""
+    rows = [line.split("\t") for line in text.splitlines()]
+    return {row[0].split(":")[-1]: int(row[1]) for row in rows}
+
+
+def _calls(source: str, prefix: str) -> dict[str, set[str]]:
+    """Return which functions of the source each one names."""
+    found = {}
+    for body in re.finditer(
+        rf"^\S[^\n]*?\b({prefix}_\w+)\([^;]*?\)\n\{{\n(.*?)^\}}", source, re.M | re.S
+    ):
+        found[body[1]] = set(re.findall(rf"\b({prefix}_\w+)\(", body[2]))
+    return found
+
+
+def _deepest(name: str, calls: dict[str, set[str]], frames: dict[str, int]) -> int:
+    """Return the stack of the deepest chain of calls; functions without a frame are inlined."""
+    below = [_deepest(callee, calls, frames) for callee in calls.get(name, ()) if callee != name]
+    return frames.get(name, 0) + max(below, default=0)

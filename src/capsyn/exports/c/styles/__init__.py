@@ -1,0 +1,1 @@
+"""The forms that a lookup in C can have."""

@@ -1,0 +1,1 @@
+"""Policies as functional mock-up units."""

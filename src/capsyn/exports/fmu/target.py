@@ -1,0 +1,253 @@
+"""Target ``fmu``: an FMI 2.0 co-simulation unit with its C source and a binary of this platform.
+
+Inputs are readings of the states, outputs the control vector, the symbol and the status. A step
+decides from the inputs at its begin and holds the control over it; inputs that are set afterwards
+show in the outputs at once. The parameter ``min_dwell`` overrides the policy's.
+"""
+
+from __future__ import annotations
+
+import io
+import platform
+import subprocess
+import sys
+import tempfile
+import textwrap
+import zipfile
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from capsyn.errors import KernelBuildError, ProblemError, warn
+from capsyn.exports.c.language import KEYWORDS
+from capsyn.exports.golden import Golden
+from capsyn.exports.identifiers import file_name, identifiers, renamed
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Files, Plan
+from capsyn.native.build import find_compiler
+from capsyn.policies.file import content_hash
+from capsyn.validation import describe
+from capsyn.version import __version__
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
+BUILD_SECONDS = 120
+"""Longest that the compiler may take."""
+OWN = ("symbol", "status", "min_dwell", "time")
+"""Variables beside states and inputs, and the independent one."""
+
+
+def files(
+    plan: Plan, golden: Golden, *, name: str | None = None, sources_only: bool = False
+) -> Made:
+    """Return the unit, ``NAME.fmu``.
+
+    Parameters
+    ----------
+    name : str, optional
+        What the unit is called, made an identifier. Default: the policy's name.
+    sources_only : bool
+        Whether to leave out the binary; the unit then runs where its importer can build sources.
+        So it is, with a warning, where there is no compiler or no name for the platform.
+    """
+    if not isinstance(sources_only, bool):
+        raise ProblemError(f"`sources_only` must be true or false; got {describe(sources_only)}")
+    name = file_name(name, plan.policy.name, KEYWORDS)
+    guid = "{" + _guid(plan) + "}"
+    source = _source(plan, guid)
+    content = {
+        "modelDescription.xml": _description(plan, name, guid).encode(),
+        f"sources/{name}.c": source,
+    }
+    if not sources_only:
+        content |= _binary(name, source)
+    given = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
+    return Made({f"{name}.fmu": _zip(content)}, renamed(given, _variables(plan)))
+
+
+def _guid(plan: Plan) -> str:
+    """Return an identifier of what the unit does, made from the policy and the plan."""
+    import hashlib
+
+    parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.scale.tolist()]
+    parts += [plan.offset.tolist(), __version__]
+    found = hashlib.sha256(repr(parts).encode()).hexdigest()
+    return "-".join([found[:8], found[8:12], found[12:16], found[16:20], found[20:32]])
+
+
+def _zip(content: dict[str, bytes]) -> bytes:
+    """Return an archive, with the date that stands for none: the same content, the same bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in content.items():
+            info = zipfile.ZipInfo(name)
+            info.external_attr = 0o644 << 16
+            info.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(info, data)
+    return buffer.getvalue()
+
+
+def _binary(name: str, source: bytes) -> Files:
+    """Return the shared library of this platform by its place; nothing where it cannot be built."""
+    ending = {"linux": "so", "darwin": "dylib"}.get(sys.platform)
+    if ending is None or platform.machine() not in ("x86_64", "AMD64"):
+        _warn(f"FMI 2.0 has no name for {sys.platform} {platform.machine()}")
+        return {}
+    try:
+        command = find_compiler().command
+    except KernelBuildError as error:
+        _warn(str(error))
+        return {}
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory, f"{name}.c")
+        path.write_bytes(source)
+        # names without a directory: the place leaves no trace in the library
+        run = [*command, *FLAGS, path.name, "-o", f"{name}.{ending}", "-lm"]
+        try:
+            subprocess.run(
+                run, cwd=directory, check=True, capture_output=True, timeout=BUILD_SECONDS
+            )
+        except subprocess.SubprocessError as error:
+            output = (getattr(error, "stderr", None) or b"").decode(errors="replace")
+            raise KernelBuildError(
+                f"the compiler failed on the source of the FMU: {output.strip() or error}", run
+            ) from None
+        data = path.with_suffix(f".{ending}").read_bytes()
+    return {f"binaries/{sys.platform}64/{name}.{ending}": data}
+
+
+def _warn(reason: str) -> None:
+    warn(f"the FMU has no binary, only sources: {reason}")
+
+
+def _variables(plan: Plan) -> tuple[str, ...]:
+    """Return the names of the variables of states and inputs."""
+    policy = plan.policy
+    return identifiers([*policy.domain.names, *policy.alphabet.inputs], [*KEYWORDS, *OWN])
+
+
+def _description(plan: Plan, name: str, guid: str) -> str:
+    policy = plan.policy
+    domain, alphabet = policy.domain, policy.alphabet
+    n, m = domain.n, alphabet.m
+    own = _variables(plan)
+    variables, units = [], set()
+
+    def variable(
+        called: str, reference: int, causality: str, variability: str, kind: str, about: str
+    ) -> None:
+        given = dict(name=called, valueReference=reference, description=about)
+        given |= dict(causality=causality, variability=variability)
+        variables.append(f"<ScalarVariable {_attributes(given)}>{kind}</ScalarVariable>")
+
+    def real(unit: str, **given: Any) -> str:
+        if unit:
+            units.add(unit)
+            given["unit"] = unit
+        return f"<Real {_attributes(given)}/>"
+
+    for i in range(n):
+        about = f"State {domain.names[i]}"
+        unit = domain.units[i]
+        if plan.folded:
+            about = (
+                f"Reading of which state {domain.names[i]} [{unit}] is "
+                f"reading * {float(plan.scale[i])!r} + {float(plan.offset[i])!r}"
+            )
+            unit = ""
+        variable(own[i], i, "input", "continuous", real(unit, start="0"), about)
+    for j in range(m):
+        about = f"Control {alphabet.inputs[j]}"
+        variable(own[n + j], n + j, "output", "discrete", real(alphabet.units[j]), about)
+    symbols = ", ".join(f"{k}: {text}" for k, text in enumerate(plan.symbol_names))
+    variable("symbol", 0, "output", "discrete", "<Integer/>", f"Symbol; {symbols}")
+    about = "0: the state is in the domain, 1: outside, 2: a component is NaN or infinite"
+    variable("status", 1, "output", "discrete", "<Integer/>", about)
+    about = "Least time between switches of the control"
+    kind = real("s", start=repr(plan.dwell), min="0")
+    variable("min_dwell", n + m, "parameter", "fixed", kind, about)
+
+    inputs = " ".join(str(i + 1) for i in range(n))
+    unknowns = "".join(
+        f'<Unknown index="{k + 1}" dependencies="{inputs}"/>' for k in range(n, n + m + 2)
+    )
+    given = dict(
+        fmiVersion="2.0",
+        modelName=policy.name or name,
+        guid=guid,
+        description=" ".join(plan.header),
+        version=content_hash(policy)[:16],
+        generationTool=f"capsyn {__version__}",
+        variableNamingConvention="flat",
+    )
+    can = dict(
+        modelIdentifier=name,
+        canHandleVariableCommunicationStepSize="true",
+        canNotUseMemoryManagementFunctions="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f"<fmiModelDescription {_attributes(given)}>",
+        f"<CoSimulation {_attributes(can)}>",
+        f"<SourceFiles><File {_attributes(dict(name=f'{name}.c'))}/></SourceFiles>",
+        "</CoSimulation>",
+        "<UnitDefinitions>",
+        *(f"<Unit {_attributes(dict(name=unit))}/>" for unit in sorted(units)),
+        "</UnitDefinitions>",
+        "<ModelVariables>",
+        *variables,
+        "</ModelVariables>",
+        f"<ModelStructure><Outputs>{unknowns}</Outputs>"
+        f"<InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>",
+        "</fmiModelDescription>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _attributes(given: dict[str, Any]) -> str:
+    return " ".join(f"{key}={quoteattr(str(value))}" for key, value in given.items())
+
+
+def _source(plan: Plan, guid: str) -> bytes:
+    """Return the C source: what the policy is, as constants and tables, then what it does."""
+    policy, tree = plan.policy, plan.tree.cells
+    domain = policy.domain
+    planes = tree.planes if len(tree.planes) else np.zeros((1, domain.n), dtype=np.int32)
+    lines = [f"/* {line.replace('*/', '* /').replace('/*', '/ *')} */" for line in plan.header]
+    lines += [
+        "#include <stdint.h>",
+        "",
+        f"#define STATES {domain.n}",
+        f"#define CONTROLS {policy.alphabet.m}",
+        f'#define GUID "{guid}"',
+        f"#define SAFE {plan.safe}",
+        f"#define NEAREST {int(plan.nearest)}",
+        f"#define GAP {plan.gap}",
+        f"#define DWELL {plan.dwell!r}",
+        "",
+        _table("double", "LOWER[STATES]", domain.lower.tolist()),
+        _table("double", "UPPER[STATES]", domain.upper.tolist()),
+        _table("int", "PERIODIC[STATES]", [int(p) for p in domain.periodic]),
+        _table("double", "SCALE[STATES]", plan.scale.tolist()),
+        _table("double", "OFFSET[STATES]", plan.offset.tolist()),
+        _table("int32_t", "COUNTS[STATES]", tree.counts),
+        _table("double", f"CONTROL[{plan.labels}][CONTROLS]", policy.controls.tolist()),
+        _table("int32_t", f"SPLIT[{tree.node_count}]", tree.split.tolist()),
+        _table("int32_t", f"THRESHOLD[{tree.node_count}]", tree.threshold.tolist()),
+        _table("int32_t", f"SECOND[{tree.node_count}]", tree.second.tolist()),
+        _table("int32_t", f"PLANES[{len(planes)}][STATES]", planes.tolist()),
+        "",
+    ]
+    body = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
+    return ("\n".join(lines) + "\n" + body).encode()
+
+
+def _table(kind: str, name: str, values: Sequence[Any]) -> str:
+    rows = ["{" + ", ".join(map(repr, v)) + "}" if isinstance(v, list) else repr(v) for v in values]
+    text = textwrap.fill(", ".join(rows), 96, initial_indent="    ", subsequent_indent="    ")
+    return f"static const {kind} {name} = {{\n{text}\n}};"

@@ -1,0 +1,108 @@
+"""Target ``javascript``: one ES module without dependencies, for Node and browsers.
+
+The rule of the lattice is the source text that the explorer's page uses too.
+"""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from importlib import resources
+
+from capsyn.exports.constants import constants, tables
+from capsyn.exports.golden import Golden
+from capsyn.exports.identifiers import file_name
+from capsyn.exports.made import Made
+from capsyn.exports.plan import Plan
+
+CODE = """
+/** Return the lattice steps of a state of finite numbers; beyond the bounds the nearest. */
+export function quantise(state) {
+  return COUNTS.map((count, i) => latticeStep(state[i], LOWER[i], UPPER[i], PERIODIC[i], count));
+}
+
+/** Return [symbol, status] of a state: an index into CONTROLS, and OK, OUTSIDE or NOT_FINITE. */
+export function decide(state) {
+  if (state.length !== LOWER.length) throw new RangeError(`a state is ${LOWER.length} numbers`);
+  const x = LOWER.map((_, i) => state[i] * SCALE[i] + OFFSET[i]);
+  for (let i = 0; i < x.length; i++) {
+    if (!Number.isFinite(state[i]) || !Number.isFinite(x[i])) return [SAFE, NOT_FINITE];
+  }
+  const inside = x.every((v, i) => PERIODIC[i] || (v >= LOWER[i] && v <= UPPER[i]));
+  if (!inside && !NEAREST) return [SAFE, OUTSIDE];
+  const z = quantise(x);
+  let i = 0;
+  while (SPLIT[i] >= 0) {
+    let value = z[SPLIT[i]];
+    if (SPLIT[i] >= z.length) {
+      const plane = PLANES[SPLIT[i] - z.length];
+      value = 0;
+      for (let j = 0; j < z.length; j++) value += plane[j] * z[j];
+    }
+    i = value >= THRESHOLD[i] ? SECOND[i] : i + 1;
+  }
+  if (THRESHOLD[i] === GAP) return [SAFE, OUTSIDE];
+  return [THRESHOLD[i], inside ? OK : OUTSIDE];
+}
+
+/** Return the control vector of a state [input units]. */
+export function control(state) {
+  return CONTROLS[decide(state)[0]];
+}
+
+/** The policy with a least time between switches, MIN_DWELL by default [s]. */
+export class Controller {
+  constructor(minDwell = MIN_DWELL) {
+    this.minDwell = minDwell;
+    this.reset();
+  }
+
+  /** Forget what is held: the next step takes its symbol at once. */
+  reset() {
+    this.symbol = null;
+    this.since = 0;
+  }
+
+  /**
+   * Return [symbol, status] at a time [s]; a control is held for minDwell before another. Times do
+   * not decrease; a millionth of the dwell time is allowed for their rounding.
+   */
+  step(state, time) {
+    const [symbol, status] = decide(state);
+    const same = this.symbol !== null &&
+      CONTROLS[symbol].every((v, i) => v === CONTROLS[this.symbol][i]);
+    if (same) {
+      this.symbol = symbol;
+    } else if (this.symbol === null || time - this.since >= this.minDwell * (1 - 1e-6)) {
+      this.symbol = symbol;
+      this.since = time;
+    }
+    return [this.symbol, status];
+  }
+
+  /** Return the control vector that is held [input units]; the default before any step. */
+  control() {
+    return CONTROLS[this.symbol === null ? DEFAULT : this.symbol];
+  }
+}
+"""
+
+
+def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
+    """Return an ES module, ``NAME.mjs``.
+
+    Parameters
+    ----------
+    name : str, optional
+        What it is called, made an identifier. Default: the policy's name.
+    """
+    lines = [*(f"// {line}" for line in plan.header), ""]
+    for constant, value, note in constants(plan):
+        lines += [f"// {note}"] * bool(note)
+        lines.append(f"export const {constant} = {json.dumps(value)};")
+    for constant, value, note in tables(plan):
+        lines += [f"// {note}", f"const {constant} ="]
+        lines += textwrap.wrap(f"{json.dumps(value)};", 100)
+    lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text()
+    text = "\n".join([*lines, "", lattice]) + CODE
+    return Made({f"{file_name(name, plan.policy.name)}.mjs": text.encode()})

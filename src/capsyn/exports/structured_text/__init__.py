@@ -1,0 +1,1 @@
+"""Policies in Structured Text, IEC 61131-3."""

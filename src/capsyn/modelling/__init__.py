@@ -1,0 +1,1 @@
+"""The user's words: domain, alphabet, settings, target, problem; CasADi to programs."""

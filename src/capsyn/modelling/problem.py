@@ -1,0 +1,231 @@
+"""The user's words: a system, a goal, an alphabet, validated."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
+from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.grid import grid_settings
+from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.targets import check_target
+from capsyn.validation import describe, finite_number, one_line
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A system, a goal and an alphabet: all that a synthesis needs.
+
+    Parameters
+    ----------
+    name : str
+        Name of the problem.
+    dynamics : callable ``(x, u) -> n components``
+        Eq. (1) of the paper [state unit / s]. `x` and `u` are CasADi column vectors; CasADi
+        functions and NumPy ufuncs both work on them.
+    domain : Box
+        States to label.
+    alphabet : Alphabet, or (N, m) or (N,) numbers
+        The symbols [input units].
+    default : (m,) or float
+        Control of the prediction [input units]; it need not be a symbol.
+    horizon : float
+        Prediction horizon T > 0 [s].
+    running_cost, terminal_cost : callables ``x -> scalar``, optional
+        Eq. (3) [cost / s] and [cost]; at least one. No factor 1/2 is implied.
+    target : Ball, Box or callable ``x -> true or false``, optional
+        What "arrived" means; carried in the policy.
+    outside : "error", "nearest" or symbol
+        What a state outside the domain gets; carried in the policy.
+    min_dwell : float
+        Least time between switches [s]; carried in the policy.
+    settings : SsacSettings
+        Options of the controller.
+    partitions, refinement : int or (n,)
+        Cells of the root grid, and children of a split cell, per axis.
+    max_level : int
+        Most times that a cell is split along an axis.
+    description : str
+        One line for ``capsyn list``.
+
+    Raises
+    ------
+    ProblemError
+        Anything that cannot be used, in one line that names it.
+    """
+
+    name: str
+    dynamics: Callable[[Any, Any], Any]
+    domain: Box
+    alphabet: Alphabet
+    default: Any
+    horizon: float
+    running_cost: Callable[[Any], Any] | None = None
+    terminal_cost: Callable[[Any], Any] | None = None
+    target: Ball | Box | Callable[[Any], Any] | None = None
+    outside: Outside = "error"
+    min_dwell: float = 0.0
+    settings: SsacSettings = field(default_factory=SsacSettings)
+    partitions: Any = 9
+    refinement: Any = 2
+    max_level: int = 4
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        def keep(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
+            raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
+        if not isinstance(self.domain, Box):
+            raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
+        if not isinstance(self.alphabet, Alphabet):
+            keep("alphabet", Alphabet(self.alphabet))
+        keep("default", self.alphabet.control("default", self.default))
+        keep("horizon", finite_number("horizon", self.horizon, above=0.0))
+        keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
+        keep("outside", check_outside(self.outside, self.alphabet))
+        if not isinstance(self.settings, SsacSettings):
+            raise ProblemError(
+                f"`settings` must be a capsyn.SsacSettings; got {describe(self.settings)}"
+            )
+        self.settings.efforts(self.alphabet.values)
+        if isinstance(self.target, (Ball, Box)) or not callable(self.target):
+            check_target(self.target, self.domain)
+        q, r, level = grid_settings(self.partitions, self.refinement, self.max_level, self.domain.n)
+        keep("partitions", q)
+        keep("refinement", r)
+        keep("max_level", level)
+        if self.running_cost is None and self.terminal_cost is None:
+            raise ProblemError(
+                "`running_cost` and `terminal_cost` must not both be None: there is no goal"
+            )
+        for name in ("dynamics", "running_cost", "terminal_cost"):
+            value = getattr(self, name)
+            if value is None and name != "dynamics":
+                continue
+            if not callable(value):
+                raise ProblemError(f"`{name}` must be a function; got {describe(value)}")
+        self.functions()
+        if callable(self.target):
+            expression("target", self.target, [ca.SX.sym("x", self.domain.n)], 1)
+
+    def functions(self) -> dict[str, ca.Function]:
+        """Return CasADi functions: ``dynamics(x, u)``, ``running_cost(x)``, ``terminal_cost(x)``.
+
+        A cost that is None is the constant 0.
+        """
+        x, u = ca.SX.sym("x", self.domain.n), ca.SX.sym("u", self.alphabet.m)
+        costs = {
+            name: expression(name, getattr(self, name) or (lambda x: 0.0), [x], 1)
+            for name in ("running_cost", "terminal_cost")
+        }
+        expressions = {
+            "dynamics": expression("dynamics", self.dynamics, [x, u], self.domain.n),
+            **costs,
+        }
+        arguments = {"dynamics": [x, u], "running_cost": [x], "terminal_cost": [x]}
+        return {
+            name: casadi_function(name, arguments[name], value)
+            for name, value in expressions.items()
+        }
+
+    def replace(self, **changes: Any) -> Problem:
+        """Return the problem with some fields replaced: ``replace(horizon=2.0)``.
+
+        `changes` are fields by name; the result is checked like a new problem.
+
+        Raises
+        ------
+        ProblemError
+            A value that cannot be used.
+        """
+        return dataclasses.replace(self, **changes)
+
+
+@contextlib.contextmanager
+def _numpy_functions() -> Iterator[None]:
+    """Let NumPy ufuncs on CasADi values give CasADi values, without a warning, for a while."""
+    options = ca.GlobalOptions
+    before = options.getNumpyMode()
+    options.setNumpyMode(-1)
+    try:
+        yield
+    finally:
+        options.setNumpyMode(before)
+
+
+_MEANINGS = (
+    ("truth value", "a symbol is neither true nor false: use casadi.if_else, fmin and fmax"),
+    ("not iterable", "CasADi vectors cannot be unpacked: use x[0], x[1]"),
+    ("Out of bounds", "an index is out of range"),
+    ("out of bounds", "an index is out of range"),
+    ("SX_get", "CasADi vectors are indexed by numbers: use x[0]"),
+)
+"""What beginners' mistakes make CasADi and Python say, and what it means."""
+
+
+def expression(
+    name: str, function: Callable[..., Any], arguments: Sequence[ca.SX], size: int
+) -> ca.SX:
+    """Return what a user's function gives on symbols, as a dense column of `size` components.
+
+    Raises
+    ------
+    ProblemError
+        The function fails, or returns something else; one line that names it.
+    """
+    try:
+        with _numpy_functions():
+            value = function(*arguments)
+    except Exception as error:  # whatever a user's function raises becomes one line
+        reason = one_line(str(error)) or type(error).__name__
+        reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
+        reason = next((text for words, text in _MEANINGS if words in reason), reason)
+        if "positional argument" in reason:
+            reason = f"it must be a function of {' and '.join('xup'[: len(arguments)])}" + (
+                ", and of p where there are `parameters`" if name == "model" else ""
+            )
+        shapes = ", ".join(
+            f"{symbol}: {argument.numel()}" for symbol, argument in zip("xup", arguments)
+        )
+        if name == "model" and "out of range" in reason:
+            reason += "; it may take more parameters (`parameters`, --parameter) than are given"
+        raise ProblemError(
+            f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
+        ) from error
+    rates = name in ("dynamics", "model")
+    wanted = f"{size} component(s), one per state" if rates else "a scalar"
+    try:
+        with _numpy_functions():
+            column = value
+            if isinstance(value, (list, tuple, np.ndarray)):
+                column = ca.vertcat(*list(value))
+            column = ca.SX(column)
+    except Exception:  # CasADi raises several types
+        raise ProblemError(f"`{name}` must return {wanted}; got {describe(value)}") from None
+    if column.shape == (1, size):
+        column = column.T
+    if column.shape != (size, 1):
+        raise ProblemError(f"`{name}` must return {wanted}; got shape {column.shape}")
+    return ca.densify(column)
+
+
+def casadi_function(name: str, arguments: Sequence[ca.SX], value: ca.SX) -> ca.Function:
+    """Return the function of an `expression`; `ProblemError` if it uses other symbols."""
+    function = ca.Function(name, list(arguments), [value], {"allow_free": True})
+    foreign = function.get_free()
+    if foreign:
+        raise ProblemError(
+            f"`{name}` must use only its arguments; it uses the undeclared symbol '{foreign[0]}'"
+        )
+    return function

@@ -1,0 +1,139 @@
+"""The options of switched sequential action control."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.validation import describe, finite_array, finite_number, numbers, one_of, whole_number
+
+MAX_STEPS = 100_000
+"""Most integration steps over a horizon."""
+
+
+@dataclass(frozen=True)
+class SsacSettings:
+    """Options of switched sequential action control (Section III of the paper).
+
+    Parameters
+    ----------
+    gamma : float
+        Wanted sensitivity relative to the cost: ``alpha_d = gamma * J0``, eq. (8); <= 0.
+    alpha_d : float, optional
+        Absolute wanted sensitivity [cost / s], <= 0, instead of `gamma`.
+    control_weight : float or (m, m)
+        Weight R of the control effort ``u^T R u``, symmetric positive semidefinite.
+    rule : "schedule" or "steepest"
+        ``argmin (dJ_dlam - alpha_d)^2 + |u|_R^2``, eq. (8), or ``argmin dJ_dlam + |u|_R^2``.
+    on_no_descent : "best" or "default"
+        What a state gets whose chosen symbol has ``dJ_dlam >= 0``.
+    steps : int, optional
+        Runge-Kutta steps over the horizon. None: chosen so that a step-doubling check on sampled
+        states meets `tolerance`.
+    tolerance : float
+        99th percentile of the error of ``dJ_dlam`` relative to its largest possible size.
+    precision : "double" or "single"
+        Arithmetic of the solves that make policies.
+    application_time : "now" or "search"
+        When the online controller acts: at once, or when waiting and efficacy balance best. The
+        solves that make policies act at once.
+    initial_duration, shrink, max_backtracks, descent
+        Line search of the online controller: the first duration of an action [s], the factor
+        that shortens it, how often, and the share of the cost that it must take off.
+    sample_time : float
+        Sample time of closed loops for which none is given [s].
+
+    Raises
+    ------
+    ProblemError
+        A value that cannot be used, or both `gamma` and `alpha_d`.
+    """
+
+    gamma: float = -5.0
+    alpha_d: float | None = None
+    control_weight: Any = 0.0
+    rule: str = "schedule"
+    on_no_descent: str = "best"
+    steps: int | None = None
+    tolerance: float = 1e-6
+    precision: str = "double"
+    application_time: str = "now"
+    initial_duration: float = 0.1
+    shrink: float = 0.5
+    max_backtracks: int = 4
+    descent: float = 0.01
+    sample_time: float = 0.001
+
+    def __post_init__(self) -> None:
+        def keep(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        keep("gamma", finite_number("gamma", self.gamma))
+        if self.gamma > 0:
+            raise ProblemError(f"`gamma` must be <= 0; got {self.gamma:g}")
+        if self.alpha_d is not None:
+            keep("alpha_d", finite_number("alpha_d", self.alpha_d))
+            if self.alpha_d > 0:
+                raise ProblemError(f"`alpha_d` must be <= 0; got {self.alpha_d:g}")
+            if self.gamma != type(self).gamma:
+                raise ProblemError("`alpha_d` must not be given together with `gamma`; got both")
+        if numbers("control_weight", self.control_weight).ndim:
+            weight = finite_array("control_weight", self.control_weight, 2)
+            got = describe(self.control_weight)
+            if not weight.size or not np.array_equal(weight, weight.T):
+                raise ProblemError(
+                    f"`control_weight` must be a number or a symmetric (m, m) matrix; got {got}"
+                )
+            if np.linalg.eigvalsh(weight).min() < -1e-12 * np.abs(weight).max():
+                raise ProblemError(f"`control_weight` must be positive semidefinite; got {got}")
+            keep("control_weight", tuple(map(tuple, weight.tolist())))
+        else:
+            keep("control_weight", finite_number("control_weight", self.control_weight, least=0.0))
+        one_of("rule", self.rule, ["schedule", "steepest"])
+        one_of("on_no_descent", self.on_no_descent, ["best", "default"])
+        one_of("precision", self.precision, ["double", "single"])
+        if self.steps is not None:
+            keep("steps", whole_number("steps", self.steps, least=1, most=MAX_STEPS))
+        one_of("application_time", self.application_time, ["now", "search"])
+        keep(
+            "max_backtracks", whole_number("max_backtracks", self.max_backtracks, least=0, most=20)
+        )
+        for name in ("tolerance", "initial_duration", "sample_time"):
+            keep(name, finite_number(name, getattr(self, name), above=0.0))
+        for name in ("shrink", "descent"):
+            value = finite_number(name, getattr(self, name), least=0.0)
+            if not value < 1 or (name == "shrink" and value == 0):
+                raise ProblemError(f"`{name}` must be between 0 and 1; got {value:g}")
+            keep(name, value)
+
+    def efforts(self, values: np.ndarray) -> np.ndarray:
+        """Return the control efforts ``u^T R u`` (N,) of the control vectors `values` (N, m).
+
+        Raises
+        ------
+        ProblemError
+            `control_weight` is a matrix of another size.
+        """
+        m = values.shape[1]
+        weight = np.asarray(self.control_weight)
+        if weight.ndim == 0:
+            weight = weight * np.eye(m)
+        if weight.shape != (m, m):
+            raise ProblemError(
+                f"`control_weight` must be a number or have shape ({m}, {m}); got {weight.shape}"
+            )
+        return np.einsum("si,ij,sj->s", values, weight, values)
+
+    def wanted_sensitivity(self, costs: np.ndarray) -> np.ndarray:
+        """Return ``alpha_d`` (B,) [cost / s], eq. (8), where `costs` (B,) are J0."""
+        if self.alpha_d is not None:
+            return np.full(costs.shape, self.alpha_d)
+        return self.gamma * costs
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the settings as plain data."""
+        return dataclasses.asdict(self)

@@ -1,0 +1,1 @@
+"""Control alphabet policies: lookup, file, picture, report."""

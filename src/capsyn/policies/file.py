@@ -1,0 +1,367 @@
+"""Policy files: safetensors with one metadata key that holds JSON. See docs/policy-format.md.
+
+What is saved is read from attributes, and what is loaded are fields: the file need not know the
+class of a policy, which knows its file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from capsyn.cells.affine_leaves import ROW_ARRAYS, AffineLeaves
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.split_tree import SplitTree
+from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.execution.answers import digest
+from capsyn.execution.files import atomic_write
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.grid import MAX_COUNT, grid_settings
+from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.targets import Target
+from capsyn.policies.guarantee import Guarantee
+from capsyn.programs.model import Model
+from capsyn.programs.program import Program
+from capsyn.validation import describe, whole_numbers
+
+Made = TypeVar("Made")
+
+FORMAT = "capsyn-policy"
+VERSION = 5
+"""Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
+split along some axes only 5."""
+CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
+SPLIT_ARRAYS = {"splits": np.uint16}
+TREE_ARRAYS = {"split": np.int32, "threshold": np.int32, "second": np.int32, "planes": np.int32}
+ARRAYS = [
+    set(TREE_ARRAYS),
+    *({*CELL_ARRAYS, *rows, *splits} for rows in ((), ROW_ARRAYS) for splits in ((), SPLIT_ARRAYS)),
+]
+"""The sets of arrays that a file may hold."""
+KEYS = set(
+    "name domain alphabet default outside min_dwell target horizon settings model "
+    "statistics".split()
+)
+CELL_KEYS = KEYS | {"partitions", "refinement", "max_level"}
+TREE_KEYS = KEYS | {"counts", "guarantee"}
+STATISTICS: dict[str, tuple[type, ...]] = {
+    "solves": (int,),
+    "solves_by_role": (dict,),
+    "cells": (int,),
+    "worst_case_solves": (int,),
+    "indifferent_points": (int,),
+    "not_finite_points": (int,),
+    "not_finite_example": (list, type(None)),
+    "stopped_by_max_solves": (bool,),
+    "stopped_by": (str,),
+    "sample": (dict,),
+    "table": (dict,),
+}
+"""What statistics hold, if they hold it; there may be more."""
+EVIDENCE = {
+    "monte_carlo": (("trials", "successes"), ("low", "high", "confidence")),
+    "lyapunov": ((), ("proved", "negative", "violated", "undecided")),
+    "agreement": (("states", "agreeing"), ("share", "low", "high", "confidence")),
+}
+"""Kinds of evidence, and the counts and shares that each has at least."""
+RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
+TABLE = ("points", "outside", "several")
+SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
+
+
+def save(policy: Any, path: str | os.PathLike[str]) -> None:
+    """Write a policy file atomically; the same policy gives the same bytes."""
+    content, arrays = content_of(policy), arrays_of(policy)
+    document = {
+        "format": FORMAT,
+        "version": _least_version(arrays, policy.gaps),
+        "policy": content,
+        "sha256": digest(arrays, _canonical(content)),
+    }
+    if policy.evidence.get("sha256") == document["sha256"]:  # that of another content is dropped
+        document["evidence"] = policy.evidence
+    metadata = {FORMAT: _canonical(document)}
+    atomic_write(path, lambda temporary: _write(arrays, temporary, metadata))
+
+
+def _write(arrays: dict[str, np.ndarray], path: Path, metadata: dict[str, str]) -> None:
+    from safetensors.numpy import save_file
+
+    save_file({k: np.ascontiguousarray(v) for k, v in arrays.items()}, path, metadata)
+
+
+def _canonical(data: Any) -> str:
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def content_of(policy: Any) -> dict[str, Any]:
+    """Return what a policy's file says of it beside its arrays, as plain data."""
+    target = policy.target
+    kind = {Ball: "ball", Box: "box", Program: "program", type(None): ""}[type(target)]
+    structure: dict[str, Any]
+    cells = policy.cells
+    if isinstance(cells, SplitTree):
+        structure = {"counts": list(cells.counts), "guarantee": policy.guarantee.to_json()}
+    else:
+        structure = {
+            "partitions": list(cells.partitions),
+            "refinement": list(cells.refinement),
+            "max_level": cells.max_level,
+        }
+    if policy.gaps:
+        structure["gaps"] = True
+    return structure | {
+        "name": policy.name,
+        "domain": policy.domain.to_json(),
+        "alphabet": policy.alphabet.to_json(),
+        "default": policy.default.tolist(),
+        "outside": policy.outside,
+        "min_dwell": policy.min_dwell,
+        "target": None if target is None else {kind: target.to_json()},
+        "horizon": policy.horizon,
+        "settings": None if policy.settings is None else policy.settings.to_json(),
+        "model": None if policy.model is None else policy.model.to_json(),
+        "statistics": policy.statistics,
+    }
+
+
+def content_hash(policy: Any) -> str:
+    """Return the SHA-256 of what the policy is, the same that its file carries."""
+    return digest(arrays_of(policy), _canonical(content_of(policy)))
+
+
+def arrays_of(policy: Any) -> dict[str, np.ndarray]:
+    """Return the arrays of a policy by their names in its file."""
+    cells = policy.cells
+    if isinstance(cells, SplitTree):
+        return {name: getattr(cells, name) for name in TREE_ARRAYS}
+    arrays = {name: getattr(cells, name) for name in CELL_ARRAYS}
+    if cells.splits is not None:
+        arrays["splits"] = cells.splits
+    return arrays | ({} if cells.affine is None else cells.affine.arrays())
+
+
+def _least_version(arrays: dict[str, np.ndarray], gaps: bool) -> int:
+    """Return the first version that has files with such arrays, and with gaps."""
+    found = {5: "splits" in arrays, 4: gaps, 3: "row_starts" in arrays, 2: "split" in arrays}
+    return next((version for version, needed in found.items() if needed), 1)
+
+
+def load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) -> Made:
+    """Return what is made of the fields of the policy in a file, every size and value checked.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    make : callable
+        The fields of a `Policy`, by name, to what is made of them; those of a `DecisionTree` have
+        a ``guarantee``.
+
+    Raises
+    ------
+    PolicyFormatError
+        The file is no policy, damaged, tampered with, or of a newer format.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise PolicyFormatError(f"'{path}' is no file")
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = file.metadata() or {}
+            if FORMAT not in metadata:
+                raise PolicyFormatError(f"'{path}' is a safetensors file but no policy")
+            document = _parse(metadata[FORMAT], path)
+            if set(file.keys()) not in ARRAYS:
+                raise PolicyFormatError(f"'{path}' does not hold the arrays of a policy")
+            arrays = {name: file.get_tensor(name) for name in sorted(file.keys())}
+    except FileNotFoundError:
+        raise PolicyFormatError(f"there is no file '{path}'") from None
+    except PermissionError:
+        raise PolicyFormatError(f"'{path}' cannot be read: permission denied") from None
+    except PolicyFormatError:
+        raise
+    except (SafetensorError, OSError, ValueError, TypeError, AttributeError, KeyError) as error:
+        # the last two: types of array that NumPy does not have
+        raise PolicyFormatError(f"'{path}' is no policy file, or a truncated one") from error
+    try:
+        return make(_fields(document, arrays))
+    except (PolicyFormatError, ProblemError) as error:
+        raise PolicyFormatError(f"'{path}' is damaged: {error}") from None
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        ArithmeticError,
+        RecursionError,
+    ) as error:
+        raise PolicyFormatError(f"'{path}' is damaged: {type(error).__name__} {error}") from None
+
+
+def _parse(text: str, path: str | os.PathLike[str]) -> dict[str, Any]:
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError):
+        raise PolicyFormatError(f"'{path}' is damaged: its metadata is not JSON") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise PolicyFormatError(f"'{path}' is no policy file")
+    version = document.get("version")
+    if type(version) is not int or version < 1:
+        raise PolicyFormatError(f"'{path}' is damaged: it has no format version")
+    if version > VERSION:
+        raise PolicyFormatError(
+            f"'{path}' has format version {version}; this capsyn reads up to {VERSION}: upgrade it"
+        )
+    return document
+
+
+def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Return the fields of the policy in a document and its arrays."""
+    content = document["policy"]
+    is_tree = "split" in arrays
+    for name in arrays:
+        dtype = (CELL_ARRAYS | ROW_ARRAYS | SPLIT_ARRAYS | TREE_ARRAYS)[name]
+        axes, words = (2, "two") if name in ("planes", "row_slopes") else (1, "one")
+        if arrays[name].dtype != dtype or arrays[name].ndim != axes:
+            raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
+    if document["sha256"] != digest(arrays, _canonical(content)):
+        raise PolicyFormatError("its content does not match its checksum")
+    gaps, known = "gaps" in content, TREE_KEYS if is_tree else CELL_KEYS
+    if document["version"] < _least_version(arrays, gaps) or (
+        set(content) - {"gaps"} != known or content.get("gaps", True) is not True
+    ):
+        raise PolicyFormatError("its keys are not those of this format version")
+    domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
+    settings, model = content["settings"], content["model"]
+    if model is not None:
+        model = Model.from_json(model, domain.n, alphabet.m, len(alphabet))
+    given = {key: content[key] for key in ("name", "default", "outside", "min_dwell", "horizon")}
+    given |= {
+        "domain": domain,
+        "alphabet": alphabet,
+        "target": _target(content["target"]),
+        "settings": None if settings is None else _settings(settings),
+        "model": model,
+        "statistics": _statistics(content["statistics"]),
+        "evidence": _evidence(document),
+        "gaps": gaps,
+    }
+    if is_tree:
+        counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)
+        domain.check_resolution(counts)
+        guarantee = Guarantee(**content["guarantee"])
+        return given | {"cells": SplitTree(counts, **arrays), "guarantee": guarantee}
+    partitions, refinement, max_level = grid_settings(
+        content["partitions"], content["refinement"], content["max_level"], domain.n
+    )
+    affine = None
+    if "row_starts" in arrays:
+        affine = AffineLeaves.of_arrays(len(alphabet) + 1, arrays)
+    entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
+    splits = arrays.get("splits")
+    tree = CellTree(partitions, refinement, max_level, entries, mixed, labels, affine, splits)
+    domain.check_resolution(tree.counts)
+    return given | {"cells": tree}
+
+
+def _settings(data: dict[str, Any]) -> SsacSettings:
+    known = {f.name for f in dataclasses.fields(SsacSettings)}
+    if set(data) - known:
+        raise PolicyFormatError("its settings are not those of this format version")
+    return SsacSettings(**data)  # settings that came later have their defaults
+
+
+def _statistics(data: Any) -> dict[str, Any]:
+    """Return statistics if what is in them is of the kinds that this version writes."""
+    if not isinstance(data, dict):
+        raise PolicyFormatError("its statistics are no object")
+    for key, kinds in STATISTICS.items():
+        if key in data and not isinstance(data[key], kinds):
+            raise PolicyFormatError(f"its statistic '{key}' is of another kind")
+    roles, sample = data.get("solves_by_role", {}), data.get("sample", {})
+    if not all(isinstance(count, int) for count in roles.values()):
+        raise PolicyFormatError("its statistic 'solves_by_role' is of another kind")
+    numbers = all(
+        isinstance(v, (int, float)) or (v is None and k in RATIOS) for k, v in sample.items()
+    )
+    table = data.get("table", {})
+    if table and not (set(table) == set(TABLE) and all(type(v) is int for v in table.values())):
+        raise PolicyFormatError("its statistic 'table' is of another kind")
+    if sample and (not set(sample) >= set(SAMPLE) or not numbers):
+        raise PolicyFormatError("its statistic 'sample' is of another kind")
+    return data
+
+
+def _evidence(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the evidence in a document, if it is about its content and of the kinds known."""
+    evidence = document.get("evidence", {})
+    if not isinstance(evidence, dict):
+        raise PolicyFormatError("its evidence is no object")
+    if evidence and evidence.get("sha256") != document["sha256"]:
+        raise PolicyFormatError("its evidence is that of another policy")
+    for kind in set(evidence) - {"sha256"}:
+        if not _is_evidence(kind, evidence[kind]):
+            raise PolicyFormatError(f"its evidence '{kind}' is of another kind")
+    return evidence
+
+
+def _is_evidence(kind: str, found: Any) -> bool:
+    """Return whether plain data has the figures of a kind of evidence, and they make sense."""
+    if kind not in EVIDENCE or not isinstance(found, dict) or not _is_clean(found):
+        return False
+    counts, shares = ([found.get(name) for name in names] for names in EVIDENCE[kind])
+    numbers = [count for count in counts if type(count) is int]
+    return (
+        len(numbers) == len(counts)
+        and numbers == sorted(numbers, reverse=True)  # no more successes than trials
+        and min(numbers, default=0) >= 0
+        and all(isinstance(share, (int, float)) and 0 <= share <= 1 for share in shares)
+        and found.get("low", 0) <= found.get("high", 1)
+        and isinstance(found.get("conditions", {}), dict)
+    )
+
+
+def _is_clean(value: Any) -> bool:
+    """Return whether plain data holds printable text and finite numbers only."""
+    if isinstance(value, dict):
+        return all(map(_is_clean, [*value, *value.values()]))
+    if isinstance(value, list):
+        return all(map(_is_clean, value))
+    if isinstance(value, str):
+        return value.isprintable()
+    return value is None or (isinstance(value, (int, float)) and abs(value) < 1e300)
+
+
+def add_evidence(policy: Any, kinds: dict[str, Any]) -> dict[str, Any]:
+    """Return the evidence of a policy with some kinds added; see `Policy.with_evidence`."""
+    for kind, found in kinds.items():
+        try:
+            _canonical(found)
+        except (TypeError, ValueError):
+            found = None
+        if not _is_evidence(kind, found):
+            raise ProblemError(
+                f"`{kind}` must be what to_json() of evidence of a kind ({', '.join(EVIDENCE)}) "
+                f"gives; got {describe(found)}"
+            )
+    content = content_hash(policy)
+    known = policy.evidence if policy.evidence.get("sha256") == content else {}
+    return {**known, **kinds, "sha256": content}
+
+
+def _target(data: Any) -> Target | None:
+    if data is None:
+        return None
+    ((kind, value),) = data.items()
+    if kind == "program":
+        return Program.from_json(value)
+    return {"ball": Ball, "box": Box}[kind](**value)

@@ -1,0 +1,384 @@
+"""The control alphabet policy: one symbol for every state."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.split_tree import SplitTree
+from capsyn.errors import OutsideDomainError, ProblemError
+from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
+from capsyn.modelling.domain import Box
+from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.targets import Target, check_target
+from capsyn.policies.guarantee import Guarantee
+from capsyn.policies.lookup import lookup_kernel
+from capsyn.programs.model import Model
+from capsyn.validation import describe, finite_number, state_array
+
+if TYPE_CHECKING:
+    pass
+
+
+SAMPLES = 100_000
+"""States at which the volumes of symbols are estimated where planes bound them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """A control alphabet policy ``<U, L, T>`` (Definition 2 of the paper).
+
+    Calling the policy with states (..., n) returns symbol indices (...,) into
+    ``policy.alphabet.values``; -1 stands for the default control.
+
+    Parameters
+    ----------
+    name : str
+        Name of the problem.
+    domain : Box
+        States that have cells.
+    alphabet : Alphabet
+        The symbols U.
+    default : (m,)
+        Default control [input units].
+    cells : CellTree or SplitTree
+        The partitions L; a `SplitTree` of a `DecisionTree`.
+    outside : "error", "nearest" or symbol index
+        What a state outside the domain gets: an error, the symbol of the nearest cell, or a safe
+        symbol. A state that is not finite gets an error, or the safe symbol.
+    min_dwell : float
+        Least time between switches [s], for whoever runs the policy.
+    target : Ball, Box or Program, optional
+        What "arrived" means; of a program, the states where it is not 0.
+    horizon : float, optional
+        Prediction horizon T [s] of the controller that the policy came from.
+    settings : SsacSettings, optional
+        Its settings.
+    model : Model, optional
+        Its model, as programs.
+    statistics : dict
+        Counts and shares of the synthesis, as plain data.
+    timings : dict
+        Seconds of the synthesis by part; not part of the policy's file.
+    evidence : dict
+        What `capsyn.verification` found, by kind, as plain data, and under ``"sha256"`` the content
+        that it is about; see `with_evidence`.
+    gaps : bool
+        Whether cells of the default control are gaps: states there are outside, although in the
+        domain, and have no symbol of a nearest cell either.
+    """
+
+    name: str
+    domain: Box
+    alphabet: Alphabet
+    default: np.ndarray
+    cells: CellTree | SplitTree
+    outside: Outside = "error"
+    min_dwell: float = 0.0
+    target: Target | None = None
+    horizon: float | None = None
+    settings: SsacSettings | None = None
+    model: Model | None = None
+    statistics: dict[str, Any] = field(default_factory=dict)
+    timings: dict[str, float] = field(default_factory=dict)
+    evidence: dict[str, Any] = field(default_factory=dict)
+    gaps: bool = False
+
+    _structure: ClassVar[type] = CellTree
+
+    def __post_init__(self) -> None:
+        def keep(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        if not isinstance(self.name, str) or not self.name.isprintable():
+            raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
+        keep("default", self.alphabet.control("default", self.default))
+        keep("outside", check_outside(self.outside, self.alphabet))
+        keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
+        check_target(self.target, self.domain)
+        if not isinstance(self.gaps, bool):
+            raise ProblemError(f"`gaps` must be True or False; got {describe(self.gaps)}")
+        if self.horizon is not None:
+            keep("horizon", finite_number("horizon", self.horizon, above=0.0))
+        if self.settings is not None:
+            self.settings.efforts(self.alphabet.values)
+        if not isinstance(self.cells, self._structure):
+            raise ProblemError(
+                f"`cells` must be a {self._structure.__name__}; got {describe(self.cells)}"
+            )
+        if self.cells.n != self.domain.n:
+            raise ProblemError(
+                f"`cells` must have {self.domain.n} axes like the domain; got {self.cells.n}"
+            )
+        self.cells.check(len(self.alphabet) + 1)
+
+    def __call__(self, states: Any, outside: Outside | None = None, backend: str = "auto") -> Any:
+        """Return the symbol indices (...,) of states (..., n); -1 is the default control.
+
+        Parameters
+        ----------
+        states : (..., n)
+            States [state units].
+        outside : "error", "nearest" or symbol index, optional
+            Overrides the policy's own rule.
+        backend : "auto", "c" or "numpy"
+            Which lookup to use; all give the same symbols.
+
+        Raises
+        ------
+        OutsideDomainError
+            A state outside the domain under rule ``"error"``, or one in a gap, or one that is not
+            finite, under ``"error"`` or ``"nearest"``.
+        ProblemError
+            States of another shape.
+        """
+        states = state_array(states, self.domain.n)
+        rule = check_outside(self.outside if outside is None else outside, self.alphabet)
+        flat = states.reshape(-1, self.domain.n)
+        labels = self.leaves(flat, rule == "nearest", backend)
+        lost = labels < 0
+        if lost.any():
+            if isinstance(rule, str):
+                first = int(np.flatnonzero(lost)[0])
+                self._raise_outside(flat[first], None if states.ndim == 1 else first)
+            labels[lost] = rule
+        labels[labels == len(self.alphabet)] = -1
+        return labels.reshape(states.shape[:-1])[()]
+
+    def leaves(self, states: np.ndarray, nearest: bool, backend: str = "auto") -> np.ndarray:
+        """Return leaf numbers (B,) of states (B, n): symbols, N for the default, negative for none.
+
+        With `nearest` a finite state outside the domain has that of the nearest cell; `backend` is
+        that of a call.
+        """
+        kernel = lookup_kernel(self.domain.n, backend, len(states))
+        if kernel is None:
+            labels = self._labels(states, nearest)
+        else:
+            labels = kernel(states, self.domain, self.cells, nearest)
+        if self.gaps:
+            labels[labels == len(self.alphabet)] = -2
+        return labels
+
+    def covers(self, states: Any) -> Any:
+        """Return whether states (..., n) are in the domain and in no gap, booleans (...).
+
+        Raises
+        ------
+        ProblemError
+            States of another shape, or that are no numbers.
+        """
+        states = state_array(states, self.domain.n)
+        leaves = self.leaves(states.reshape(-1, self.domain.n), False)
+        return (leaves >= 0).reshape(states.shape[:-1])[()]
+
+    def _labels(self, states: np.ndarray, nearest: bool) -> np.ndarray:
+        """Return leaf numbers of states (B, n), negative for states outside or not finite."""
+        finite = np.isfinite(states).all(axis=1)
+        found = finite if nearest else self.domain.contains(states)
+        labels = np.full(len(states), -2, dtype=np.int32)
+        steps = self.domain.locate(states[found], self.cells.counts)
+        labels[found] = self.cells.labels(steps)
+        return labels
+
+    def _raise_outside(self, state: np.ndarray, index: int | None) -> None:
+        text = "(" + ", ".join(f"{v:g}" for v in state) + ")"
+        which = f"state {index}" if index is not None else "the state"
+        if not np.isfinite(state).all():
+            raise OutsideDomainError(f"{which} must be finite; got {text}")
+        if self.domain.contains(state[None])[0]:
+            raise OutsideDomainError(
+                f"{which} must be where the policy has a symbol; {text} is in a gap "
+                "(a safe symbol would answer)"
+            )
+        bounds = " x ".join(
+            f"[{low:g}, {high:g}]" for low, high in zip(self.domain.lower, self.domain.upper)
+        )
+        raise OutsideDomainError(
+            f"{which} must lie in the domain {bounds}; got {text} "
+            '(outside="nearest" or a safe symbol would answer)'
+        )
+
+    def control(self, states: Any, outside: Outside | None = None) -> np.ndarray:
+        """Return the control vectors (..., m) [input units] of states (..., n).
+
+        `outside` and errors are those of a call of the policy.
+        """
+        return self.controls[self(states, outside)]
+
+    @functools.cached_property
+    def controls(self) -> np.ndarray:
+        """Control vectors (N + 1, m) of the symbols, the default control last [input units]."""
+        table = np.vstack([self.alphabet.values, self.default])
+        table.flags.writeable = False
+        return table
+
+    def symbol_name(self, symbol: int) -> str:
+        """Return the name of a symbol index; -1 is ``default``."""
+        return "default" if symbol < 0 else self.alphabet.names[symbol]
+
+    @functools.cached_property
+    def volume_shares(self) -> np.ndarray:
+        """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
+
+        Where planes bound symbols it is estimated at `SAMPLES` random states.
+        """
+        if self.has_planes:
+            return self._sampled_shares()
+        boxes = self.cells.boxes()
+        total = np.prod(self.cells.counts, dtype=float)
+        return np.bincount(boxes.labels, boxes.volumes() / total, len(self.alphabet) + 1)
+
+    def _sampled_shares(self) -> np.ndarray:
+        steps = np.random.default_rng(0).integers(self.cells.counts, size=(SAMPLES, self.domain.n))
+        found = np.bincount(self.cells.labels(steps), minlength=len(self.alphabet) + 1)
+        return found / SAMPLES
+
+    @property
+    def has_planes(self) -> bool:
+        """Whether planes that are oblique to the axes bound symbols: affine leaves, or splits."""
+        cells = self.cells
+        return (
+            (cells.affine is not None) if isinstance(cells, CellTree) else bool(len(cells.planes))
+        )
+
+    @functools.cached_property
+    def mixed_share(self) -> float:
+        """Share of the volume of finest cells whose test points did not agree."""
+        cells = cell_tree(self)
+        places, volumes = cells.volumes()
+        mixed = volumes[np.isin(places, cells.mixed_cells)]
+        return float(mixed.sum() / np.prod(cells.counts, dtype=float))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the policy to a file at `path`, whole or not at all.
+
+        Raises
+        ------
+        ProblemError
+            A place that cannot be written.
+        """
+        from capsyn.policies.file import save
+
+        save(self, path)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> Policy:
+        """Return the policy in the file at `path`, a `DecisionTree` where it holds one.
+
+        Raises
+        ------
+        PolicyFormatError
+            The file is no policy, damaged, tampered with, or of a newer format.
+        """
+        from capsyn.policies.file import load
+
+        return load(path, lambda fields: _KINDS["guarantee" in fields](**fields))
+
+    def with_evidence(self, **kinds: dict[str, Any]) -> Policy:
+        """Return the policy with evidence added, which its file will carry.
+
+        `kinds` are what ``to_json()`` of a result of `capsyn.verification` gives, by name:
+        ``monte_carlo``, ``lyapunov`` or ``agreement``. That of another content is dropped.
+
+        Raises
+        ------
+        ProblemError
+            Another kind, or something that is not such plain data.
+        """
+        from capsyn.policies.file import add_evidence
+
+        return dataclasses.replace(self, evidence=add_evidence(self, kinds))
+
+    def _repr_html_(self) -> str:
+        """Return a small map for notebooks."""
+        from capsyn.policies.picture import map_html
+
+        names = [*self.alphabet.names, "outside" if self.gaps else "default"]
+        return map_html(
+            repr(self), self.domain, lambda states: self.leaves(states, True, "numpy"), names
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"Policy('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
+            f"{self.cells.leaf_count} cells)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class DecisionTree(Policy):
+    """A policy that looks symbols up in a decision tree; see `Policy`.
+
+    Parameters
+    ----------
+    cells : SplitTree
+        Splits, and labels of leaves.
+    guarantee : Guarantee
+        What it has in common with the policy that it was made from.
+
+    Notes
+    -----
+    Splits compare lattice integers, so that every backend and export
+    gives the same symbol.
+    """
+
+    cells: SplitTree
+    guarantee: Guarantee = field(kw_only=True)
+
+    _structure: ClassVar[type] = SplitTree
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.guarantee, Guarantee):
+            raise ProblemError(f"`guarantee` must be a Guarantee; got {describe(self.guarantee)}")
+        super().__post_init__()
+
+    @staticmethod
+    def of(policy: Policy, cells: SplitTree, guarantee: Guarantee) -> DecisionTree:
+        """Return `policy` with a tree for `cells`, and its `guarantee`; without its evidence."""
+        kept = {f.name: getattr(policy, f.name) for f in fields(Policy)}
+        return DecisionTree(
+            guarantee=guarantee, **kept | {"cells": cells, "evidence": {}, "timings": {}}
+        )
+
+    @property
+    def node_count(self) -> int:
+        """Inner nodes and leaves."""
+        return self.cells.node_count
+
+    @property
+    def depth(self) -> int:
+        """Most comparisons that a lookup takes."""
+        return self.cells.depth
+
+    @property
+    def mixed_share(self) -> float:
+        """0: a tree has no cells whose test points did not agree."""
+        return 0.0
+
+    def __repr__(self) -> str:
+        return (
+            f"DecisionTree('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
+            f"{self.node_count} nodes, {self.guarantee.mode})"
+        )
+
+
+def cell_tree(policy: Any) -> CellTree:
+    """Return the cells of a policy; `ProblemError` if it is none, or a decision tree."""
+    if not isinstance(policy, Policy):
+        raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
+    if not isinstance(policy.cells, CellTree):
+        raise ProblemError(
+            f"`policy` must be one of cells, as synthesize makes them; got {policy!r}"
+        )
+    return policy.cells
+
+
+_KINDS = (Policy, DecisionTree)
+"""What a file without and with a guarantee holds."""

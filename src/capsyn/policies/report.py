@@ -1,0 +1,186 @@
+"""What a policy is, in figures, and hints where a figure smells."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.packing import lookup_arrays, packed_bytes
+from capsyn.cells.split_tree import SplitTree
+from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.targets import describe_target
+from capsyn.policies.file import content_hash
+from capsyn.policies.guarantee import CONFIDENCE, Guarantee
+from capsyn.policies.policy import DecisionTree, Policy
+
+
+def report(policy: Policy) -> dict[str, Any]:
+    """Return the figures of a policy, or of a decision tree, as plain data."""
+    cells, domain, alphabet = policy.cells, policy.domain, policy.alphabet
+    shares, digest = policy.volume_shares.tolist(), content_hash(policy)
+    names = [*alphabet.names, "default"]
+    return {
+        "name": policy.name,
+        "states": [
+            {
+                "name": domain.names[i],
+                "unit": domain.units[i],
+                "lower": domain.lower[i],
+                "upper": domain.upper[i],
+                "periodic": domain.periodic[i],
+                "steps": cells.counts[i],
+                **(_grid(cells, i) if isinstance(cells, CellTree) else {}),
+            }
+            for i in range(domain.n)
+        ],
+        "symbols": [
+            {"name": names[k], "value": alphabet.values[k].tolist(), "volume_share": shares[k]}
+            for k in range(len(alphabet))
+        ],
+        "inputs": list(alphabet.inputs),
+        "target": None if policy.target is None else describe_target(policy.target, domain),
+        "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
+        "gaps": policy.gaps,
+        "unused_symbols": [names[k] for k in range(len(alphabet)) if not shares[k]],
+        **(_cells(policy, cells) if isinstance(cells, CellTree) else {}),
+        **(_tree(policy) if isinstance(policy, DecisionTree) else {}),
+        "outside": policy.outside
+        if isinstance(policy.outside, str)
+        else policy.symbol_name(policy.outside),
+        "min_dwell": policy.min_dwell,
+        "horizon": policy.horizon,
+        "settings": None if policy.settings is None else policy.settings.to_json(),
+        "statistics": policy.statistics,
+        "evidence": policy.evidence if policy.evidence.get("sha256") == digest else {},
+        "sha256": digest,
+        "hints": hints(policy),
+    }
+
+
+def _grid(cells: CellTree, axis: int) -> dict[str, int]:
+    return {"partitions": cells.partitions[axis], "refinement": cells.refinement[axis]}
+
+
+def _holds_back(settings: SsacSettings | None) -> str:
+    """Return which settings keep the steepest symbol from being chosen."""
+    if settings is None:
+        return "control_weight or gamma hold it back"
+    if settings.rule == "steepest":
+        return "control_weight holds it back"
+    wanted = "gamma" if settings.alpha_d is None else "alpha_d"
+    return f"{wanted} holds it back" + (", or control_weight" if settings.control_weight else "")
+
+
+def _cells(policy: Policy, cells: CellTree) -> dict[str, Any]:
+    return {
+        "max_level": cells.max_level if cells.affine is None else _most_times(cells),
+        "adaptive": cells.splits is not None,
+        "cells": cells.leaf_count,
+        "affine_leaves": 0 if cells.affine is None else len(cells.affine),
+        "table_bytes": _bytes(cells),
+        "packed_bytes": packed_bytes(cells),
+        "mixed_cells": len(cells.mixed_cells),
+        "mixed_share": policy.mixed_share,
+    }
+
+
+def _most_times(cells: CellTree) -> int:
+    """Return how often a cell has been split along one axis, at most."""
+    return max(int(cells.times(some).max()) for some in cells.levels())
+
+
+def _tree(tree: DecisionTree) -> dict[str, Any]:
+    return {
+        "nodes": tree.node_count,
+        "depth": tree.depth,
+        "planes": len(tree.cells.planes),
+        "packed_bytes": packed_bytes(tree.cells),
+        "tree_bytes": _bytes(tree.cells),
+        "guarantee": _guarantee(tree.guarantee),
+    }
+
+
+def _bytes(cells: CellTree | SplitTree) -> int:
+    return sum(array.nbytes for array in lookup_arrays(cells))
+
+
+def _guarantee(found: Guarantee) -> dict[str, Any]:
+    interval = {"low": found.low, "high": found.high, "confidence": CONFIDENCE}
+    return (
+        found.to_json()
+        | (interval if found.states else {})
+        | {"reached": found.reached, "text": found.text}
+    )
+
+
+def hints(policy: Policy) -> list[str]:
+    """Return one sentence for each figure that suggests a mistake or a better choice."""
+    found = []
+    shares = policy.volume_shares
+    unused = [name for name, share in zip(policy.alphabet.names, shares) if not share]
+    table = "table" in policy.statistics
+    if unused and not table:
+        steepest = policy.settings is not None and policy.settings.rule == "steepest"
+        weights = "control_weight" if steepest else "gamma and control_weight"
+        found.append(f"never used: {', '.join(unused)}; drop them, or look at {weights}")
+    if policy.mixed_share > 0.1 and not policy.has_planes and not table:
+        affine = ", or take affine leaves" if policy.domain.n > 2 else ""
+        found.append(
+            f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "
+            f"the boundaries are coarse; raise max_level{affine}"
+        )
+    count, solves = (policy.statistics.get(k, 0) for k in ("not_finite_points", "solves"))
+    if count:
+        found.append(
+            f"{count} of {solves} solves gave no finite result and take the default control, for "
+            f"instance at {policy.statistics.get('not_finite_example')}: check the model there"
+        )
+    sample = policy.statistics.get("sample")
+    if not sample:
+        return found
+    settings = policy.settings
+    by_gamma = settings and settings.rule == "schedule" and settings.alpha_d is None
+    if by_gamma and sample["negative_cost"] > 0:
+        found.append(
+            f"the cost is negative in {sample['negative_cost']:.0%} of the volume, where gamma "
+            "asks to raise it: add a constant to the cost, or use rule steepest"
+        )
+    if sample["held_back"] > 0.05:
+        found.append(
+            f"in {sample['held_back']:.0%} of the volume the chosen symbol does not lower the cost "
+            f"to first order though another would: {_holds_back(settings)}"
+        )
+    if sample["no_descent"] - sample["held_back"] > 0.05:
+        found.append(
+            f"in {sample['no_descent'] - sample['held_back']:.0%} of the volume no symbol lowers "
+            "the cost to first order: the alphabet may be too weak there, or the horizon too short"
+        )
+    if sample["indifferent"] > 0.05:
+        found.append(
+            f"in {sample['indifferent']:.0%} of the volume several symbols tie: the cost may not "
+            "see what the inputs do within the horizon"
+        )
+    if sample["reach"] is not None and sample["reach"] < 0.01:
+        found.append(
+            f"the best symbol, acting all along the horizon, takes off {sample['reach']:.2%} of "
+            "the cost (median, first order): the horizon may be too short, or far too long, or the "
+            "alphabet too weak"
+        )
+    wanted = sample["wanted_over_reachable"]
+    if wanted is not None and wanted > 1000:
+        found.append(
+            f"the wanted sensitivity is {wanted:.3g} times what the symbols reach (median): gamma "
+            "or alpha_d is not scaled to the cost, and control_weight has no effect"
+        )
+    if wanted is not None and wanted < 0.1:
+        found.append(
+            f"the wanted sensitivity is {wanted:.2g} of what the symbols reach (median): gamma or "
+            "alpha_d is not scaled to the cost, and the weakest symbols win"
+        )
+    effort = sample["effort_over_choice"]
+    if effort is not None and effort > 1:
+        found.append(
+            f"the control efforts differ {effort:.3g} times more than the rest of the scores "
+            "(median): control_weight decides, not the goal"
+        )
+    return found

@@ -1,0 +1,1 @@
+"""Straight-line programs as plain data, and what is known of them."""

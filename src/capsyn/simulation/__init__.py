@@ -1,0 +1,1 @@
+"""Closed loops of any controller and any plant, at a sample rate."""

@@ -1,0 +1,285 @@
+"""The closed loop of a controller and a plant at a sample rate, for many trials at once.
+
+At every sample ``t = k period`` of a trial, in this order:
+
+1. A state that is not finite ends the trial. A state in the target marks the arrival, and may end
+   the trial.
+2. At the last sample the trial ends. Else the state plus measurement noise is what the controller
+   sees. Outside the policy's domain, the policy's rule holds: the trial ends, or goes on with the
+   nearest cell or the safe symbol, and the sample is counted.
+3. A control that differs from the one before is taken only when that has been held for the
+   minimum dwell time, rounded up to whole samples.
+4. The plant gets the control after the input delay and holds it; before the first arrives, it
+   gets the default control. Between samples the classical Runge-Kutta method is used, with a step
+   boundary where the control changes.
+"""
+
+from __future__ import annotations
+
+import collections
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.controllers.command import NONE, NOT_FINITE, TARGET, TIME, Command, Decide, hold
+from capsyn.programs.program import Program
+from capsyn.simulation.kernel import trial_type
+from capsyn.simulation.plant import Plant
+
+SLACK = 1e-9
+"""Samples by which a time that should be a whole number of them may be off, by rounding."""
+NOISE_BYTES = 1 << 24
+"""Size of the noise that a thread draws ahead."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """How the closed loop runs.
+
+    Parameters
+    ----------
+    period : float
+        Sample time [s].
+    samples : int
+        Samples to go; a trial has one state more.
+    substeps : int
+        Runge-Kutta steps between samples.
+    dwell : int
+        Samples that a control is held at least.
+    inside : Program ``x -> inside``
+        The target.
+    stop_at_target : bool
+        Whether arriving ends a trial.
+    idle : (m,)
+        Control before the first command arrives [input units].
+    pushes : (samples, n), optional
+        Added to the rates of every trial, held over a sample [state units / s].
+    """
+
+    period: float
+    samples: int
+    substeps: int
+    dwell: int
+    inside: Program
+    stop_at_target: bool
+    idle: np.ndarray
+    pushes: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Record:
+    """Where a run writes every sample, if it does; see `new_record`.
+
+    Parameters
+    ----------
+    states, costs : (B, samples + 1, n), (B, samples + 1)
+        NaN after the end of a trial.
+    symbols, controls : (B, samples), (B, samples, m)
+        `NONE` and NaN after the end.
+    """
+
+    states: np.ndarray
+    costs: np.ndarray
+    symbols: np.ndarray
+    controls: np.ndarray
+
+
+def new_record(count: int, samples: int, n: int, m: int) -> Record:
+    """Return a record of `count` trials, empty."""
+    return Record(
+        np.full((count, samples + 1, n), np.nan),
+        np.full((count, samples + 1), np.nan),
+        np.full((count, samples), NONE, dtype=np.int64),
+        np.full((count, samples, m), np.nan),
+    )
+
+
+def new_trials(
+    states: np.ndarray,
+    m: int,
+    delays: np.ndarray,
+    parameters: np.ndarray,
+    push: np.ndarray,
+    period: float,
+) -> np.ndarray:
+    """Return trials (B,) before their first sample, as records of `trial_type`.
+
+    Parameters
+    ----------
+    states, push : (B, n)
+        Initial states, and what is added to their rates.
+    m : int
+        Number of inputs.
+    delays : (B,)
+        Input delays [s].
+    parameters : (B, P)
+        Parameters of the plant.
+    period : float
+        Sample time [s].
+    """
+    whole = np.floor(delays / period + SLACK)
+    rest = delays - whole * period
+    rest[rest < SLACK * period] = 0.0
+    queue = 2 ** math.ceil(math.log2(max(whole.max(initial=0) + 2, 2)))
+    trials = np.zeros(len(states), trial_type(states.shape[1], m, parameters.shape[1], int(queue)))
+    trials["state"], trials["push"], trials["parameters"] = states, push, parameters
+    trials["delay"], trials["rest"] = whole, rest
+    trials["symbol"], trials["end"], trials["arrived"], trials["away"] = NONE, -1, -1, -1
+    return trials
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Gaussian measurement noise, from a stream of its own for each trial.
+
+    Parameters
+    ----------
+    deviations : (B, n)
+        Standard deviations [state units].
+    seeds : (B,) sequences of ints
+        Seeds of the streams.
+    """
+
+    deviations: np.ndarray
+    seeds: Sequence[Sequence[int]]
+
+    def draw(self, start: int, stop: int) -> Callable[[int], np.ndarray]:
+        """Return what draws the next samples (stop - start, samples, n) of some trials."""
+        streams = [np.random.default_rng(seed) for seed in self.seeds[start:stop]]
+        deviations = self.deviations[start:stop, None, :]
+        n = deviations.shape[2]
+
+        def next_samples(samples: int) -> np.ndarray:
+            normal = np.empty((len(streams), samples, n))
+            for values, stream in zip(normal, streams):
+                stream.standard_normal(out=values)
+            return normal * deviations
+
+        return next_samples
+
+
+def run(
+    decide: Decide,
+    plant: Plant,
+    loop: Loop,
+    trials: np.ndarray,
+    noise: Noise | None,
+    record: Record | None,
+) -> None:
+    """Run trials under any controller, in place, by NumPy on all of them at once."""
+    count, last = len(trials), loop.samples
+    length = trials.dtype["queue"].shape[0]
+    idle = hold(np.tile(loop.idle, (count, 1)))
+    queue = collections.deque([(idle.controls, idle.ends)] * length, maxlen=length)  # newest last
+    chunk = max(1, NOISE_BYTES // (8 * max(count, 1) * plant.n))
+    draw = noise.draw(0, count) if noise else None
+    drawn = np.zeros((count, 0, plant.n))
+    for k in range(last + 1):
+        live = np.flatnonzero(trials["end"] < 0)
+        if not len(live):
+            return
+        if draw and k < last and k % chunk == 0:
+            drawn = draw(min(chunk, last - k))
+        ended = _look(loop, trials, live, k)
+        see = ended == TIME
+        if k < last and see.any():
+            measured = trials["state"][live[see]]
+            if draw:
+                measured = measured + drawn[live[see], k % chunk]
+            command = decide(k * loop.period, measured)
+            queue.append(_take(loop, trials, live[see], command, *queue[-1]))
+            ended[see] = command.ended
+        done = (ended != TIME) | (k == last)
+        trials["ended"][live] = ended
+        trials["end"][live[done]] = k
+        if record:
+            record.states[live, k] = trials["state"][live]
+            record.costs[live, k] = trials["cost"][live]
+        live = live[~done]
+        if not len(live):
+            continue
+        if record:
+            record.symbols[live, k] = trials["symbol"][live]
+            record.controls[live, k] = queue[-1][0][live, 0]
+        delays = trials["delay"][live]
+        for delay in np.unique(delays):
+            rows = live[delays == delay]
+            _move(plant, loop, trials, rows, k, queue[-2 - delay], queue[-1 - delay])
+
+
+def _look(loop: Loop, trials: np.ndarray, live: np.ndarray, k: int) -> np.ndarray:
+    """Do what needs the state alone at sample k; return why each live trial ends, or `TIME`."""
+    states = trials["state"][live]
+    ended = np.where(np.isfinite(states).all(axis=1), TIME, NOT_FINITE)
+    condition = loop.inside.evaluate(states.T)[0][0]
+    inside = (condition != 0) & np.isfinite(condition) & (ended == TIME)
+    trials["arrived"][live[inside & (trials["arrived"][live] < 0)]] = k
+    trials["away"][live[~inside]] = k
+    if loop.stop_at_target:
+        ended[inside] = TARGET
+    return ended
+
+
+def _take(
+    loop: Loop,
+    trials: np.ndarray,
+    see: np.ndarray,
+    command: Command,
+    controls: np.ndarray,
+    ends: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what the queue gets: the command of the trials `see`, dwell time allowing."""
+    trials["outside"][see] += command.outside
+    good = command.ended == TIME
+    live, wanted, until = see[good], command.controls[good], command.ends[good]
+    if loop.dwell > 0:  # no second control within a sample: the first is held
+        wanted, until = wanted[:, :1], np.full((len(live), 1), np.inf)
+    changes = (wanted[:, 0] != trials["control"][live]).any(axis=1)
+    first, held = trials["held"][live] == 0, trials["held"][live]
+    take = first | ~changes | (held >= loop.dwell)
+    trials["held"][live] = np.where(changes & take | first, 1, held + 1)
+    trials["symbol"][live[take]] = command.symbols[good][take]
+    wanted = np.where(take[:, None, None], wanted, trials["control"][live][:, None])
+    current, time = trials["control"][live], np.zeros(len(live))
+    for piece in range(wanted.shape[1]):
+        acts = np.minimum(until[:, piece], loop.period) > time
+        switch = acts & (wanted[:, piece] != current).any(axis=1)
+        trials["switches"][live] += switch & ~(first & (piece == 0))
+        current = np.where(acts[:, None], wanted[:, piece], current)
+        time = np.maximum(time, until[:, piece])
+    trials["control"][live] = current
+    count, pieces = len(trials), wanted.shape[1]
+    if controls.shape[1] != pieces:  # the idle control before the first command
+        controls, ends = np.repeat(controls, pieces, axis=1), np.full((count, pieces), np.inf)
+    controls, ends = controls.copy(), ends.copy()
+    controls[live], ends[live] = wanted, until
+    return controls, ends
+
+
+def _move(
+    plant: Plant,
+    loop: Loop,
+    trials: np.ndarray,
+    live: np.ndarray,
+    k: int,
+    before: tuple[np.ndarray, np.ndarray],
+    now: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Integrate trials of one delay over a sample: the rest of a command, then the next one."""
+    rest = trials["rest"][live]
+    x, cost = trials["state"][live].T, trials["cost"][live]
+    p = trials["parameters"][live].T
+    push = trials["push"][live].T + (0.0 if loop.pushes is None else loop.pushes[k][:, None])
+    for (controls, ends), start, stop in (
+        (before, loop.period - rest, np.full(len(live), loop.period)),
+        (now, np.zeros(len(live)), loop.period - rest),
+    ):
+        for piece in range(ends.shape[1]):
+            time = np.minimum(ends[live, piece], stop) - start
+            start = np.maximum(start, ends[live, piece])
+            if (time > 0).any():
+                u = controls[live, piece].T
+                x, cost = plant.advance(x, cost, u, p, push, np.maximum(time, 0.0), loop.substeps)
+    trials["state"][live], trials["cost"][live] = x.T, cost

@@ -1,0 +1,109 @@
+"""The closed loop of a policy and a plant, compiled."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.native.build import load
+from capsyn.native.source import declarations, hand_written, pointer
+from capsyn.policies.lookup import TreeArguments
+from capsyn.programs.program import Program
+
+SIMULATION_LANES = 8
+
+
+class LoopArguments(ctypes.Structure):
+    """The ``loop`` of simulate.c."""
+
+    _fields_ = [
+        ("period", ctypes.c_double),
+        *(
+            (name, ctypes.c_int64)
+            for name in "substeps dwell last outside_error outside_symbol stop symbols".split()
+        ),
+        ("controls", ctypes.c_void_p),
+        ("gap", ctypes.c_int64),
+        ("cells", TreeArguments),
+    ]
+
+
+def trial_type(n: int, m: int, parameters: int, queue: int) -> np.dtype:
+    """Return the record of a trial, the ``trial`` of simulate.c."""
+    real, whole = np.float64, np.int64
+    fields: list[Any] = [
+        ("state", real, (n,)),
+        ("push", real, (n,)),
+        ("cost", real),
+        ("rest", real),
+        ("parameters", real, (parameters,)),
+        ("control", real, (m,)),
+        ("queue", real, (queue, m)),
+    ]
+    names = "delay symbol held switches outside ended end arrived away".split()
+    return np.dtype(fields + [(name, whole) for name in names])
+
+
+@dataclass(frozen=True)
+class SimulationKernel:
+    """The closed loop of a policy and a plant, compiled. Safe to call from threads."""
+
+    function: Any
+
+    @staticmethod
+    def build(
+        dynamics: Program, running_cost: Program, inside: Program, queue: int
+    ) -> SimulationKernel:
+        """Return the kernel of a plant; `KernelBuildError` if it fails.
+
+        Parameters
+        ----------
+        dynamics : Program ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``
+            The plant.
+        running_cost, inside : Program of ``x``
+            Cost [cost / s], and whether a state is in the target (not 0).
+        queue : int
+            Controls that a trial remembers: one more than samples of delay, at least 2.
+        """
+        sizes = dict(dynamics.inputs)
+        programs = {"dynamics": dynamics, "running_cost": running_cost, "inside": inside}
+        source = "\n".join(
+            [
+                declarations(programs.values(), "double", SIMULATION_LANES),
+                f"#define STATES {sizes['x']}\n#define INPUTS {sizes['u']}",
+                f"#define PARAMETERS {sizes.get('p', 0)}\n#define QUEUE {queue}",
+                *(program.to_c(name) for name, program in programs.items()),
+                hand_written("policies/lookup.c"),
+                hand_written("simulation/simulate.c"),
+            ]
+        )
+        function = load(source, ("-ffp-contract=off",)).capsyn_simulate
+        function.restype = None
+        p, whole = ctypes.c_void_p, ctypes.c_int64
+        function.argtypes = [whole, p, whole, whole, p, p, p, p, p, p]
+        return SimulationKernel(function)
+
+    def __call__(
+        self,
+        trials: np.ndarray,
+        first: int,
+        samples: int,
+        loop: LoopArguments,
+        noise: np.ndarray | None,
+        pushes: np.ndarray | None,
+        record: Sequence[np.ndarray | None],
+    ) -> None:
+        """Run `samples` samples of the trials; `record` is (states, symbols, costs)."""
+        arrays = (noise, pushes, *record)
+        self.function(
+            len(trials),
+            pointer(trials),
+            first,
+            samples,
+            ctypes.addressof(loop),
+            *(None if a is None else pointer(a) for a in arrays),
+        )

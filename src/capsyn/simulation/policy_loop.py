@@ -1,0 +1,106 @@
+"""The closed loop of a policy, compiled where there is a compiler."""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from capsyn.controllers.command import LEFT_DOMAIN, NONE, NOT_FINITE, TIME, Command, Decide, hold
+from capsyn.modelling.alphabet import Outside
+from capsyn.native.compiled import compiled
+from capsyn.policies.lookup import TreeArguments
+from capsyn.policies.policy import Policy
+from capsyn.simulation.closed_loop import NOISE_BYTES, Loop, Noise, Record, run
+from capsyn.simulation.kernel import SIMULATION_LANES, LoopArguments, SimulationKernel
+from capsyn.simulation.plant import Plant
+
+
+def run_policy(
+    policy: Policy,
+    outside: Outside,
+    plant: Plant,
+    loop: Loop,
+    trials: np.ndarray,
+    noise: Noise | None,
+    record: Record | None,
+    backend: str,
+    threads: int,
+) -> None:
+    """Run trials under a policy, in place, compiled where there is a compiler."""
+    kernel = compiled(lambda: simulation_kernel(plant, loop, trials), backend, "simulating")
+    if kernel is None:
+        run(policy_decide(policy, outside), plant, loop, trials, noise, record)
+    else:
+        _run_compiled(kernel, policy, outside, loop, trials, noise, record, threads)
+
+
+def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> SimulationKernel:
+    """Return the kernel that runs trials of this kind; `KernelBuildError` if it fails."""
+    queue = trials.dtype["queue"].shape[0]
+    return SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue)
+
+
+def policy_decide(policy: Policy, outside: Outside) -> Decide:
+    """Return the decision of a policy under an out-of-domain rule."""
+    table = policy.controls
+
+    def decide(time: float, measured: np.ndarray) -> Command:
+        finite = np.isfinite(measured).all(axis=1)
+        leaves = policy.leaves(measured, outside == "nearest", "numpy")
+        lost = leaves < 0
+        out = lost | ~policy.domain.contains(measured)
+        symbols = np.where(lost, outside if isinstance(outside, int) else -1, leaves)
+        symbols[symbols == len(policy.alphabet)] = -1
+        ended = np.full(len(measured), TIME)
+        if isinstance(outside, str):
+            ended[lost] = LEFT_DOMAIN
+            ended[~finite] = NOT_FINITE
+        return dataclasses.replace(hold(table[symbols], symbols), ended=ended, outside=out)
+
+    return decide
+
+
+def _run_compiled(
+    kernel: SimulationKernel,
+    policy: Policy,
+    outside: Outside,
+    loop: Loop,
+    trials: np.ndarray,
+    noise: Noise | None,
+    record: Record | None,
+    threads: int,
+) -> None:
+    n, symbols = policy.domain.n, len(policy.alphabet)
+    table = policy.controls
+    tree = TreeArguments.of(policy.domain, policy.cells)
+    rule = -1 if isinstance(outside, str) else outside % (symbols + 1)
+    error = outside == "error"
+    arguments = LoopArguments(
+        loop.period, loop.substeps, loop.dwell, loop.samples, error, rule, loop.stop_at_target,
+        symbols, table.ctypes.data, symbols if policy.gaps else -1, tree,
+    )  # fmt: skip
+
+    def part(bounds: tuple[int, int]) -> None:
+        start, stop = bounds
+        draw = noise.draw(start, stop) if noise else None
+        chunk = max(1, NOISE_BYTES // (8 * (stop - start) * n)) if noise else loop.samples
+        for first in range(0, loop.samples, chunk):
+            samples = min(chunk, loop.samples - first)
+            pushes = None if loop.pushes is None else loop.pushes[first : first + samples]
+            arrays = (record.states, record.symbols, record.costs) if record else (None,) * 3
+            views = [None if a is None else a[start:stop] for a in arrays]
+            own = trials[start:stop]
+            kernel(own, first, samples, arguments, draw and draw(samples), pushes, views)
+
+    blocks = -(-len(trials) // SIMULATION_LANES)
+    size = max(1, -(-blocks // threads)) * SIMULATION_LANES
+    parts = [(k, min(k + size, len(trials))) for k in range(0, len(trials), size)]
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(part, parts))
+    trials["symbol"][trials["symbol"] == symbols] = -1
+    if record:
+        record.symbols[record.symbols == symbols] = -1
+        known = record.symbols != NONE
+        record.controls[known] = table[record.symbols[known]]

@@ -1,0 +1,288 @@
+"""Closed-loop trajectories: any controller, any plant, at a sample rate."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capsyn.controllers.command import ENDINGS
+from capsyn.errors import ProblemError
+from capsyn.execution.files import atomic_write
+from capsyn.execution.memory import check_memory
+from capsyn.modelling.alphabet import Outside
+from capsyn.simulation.closed_loop import Noise, new_record
+from capsyn.simulation.experiment import per_state, set_up
+from capsyn.simulation.plant import plant_of
+from capsyn.validation import describe, finite_number, numbers, whole_number
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What happened in a closed loop, at every sample; the shapes (...) are those of `x0`.
+
+    Parameters
+    ----------
+    times : (K + 1,)
+        Sample times [s].
+    states : (..., K + 1, n)
+        States [state units]; NaN after the end.
+    symbols : (..., K)
+        Symbol that held over each sample; -1 the default control, -2 none (after the end, or of
+        controls that are no symbols).
+    controls : (..., K, m)
+        Control at the start of each sample, as the controller gave it [input units].
+    costs : (..., K + 1)
+        Running cost gathered so far.
+    terminal_cost : (...)
+        Terminal cost of the last state, 0 where there is none.
+    switches : (...)
+        Changes of the control.
+    outside : (...)
+        Samples whose measured state was outside the policy's domain.
+    ended : (...) strings
+        ``"time"``, ``"target"``, ``"left the domain"`` or ``"not finite"``.
+    last : (...)
+        The sample at which it ended.
+    arrived : (...)
+        When the target was reached first [s]; NaN where it was not.
+    names, units : tuples of str
+        Names and units of the states, then of the inputs.
+    """
+
+    times: np.ndarray
+    states: np.ndarray
+    symbols: np.ndarray
+    controls: np.ndarray
+    costs: np.ndarray
+    terminal_cost: np.ndarray
+    switches: np.ndarray
+    outside: np.ndarray
+    ended: np.ndarray
+    last: np.ndarray
+    arrived: np.ndarray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+
+    @property
+    def cost(self) -> Any:
+        """Cost of eq. (3) over each trajectory, until it ended."""
+        last = np.asarray(self.last)[..., None]
+        return np.take_along_axis(self.costs, last, axis=-1)[..., 0] + self.terminal_cost
+
+    def __repr__(self) -> str:
+        many = f"{np.size(self.last)} of " if self.states.ndim > 2 else ""
+        return (
+            f"Trajectory({many}{len(self.times) - 1} samples, {self.times[-1]:g} s, ended: "
+            f"{', '.join(sorted(set(np.ravel(self.ended).tolist())))})"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the trajectory as plain data; what is not a number is null."""
+        return {name: _plain(value) for name, value in vars(self).items()}
+
+    def summary(self) -> list[dict[str, Any]]:
+        """Return how each trajectory went, as plain data."""
+        size, n = self.states.shape[-2:]
+        states, last = self.states.reshape(-1, size, n), np.ravel(self.last)
+        ends = np.arange(len(last))
+        columns = {
+            "initial": states[:, 0],
+            "final": states[ends, last],
+            "duration": self.times[last],
+            "ended": np.ravel(self.ended),
+            "arrived": np.ravel(self.arrived),
+            "switches": np.ravel(self.switches),
+            "outside": np.ravel(self.outside),
+            "cost": np.ravel(self.cost),
+        }
+        plain = {name: _plain(values) for name, values in columns.items()}
+        return [{name: values[k] for name, values in plain.items()} for k in ends]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a .csv or .json file, by the ending of `path`, whole or not at all.
+
+        A row of CSV is a sample: trial (where there are many), time, states, cost, symbol,
+        controls.
+
+        Raises
+        ------
+        ProblemError
+            Another ending, or a place that cannot be written.
+        """
+        kind = check_trajectory_format(path)
+
+        def write(temporary: Path) -> None:
+            with open(temporary, "w", newline="") as file:
+                if kind == ".json":
+                    json.dump(self.to_json(), file, allow_nan=False)
+                else:
+                    csv.writer(file).writerows(self._rows())
+
+        atomic_write(path, write)
+
+    def _rows(self) -> Iterator[list[Any]]:
+        n, m, size = self.states.shape[-1], self.controls.shape[-1], len(self.times)
+        many = self.states.ndim > 2
+        yield [*["trial"] * many, "time", *self.names[:n], "cost", "symbol", *self.names[n:]]
+        states, costs = self.states.reshape(-1, size, n), self.costs.reshape(-1, size)
+        symbols, controls = (
+            self.symbols.reshape(-1, size - 1),
+            self.controls.reshape(-1, size - 1, m),
+        )
+        for trial, end in enumerate(np.ravel(self.last)):
+            for k in range(end + 1):
+                row = [self.times[k], *states[trial, k], costs[trial, k]]
+                held = [symbols[trial, k], *controls[trial, k]] if k < end else [""] * (1 + m)
+                yield [*[trial] * many, *row, *held]
+
+
+def check_trajectory_format(path: str | os.PathLike[str]) -> str:
+    """Return the ending of a trajectory's file, ".csv" or ".json"."""
+    kind = Path(path).suffix.lower()
+    if kind not in (".csv", ".json"):
+        raise ProblemError(f"a trajectory must end in .csv or .json; got '{path}'")
+    return kind
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            finite = np.isfinite(value)
+            value = np.array(value, dtype=object)
+            value[~finite] = None
+        return value.tolist()
+    return value
+
+
+def simulate(
+    controller: Any,
+    x0: Any,
+    duration: float,
+    rate: float | None = None,
+    *,
+    model: Any = None,
+    parameters: Mapping[str, float] | None = None,
+    disturbance: Any = None,
+    noise: Any = None,
+    delay: float = 0.0,
+    min_dwell: float | None = None,
+    outside: Outside | None = None,
+    target: Any = None,
+    stop_at_target: bool = False,
+    substeps: int | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    threads: int | None = None,
+) -> Trajectory:
+    """Return closed-loop trajectories from one initial state, or from many at once.
+
+    Parameters
+    ----------
+    controller : Policy, OnlineController or callable ``(time, states (B, n)) -> controls (B, m)``
+        What acts at every sample, on the measured states [s, state units].
+    x0 : (..., n)
+        Initial states [state units].
+    duration : float
+        Time to simulate [s], rounded to whole samples.
+    rate : float, optional
+        Samples per second [1 / s]; the control is held between them. Default: 1 over the
+        ``sample_time`` of the controller's settings.
+    model : Problem, Policy or callable ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``, optional
+        Another plant than the controller's own model.
+    parameters : mapping of name to float, optional
+        The components of `p`, in order.
+    disturbance : (n,) or callable ``time -> (n,)``, optional
+        Added to the rates of the states [state units / s]; a callable is held over each sample.
+    noise : float or (n,), optional
+        Standard deviation of Gaussian noise on the measured states [state units].
+    delay : float
+        Time from a sample until its control acts [s].
+    min_dwell : float, optional
+        Least time between switches [s]. Default: the policy's own.
+    outside : "error", "nearest" or symbol, optional
+        What a state outside the domain gets. Default: the policy's own rule.
+    target : Ball, Box or callable ``x -> true or false``, optional
+        Whose reaching is noted. Default: the policy's own.
+    stop_at_target : bool
+        Whether a trajectory ends there.
+    substeps : int, optional
+        Runge-Kutta steps per sample. Default: as many as step doubling asks for.
+    seed : int
+        Of the noise; each trajectory has a stream of its own.
+    backend : "auto", "c" or "numpy"
+        How policies are simulated; other controllers always take NumPy.
+    threads : int, optional
+        Default: one per processor. The result does not depend on it.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
+    """
+    delay = finite_number("delay", delay, least=0.0)
+    seed = whole_number("seed", seed, least=0)
+    x0 = numbers("x0", x0)
+    if parameters is not None and not isinstance(parameters, Mapping):
+        raise ProblemError(f"`parameters` must be a mapping of names; got {describe(parameters)}")
+    names = tuple(parameters or ())
+    values = np.array(
+        [finite_number(f"parameters {name}", value) for name, value in (parameters or {}).items()]
+    )
+    plant = plant_of(controller, model, names)
+    n, m = plant.n, plant.m
+    if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
+        raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")
+    states = x0.reshape(-1, n)
+    count = len(states)
+    noisy = None
+    if noise is not None:
+        deviations = np.tile(per_state("noise", noise, n, least=0.0), (count, 1))
+        noisy = Noise(deviations, [(seed, k + 1) for k in range(count)])
+    experiment = set_up(
+        controller,
+        plant,
+        duration,
+        rate,
+        typical=values[:, None],
+        disturbance=disturbance,
+        min_dwell=min_dwell,
+        outside=outside,
+        target=target,
+        stop_at_target=stop_at_target,
+        substeps=substeps,
+        backend=backend,
+        threads=threads,
+    )
+    samples = experiment.loop.samples
+    trials = experiment.trials(states, np.full(count, delay), np.tile(values, (count, 1)))
+    check_memory(8.0 * count * samples * (n + m + 2), "`duration` times `rate`")
+    record = new_record(count, samples, n, m)
+    experiment.run(trials, noisy, record)
+
+    def shaped(values: np.ndarray) -> Any:
+        return values.reshape((*x0.shape[:-1], *values.shape[1:]))[()]
+
+    terminal = plant.terminal_cost.evaluate(trials["state"].T)[0][0]
+    arrived = trials["arrived"]
+    return Trajectory(
+        times=np.arange(samples + 1) / experiment.rate,
+        states=shaped(record.states),
+        symbols=shaped(record.symbols),
+        controls=shaped(record.controls),
+        costs=shaped(record.costs),
+        terminal_cost=shaped(terminal),
+        switches=shaped(trials["switches"].copy()),
+        outside=shaped(trials["outside"].copy()),
+        ended=shaped(np.array(ENDINGS)[trials["ended"]]),
+        last=shaped(trials["end"].copy()),
+        arrived=shaped(np.where(arrived < 0, np.nan, arrived / experiment.rate)),
+        names=(*plant.domain.names, *experiment.inputs),
+        units=(*plant.domain.units, *experiment.units),
+    )

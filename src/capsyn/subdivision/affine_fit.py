@@ -1,0 +1,266 @@
+"""Affine rows of cells, fitted to the scores at their test points and rounded to integers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from capsyn.cells.affine_leaves import LARGEST_SLOPE, LARGEST_SUM
+from capsyn.cells.masks import holds, members
+from capsyn.subdivision.split_axes import SplitAxes
+
+CENTER_WEIGHT = 0.5
+"""Weight of the centre in a fit, all other fixed points having the rest: vertices alone see a
+square term x^2 as 1 throughout the cell, where its mean is 1/3."""
+TRIES = 8
+"""Steps of the perceptron that corrects rows fitted to labels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Affine rows of M cells for S symbols, in integers, and how well they do.
+
+    Parameters
+    ----------
+    constants, slopes : (M, S), (M, S, n)
+        The rows, see `AffineLeaves`.
+    used : (M, S) bool
+        Which rows are the largest anywhere in their cell.
+    wrong : (M,)
+        Share of the test points whose symbol is wrong.
+    error : (M,)
+        Estimated share of the cell where the symbol is wrong.
+    axes : (M, n) bool
+        Along which axes the cell is split where that is too much.
+    """
+
+    constants: np.ndarray
+    slopes: np.ndarray
+    used: np.ndarray
+    wrong: np.ndarray
+    error: np.ndarray
+    axes: np.ndarray
+
+    def better(self, other: Fits) -> Fits:
+        """Return for each cell the rows with fewer wrong points, of equals with less error."""
+        mine = (self.wrong < other.wrong) | (
+            (self.wrong == other.wrong) & (self.error <= other.error)
+        )
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(Fits))
+        return Fits(*(np.where(mine.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
+
+
+def point_weights(offsets: np.ndarray, plain: bool = False) -> np.ndarray:
+    """Return the weights (P,) of fixed test points (P, n), in halves of the cell."""
+    center = (offsets == 1).all(axis=1)
+    if plain or not center.any() or center.all():
+        return np.full(len(offsets), 1 / len(offsets))
+    others = np.count_nonzero(~center)
+    return np.where(center, CENTER_WEIGHT, (1 - CENTER_WEIGHT) / others)
+
+
+def fit_cells(
+    scores: np.ndarray,
+    masks: np.ndarray,
+    offsets: np.ndarray,
+    places: np.ndarray,
+    corners: np.ndarray,
+    size: np.ndarray,
+    counts: tuple[int, ...],
+    plain: bool = False,
+    split_axes: SplitAxes | None = None,
+    can: np.ndarray | None = None,
+) -> Fits:
+    """Return the affine rows of cells.
+
+    Parameters
+    ----------
+    scores : (P, M, V, S)
+        Scores of the symbols at the cells' test points, in V variants; the largest of the first is
+        best. Of each cell that variant is kept whose rows do best.
+    masks : (P, M)
+        Sets of the symbols that are right there.
+    offsets : (F, n)
+        The first test points, which rows are fitted to, in halves of the cell: a layout that
+        is symmetric about the centre, along every axis.
+    places : (P, M, n)
+        The lattice steps, within the cell, that hold the test points or are nearest to them.
+    corners, size : (M, n)
+        Lower corners and edge lengths of the cells [lattice steps].
+    counts : (n,)
+        Edge lengths of the lattice [lattice steps].
+    plain : bool
+        The scores are mere indicators of labels: rows that mistake a label are corrected.
+    split_axes : SplitAxes, optional
+        What the axes are chosen by along which a cell is split; by default all of them.
+    can : (M, n) bool, optional
+        Along which axes cells can be split; needed with `split_axes`.
+
+    Notes
+    -----
+    In coordinates of -1 to 1, fixed points are orthogonal, so that least squares are weighted
+    sums. The estimated error is the weighted mean over the test points of
+    ``min(1, rho / margin)^2`` (Chebyshev's inequality), with `margin` the difference of the two
+    largest rows there and `rho` the root mean square of its error.
+    """
+    largest = np.abs(scores).max(axis=(0, 3))
+    scores = scores / np.where(largest > 0, largest, 1.0)[:, :, None]  # any size: no overflow
+    kept: Fits | None = None
+    for variant in range(scores.shape[2]):
+        some = scores[:, :, variant]
+        levels, slopes = _rows(some, masks, offsets, plain)
+        axes = np.ones(corners.shape, dtype=bool)
+        if split_axes is not None and can is not None:
+            fitted = levels + np.einsum("msi,pi->pms", slopes, offsets - 1)
+            axes = split_axes.by_residuals(some[: len(offsets)] - fitted, can)
+        rows = _rounded(levels, slopes, corners, size, counts)
+        fits = _judged(some, masks, offsets, places, corners, size, rows, axes)
+        kept = fits if kept is None else kept.better(fits)
+    assert kept is not None
+    return kept
+
+
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Constants (M, S), slopes (M, S, n), and the scales (M,) that they are rounded with."""
+
+
+def _rows(
+    scores: np.ndarray,
+    masks: np.ndarray,
+    offsets: np.ndarray,
+    plain: bool,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of one variant of the scores (P, M, S): see `_least_squares`."""
+    levels, slopes = _least_squares(
+        scores[: len(offsets)], offsets - 1, point_weights(offsets, plain)
+    )
+    if plain:
+        levels, slopes = _corrected(levels, slopes, masks[: len(offsets)], offsets - 1)
+    return levels, slopes
+
+
+def _judged(
+    scores: np.ndarray,
+    masks: np.ndarray,
+    offsets: np.ndarray,
+    places: np.ndarray,
+    corners: np.ndarray,
+    size: np.ndarray,
+    rows: _Rows,
+    axes: np.ndarray,
+) -> Fits:
+    """Return rows with what they do at the test points, for scores (P, M, S)."""
+    constants, slopes, scale = rows
+    corner_values = constants + np.einsum("msi,mi->ms", slopes, corners)
+    shape = masks.shape
+    wrong = np.empty(shape, dtype=bool)
+    margin, residual = np.empty(shape), np.empty(shape)
+    cells = np.arange(shape[1])
+    for p in range(shape[0]):
+        values = corner_values + np.einsum("msi,mi->ms", slopes, places[p])
+        best = values.argmax(axis=1)
+        top = values[cells, best]
+        values[cells, best] = np.iinfo(np.int64).min
+        second = values.argmax(axis=1)
+        margin[p] = (top - values[cells, second]) / scale
+        here = scores[p]
+        residual[p] = here[cells, best] - here[cells, second] - margin[p]
+        wrong[p] = ~holds(masks[p], best)
+    shares = point_weights(offsets)
+    if shape[0] > len(offsets):
+        shares = np.full(shape[0], 1 / shape[0])
+    rho = np.sqrt(np.einsum("pm,p->m", residual**2, shares))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = np.minimum(1.0, np.where(rho > 0, rho / margin, 0.0))
+    error = np.einsum("pm,p->m", reach**2, shares)
+    used = _used(constants, slopes, corners, size)
+    return Fits(constants, slopes, used, wrong.mean(axis=0), error, axes)
+
+
+def _least_squares(
+    scores: np.ndarray, signs: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return values at the centre (M, S) and slopes (M, S, n); `signs` are -1 to 1, (P, n)."""
+    levels = np.zeros(scores.shape[1:])
+    slopes = np.zeros((*levels.shape, signs.shape[1]))
+    strength = weights @ signs**2
+    for here, sign, weight in zip(scores, signs, weights):
+        levels += weight * here
+        for i in np.flatnonzero(sign):
+            slopes[:, :, i] += (weight * sign[i] / strength[i]) * here
+    return levels, slopes
+
+
+def _corrected(
+    levels: np.ndarray, slopes: np.ndarray, masks: np.ndarray, signs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows with fewest mistakes at the test points among those that a perceptron finds."""
+    cells, symbols = levels.shape
+    right = members(masks, symbols)
+    extended = np.column_stack([np.ones(len(signs)), signs])
+    rows = np.concatenate([levels[:, :, None], slopes], axis=2)
+    kept, fewest = rows.copy(), np.full(cells, len(signs) + 1)
+    for _ in range(TRIES + 1):
+        values = np.einsum("msi,pi->pms", rows, extended)
+        mistaken = values.argmax(axis=2)
+        wrong = ~np.take_along_axis(right, mistaken[:, :, None], axis=2)[:, :, 0]
+        count = wrong.sum(axis=0)
+        better = count < fewest
+        kept[better], fewest[better] = rows[better], count[better]
+        wanted = np.where(right, values, -np.inf).argmax(axis=2)
+        p, m = np.nonzero(wrong)
+        if not p.size:
+            break
+        step = extended[p] / len(signs)
+        np.add.at(rows, (m, wanted[p, m]), step)
+        np.add.at(rows, (m, mistaken[p, m]), -step)
+    return kept[:, :, 0], kept[:, :, 1:]
+
+
+def _rounded(
+    levels: np.ndarray,
+    slopes: np.ndarray,
+    corners: np.ndarray,
+    size: np.ndarray,
+    counts: tuple[int, ...],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows as integers: constants (M, S), slopes (M, S, n), and their scales (M,).
+
+    Only differences of rows count: their mean is taken off first. A row stands for the centres of
+    the lattice steps.
+    """
+    levels = levels - levels.mean(axis=1, keepdims=True)
+    per_step = 2 * (slopes - slopes.mean(axis=1, keepdims=True)) / size[:, None, :]
+    middle = corners + (size - 1) / 2
+    lattice = np.array(counts, dtype=float)
+    constants = levels - np.einsum("msi,mi->ms", per_step, middle)
+    sums = np.abs(constants) + np.einsum("msi,i->ms", np.abs(per_step), lattice)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        scale = np.minimum(
+            (LARGEST_SUM - lattice.sum() - 2) / sums.max(axis=1),
+            LARGEST_SLOPE / np.abs(per_step).max(axis=(1, 2)),
+        )
+    flat = ~((scale > 0) & np.isfinite(scale))  # scores that are all alike
+    scale[flat], levels[flat], per_step[flat] = 1.0, 0.0, 0.0
+    whole = np.rint(per_step * scale[:, None, None])
+    constants = np.rint(levels * scale[:, None] - np.einsum("msi,mi->ms", whole, middle))
+    return constants.astype(np.int64), whole.astype(np.int64), scale
+
+
+def _used(
+    constants: np.ndarray, slopes: np.ndarray, corners: np.ndarray, size: np.ndarray
+) -> np.ndarray:
+    """Return which rows (M, S) no other row beats everywhere in the cell."""
+    symbols = constants.shape[1]
+    used = np.ones(constants.shape, dtype=bool)
+    for i in range(symbols):
+        for j in range(symbols):
+            if i == j:
+                continue
+            difference = slopes[:, i] - slopes[:, j]
+            most = constants[:, i] - constants[:, j]
+            most = most + np.einsum("mi,mi->m", difference, corners)
+            most = most + np.einsum("mi,mi->m", np.maximum(difference, 0), size - 1)
+            used[:, i] &= most >= (1 if j < i else 0)
+    return used

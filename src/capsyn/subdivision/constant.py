@@ -1,0 +1,374 @@
+"""Algorithm 1 of the paper with one symbol for each cell, level by level.
+
+A level whose test points would take too much memory is labelled block by block. What stays from
+block to block are the solved points, each with its key and mask, the entries of the cells, and the
+keys of the mixed cells' corners. So no point is solved twice, and the result is that of whole
+levels.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.masks import most_voted, preferred, several
+from capsyn.errors import SynthesisError
+from capsyn.subdivision.cell_blocks import FINE, ROLES, SubdivisionTask, grid_places
+from capsyn.subdivision.lattice_points import MANY, Question
+from capsyn.subdivision.propositions import (
+    BYTES_PER_ENTRY,
+    BYTES_PER_MIXED,
+    block_bytes,
+    block_parents,
+    too_few_solves,
+)
+
+
+@dataclass(eq=False)
+class _Block:
+    """Parents' corners (M, n), and the keys of their children's test points as `CellBlocks`."""
+
+    parents: np.ndarray
+    keys: np.ndarray
+    table: np.ndarray
+    roles: np.ndarray
+
+
+@dataclass(eq=False)
+class _Level:
+    """Labelled cells.
+
+    Entries (K,); of those that are mixed and not split the places, the labels seen and the keys of
+    the corners (M,); and how many are, or were, mixed.
+    """
+
+    entries: np.ndarray
+    mixed: np.ndarray
+    seen: np.ndarray
+    corners: np.ndarray
+    count: int
+
+    @staticmethod
+    def joined(parts: list[_Level]) -> _Level:
+        """Return the cells of blocks that follow each other."""
+        if len(parts) == 1:
+            return parts[0]
+        starts = np.cumsum([0] + [len(p.entries) for p in parts[:-1]])
+        return _Level(
+            np.concatenate([p.entries for p in parts]),
+            np.concatenate([p.mixed + start for p, start in zip(parts, starts)]),
+            np.concatenate([p.seen for p in parts]),
+            np.concatenate([p.corners for p in parts]),
+            sum(p.count for p in parts),
+        )
+
+    @property
+    def split(self) -> int:
+        """How many cells are split."""
+        return self.count - len(self.mixed)
+
+
+class ConstantSubdivision:
+    """Algorithm 1, level by level, all cells of a level or of a block of it at once.
+
+    Arrays over the test points of a block have the point first and the parent cell last, so that
+    all work on masks runs along contiguous memory.
+    """
+
+    def __init__(self, task: SubdivisionTask) -> None:
+        self._task, self._points, self._blocks = task, task.points, task.blocks
+        self._n, self._q, self._r = task.n, task.partitions, task.refinement
+        self._max_level, self._test_points, self._order = (
+            task.max_level,
+            task.test_points,
+            task.order,
+        )
+        self._offsets = task.test_points.offsets(task.n)
+        self._movable = np.flatnonzero((self._offsets != 1).any(axis=1))  # by the quarter rule
+        self._roles = np.zeros(len(ROLES), dtype=np.int64)
+        self._solves = np.zeros(task.max_level + 1, dtype=np.int64)  # of test points
+        self._levels: list[_Level] = []
+        self._limits = task.limits
+        self._held = 0  # bytes beside the solved points
+        self._started = time.perf_counter()
+        self._stopped = ""
+
+    def run(self) -> CellTree:
+        """Return the cells."""
+        parents = self._points.encode(
+            np.zeros((1, self._n), dtype=np.int64), grid_places(self._q) * self._size(0)
+        )[0]
+        start = 0
+        for level in range(self._max_level + 1):
+            cells = math.prod(self._split(level)) * len(parents)
+            if start + cells > 2**31 - 1:
+                raise SynthesisError(f"level {level} has more cells than 32-bit entries can number")
+            found = self._level(parents, level)
+            if found is None:
+                break
+            if level:  # the mixed cells of the level above are split after all
+                self._link(self._levels[-1], start, len(found.entries))
+            self._levels.append(found)
+            start += len(found.entries)
+            parents, found.corners = found.corners, found.corners[:0]
+            if self._stopped or not len(parents):
+                break
+        self._points.check_finite(self._points.count)
+        starts = np.cumsum([0] + [len(x.entries) for x in self._levels[:-1]])
+        mixed = [x.mixed + start for x, start in zip(self._levels, starts)]
+        return CellTree(
+            self._q,
+            self._r,
+            self._max_level,
+            np.concatenate([x.entries for x in self._levels]),
+            np.concatenate(mixed).astype(np.int32),
+            np.concatenate([x.seen for x in self._levels]).astype(np.uint64),
+        )
+
+    def statistics(self) -> dict[str, Any]:
+        """Return the counts of the subdivision as plain data."""
+        leaves = [len(x.entries) - x.split for x in self._levels]
+        return self._task.statistics(self._roles, self._stopped) | {
+            "cells": sum(leaves),
+            "leaves_by_level": leaves,
+            "mixed_cells": sum(len(x.mixed) for x in self._levels),
+            "levels": [
+                {"cells": len(x.entries), "mixed": x.count, "solves": solves}
+                for x, solves in zip(self._levels, self._solves.tolist())
+            ],
+        }
+
+    def _split(self, level: int) -> tuple[int, ...]:
+        """Return into how many children, per axis, the parents of a level's cells are split.
+
+        The cells of the root grid are their own parents.
+        """
+        return self._r if level else (1,) * self._n
+
+    def _size(self, level: int) -> np.ndarray:
+        """Return the edge lengths (n,) of the cells of a level [lattice units]."""
+        return FINE * np.array([r ** (self._max_level - level) for r in self._r], dtype=np.int64)
+
+    def _link(self, above: _Level, start: int, cells: int) -> None:
+        """Split the first mixed cells of a level into `cells` new ones from entry `start` on."""
+        children = math.prod(self._r)
+        split = cells // children
+        above.entries[above.mixed[:split]] = start + children * np.arange(split)
+        above.mixed, above.seen = above.mixed[split:], above.seen[split:]
+
+    def _level(self, parents: np.ndarray, level: int) -> _Level | None:
+        """Return the labelled children of cells whose corners have these keys.
+
+        Those of the first blocks, where time or memory is used up; None where there are no solves
+        for all of them, or no block was labelled.
+        """
+        self._held = sum(map(_bytes, self._levels))
+        sizes = len(parents), self._need(level), self._leave(level), self._taken
+        step = block_parents(self._limits, *sizes)
+        parts = [parents[i : i + step] for i in range(0, len(parents), step)]
+        cells = math.prod(self._split(level)) * len(parents)
+        quarter = level < self._max_level
+        stop: Callable[[int, int], bool] | None = self._used_up
+        tests = len(parents) * self._test_points.in_block(self._split(level))
+        tied = cells * len(self._movable) * quarter
+        if len(parts) > 1 and tests + tied > self._left:  # else they suffice, surely
+            tests = self._count(parts, level)
+            if self._exceeds(tests, level):
+                return None
+            if quarter and tests + tied > self._left:
+                parts, quarter = self._solve_first(parts, level, cells)
+                stop = None
+        done: list[_Level] = []
+        for block in self._tests(parts, level, stop):
+            question = self._points.ask(block.keys.ravel())
+            if self._exceeds(int(question.new.sum()), level):
+                break
+            masks = self._solve(block, question, level, cells)
+            done.append(self._label(block, masks, level, cells, quarter))
+            self._held += _bytes(done[-1])
+        if done:
+            self._points.check_finite(self._points.count, MANY)
+        return _Level.joined(done) if done else None
+
+    def _tests(
+        self, parts: list[np.ndarray], level: int, stop: Callable[[int, int], bool] | None
+    ) -> Iterator[_Block]:
+        """Yield the blocks of some parents, given by the keys of their corners.
+
+        Below the root grid no more once ``stop(parents, level)`` says so.
+        """
+        rng, split = self._blocks.stream(level), np.array(self._split(level))
+        for part in parts:
+            if level and stop and stop(len(part), level):
+                return
+            corners = self._points.places(part)
+            yield _Block(corners, *self._blocks.keys(corners, split, self._size(level), rng))
+
+    def _need(self, level: int) -> int:
+        """Return the bytes that labelling the children of one cell takes."""
+        return block_bytes(self._test_points, self._split(level), self._points.dtype(0).nbytes)
+
+    def _used_up(self, parents: int, level: int) -> bool:
+        """Return whether time or memory does not suffice for a block of so many parents."""
+        seconds = self._limits.max_seconds
+        if seconds is not None and time.perf_counter() - self._started > seconds:
+            self._stopped = "max_seconds"
+        if self._too_large(parents, level):
+            self._stopped = "max_memory"
+        return self._stopped in ("max_seconds", "max_memory")
+
+    @property
+    def _taken(self) -> int:
+        """Bytes that are taken between blocks."""
+        return self._points.count * self._points.point_bytes + self._held
+
+    def _too_large(self, parents: int, level: int, more: int = 0) -> bool:
+        """Return whether memory, `more` bytes of it taken, does not suffice for such a block."""
+        bound = self._limits.max_memory
+        return bound is not None and self._taken + more + parents * self._need(level) > bound
+
+    def _leave(self, level: int) -> int:
+        """Return the bytes that the children of one cell leave at worst."""
+        points = self._test_points.in_block(self._split(level)) * self._points.point_bytes
+        return points + math.prod(self._split(level)) * (BYTES_PER_ENTRY + BYTES_PER_MIXED)
+
+    @property
+    def _left(self) -> float:
+        """Solves that are left."""
+        allowed = self._limits.max_solves
+        return math.inf if allowed is None else allowed - self._points.count
+
+    def _exceeds(self, new: int, level: int = 1) -> bool:
+        """Return whether so many solves are more than are left."""
+        if new <= self._left:
+            return False
+        if level == 0:
+            raise too_few_solves(new, self._limits.max_solves, self._q, self._test_points)
+        self._stopped = self._stopped or "max_solves"
+        return True
+
+    def _count(self, parts: list[np.ndarray], level: int) -> int:
+        """Return how many test points of blocks are new.
+
+        Below the root grid it ends where they are too many; or where their keys fill the memory:
+        solved points take more, so that what follows would not be reached.
+        """
+        new = self._points.unsolved()
+
+        def stop(parents: int, level: int) -> bool:
+            return len(new) > self._left or self._too_large(parents, level, new.nbytes)
+
+        for block in self._tests(parts, level, stop):
+            new.add(block.keys.ravel())
+        return len(new)
+
+    def _solve_first(
+        self, parts: list[np.ndarray], level: int, cells: int
+    ) -> tuple[list[np.ndarray], bool]:
+        """Solve the test points of blocks, and then see whether solves suffice for ties.
+
+        Returns the blocks that time and memory sufficed for, and whether all their ties can have
+        the quarter rule. Memory is charged with all that they will leave.
+        """
+        held, point = self._held, self._points.point_bytes
+        children = math.prod(self._split(level))
+        labels = self._held = held + len(parts[0]) * self._leave(level)  # it will be made anew
+        tied, reached = self._points.unsolved(), 0
+        for block in self._tests(parts, level, self._used_up):
+            keys, mixed = self._solve_and_tie(block, level, cells)
+            tied.add(keys)
+            reached += 1
+            labels += BYTES_PER_ENTRY * children * len(block.parents) + BYTES_PER_MIXED * mixed
+            self._held = labels + tied.nbytes + len(tied) * point
+        self._held = held
+        return parts[:reached], not self._exceeds(len(tied))
+
+    def _solve(self, block: _Block, question: Question, level: int, cells: int) -> np.ndarray:
+        """Return the masks (U, M) of a block's test points."""
+        shape = block.keys.shape
+        self._solves[level] += int(question.new.sum())
+        self._count_roles(block.roles[question.samples // shape[1]])
+        block.keys = block.keys[:0]
+        return self._points.answer(question, level, self._max_level, cells).reshape(shape)
+
+    def _solve_and_tie(self, block: _Block, level: int, cells: int) -> tuple[np.ndarray, int]:
+        """Solve test points; return the keys (K,) of the quarter rule, and mixed cells at worst."""
+        masks = self._solve(block, self._points.ask(block.keys.ravel()), level, cells)
+        masks = masks[block.table.T]
+        common = np.bitwise_and.reduce(masks, axis=0)
+        keys, child, parent = self._tied(common, masks, block.parents, level)
+        common[child, parent] = 0
+        return keys, int(np.sum(common == 0))
+
+    def _label(
+        self, block: _Block, masks: np.ndarray, level: int, cells: int, quarter: bool
+    ) -> _Level:
+        """Return the labelled children of a block, whose test points have masks (U, M)."""
+        masks = masks[block.table.T]  # (points, children, parents)
+        common = np.bitwise_and.reduce(masks, axis=0)
+        if quarter:
+            common = self._quarter_rule(common, masks, block.parents, level, cells)
+        children, count = common.shape
+        entries = -1 - preferred(common, self._order).T.ravel()  # in the order of the blocks
+        mixed = np.flatnonzero(common.T == 0)
+        parent, child = np.divmod(mixed, children)
+        points = masks.reshape(len(masks), -1).take(child * count + parent, axis=1)
+        labels, seen = most_voted(points, self._order)
+        entries[mixed] = -1 - labels
+        deeper = slice(None) if level < self._max_level else slice(0)
+        corners = self._corners(block.parents, child[deeper], parent[deeper], level)
+        keys = self._points.encode(np.zeros((1, self._n), dtype=np.int64), corners)[0]
+        return _Level(entries, mixed, seen, keys, len(mixed))
+
+    def _corners(
+        self, parents: np.ndarray, child: np.ndarray, parent: np.ndarray, level: int
+    ) -> np.ndarray:
+        """Return the lower corners (K, n) of children of parents."""
+        return parents[parent] + grid_places(self._split(level))[child] * self._size(level)
+
+    def _count_roles(self, roles: np.ndarray) -> None:
+        self._roles += np.bincount(roles, minlength=len(ROLES))
+
+    def _tied(
+        self, common: np.ndarray, masks: np.ndarray, parents: np.ndarray, level: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the keys of the quarter rule, and the child and the parent of each.
+
+        Only fixed points are looked at again; the centre stays where it is.
+        """
+        point, child, parent = np.nonzero(several(masks[self._movable]) & (common != 0))
+        corners = self._corners(parents, child, parent, level)
+        offsets = self._offsets[self._movable[point]]
+        keys = self._blocks.quarter_keys(corners, self._size(level), offsets)
+        return keys, child, parent
+
+    def _quarter_rule(
+        self, common: np.ndarray, masks: np.ndarray, parents: np.ndarray, level: int, cells: int
+    ) -> np.ndarray:
+        """Return `common` (children, parents) after a second look at tied points.
+
+        Where that would exceed the solves that are allowed, this level is the last and goes
+        without.
+        """
+        keys, child, parent = self._tied(common, masks, parents, level)
+        if not len(keys):
+            return common
+        question = self._points.ask(keys)
+        if self._exceeds(int(question.new.sum())):
+            return common
+        self._count_roles(np.full(question.new.sum(), ROLES.index("quarter")))
+        moved = self._points.answer(question, level, self._max_level, cells, quarter=True)
+        common = common.copy()
+        np.bitwise_and.at(common, (child, parent), moved)
+        return common
+
+
+def _bytes(level: _Level) -> int:
+    """Return what labelled cells take."""
+    return BYTES_PER_ENTRY * len(level.entries) + BYTES_PER_MIXED * len(level.mixed)

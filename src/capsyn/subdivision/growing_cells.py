@@ -1,0 +1,253 @@
+"""Cells in the order of their making, and the tree that they become."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+
+from capsyn.cells.affine_leaves import LARGEST_SUM, AffineLeaves
+from capsyn.cells.cell_tree import CellTree, ragged
+from capsyn.cells.masks import masks_of_members, several
+from capsyn.errors import ProblemError
+from capsyn.modelling.grid import lattice_counts
+from capsyn.subdivision.affine_fit import Fits
+
+LATTICE, FEW, MANY = 2**14, 2**12, 2**18
+"""Steps along an axis that the lattice of rows has at most, unless the cells need more, or another
+axis has few: then many."""
+LEAST_STEPS = 8
+"""Least steps along the edge of a finest cell."""
+MOST_STEPS = LARGEST_SUM // 16
+"""Most steps of the lattice, all axes together: slopes are whole numbers, and need some size."""
+
+
+def lattice_level(partitions: tuple[int, ...], refinement: tuple[int, ...], max_level: int) -> int:
+    """Return the level whose cells are the lattice steps of rows.
+
+    Raises
+    ------
+    ProblemError
+        Rows of whole numbers could not follow so many steps.
+    """
+    level = max_level
+    while min(refinement) ** (level - max_level) < LEAST_STEPS:
+        level += 1
+    if sum(lattice_counts(partitions, refinement, level)) > MOST_STEPS:
+        finer = level - max_level
+        fits = [
+            k
+            for k in range(max_level)
+            if sum(lattice_counts(partitions, refinement, k + finer)) <= MOST_STEPS
+        ]
+        advice = f"max_level <= {fits[-1]} fits" if fits else "use fewer partitions"
+        raise ProblemError(f"`max_level` {max_level} is too high for affine leaves: {advice}")
+    while True:
+        least = min(lattice_counts(partitions, refinement, level))
+        if max(lattice_counts(partitions, refinement, level + 1)) > (
+            MANY if least < FEW else LATTICE
+        ):
+            return level
+        level += 1
+
+
+@dataclass(eq=False)
+class GrowingCells:
+    """Cells in the order of their making, those of a block together.
+
+    Parameters
+    ----------
+    corner : (K, n)
+        Lower corners [lattice units of the test points].
+    times : (K, n)
+        How often they have been split along each axis.
+    level, child : (K,)
+        Levels in the tree, and the first child or -1.
+    axes : (K, n) bool
+        Along which axes they are split, if they are; none where they cannot be.
+    label : (K,)
+        Symbols, or -1 where rows decide.
+    accepted : (K,) bool
+        Whether no test point disagrees with the leaf.
+    error : (K,)
+        Estimated share of the cell where its symbol is wrong.
+    seen : (K,) uint64
+        Where test points disagree with the leaf, the set of their labels and the leaf's, else 0.
+    row, rows : (K,)
+        First row in `Rows`, and how many.
+    """
+
+    corner: np.ndarray
+    times: np.ndarray
+    level: np.ndarray
+    child: np.ndarray
+    axes: np.ndarray
+    label: np.ndarray
+    accepted: np.ndarray
+    error: np.ndarray
+    seen: np.ndarray
+    row: np.ndarray
+    rows: np.ndarray
+
+    @staticmethod
+    def uniform(
+        corner: np.ndarray,
+        times: np.ndarray,
+        level: np.ndarray,
+        axes: np.ndarray,
+        label: np.ndarray,
+    ) -> GrowingCells:
+        """Return cells whose test points agree on labels (K,)."""
+        count = len(corner)
+        none, seen = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.uint64)
+        good, error = np.ones(count, dtype=bool), np.zeros(count)
+        return GrowingCells(
+            corner, times, level, none - 1, axes, label, good, error, seen, none, none.copy()
+        )
+
+    @staticmethod
+    def joined(parts: list[GrowingCells]) -> GrowingCells:
+        """Return all cells of the parts, one after the other."""
+        names = [f.name for f in fields(GrowingCells)]
+        return GrowingCells(*(np.concatenate([getattr(p, k) for p in parts]) for k in names))
+
+    def fit(
+        self, cells: np.ndarray, fits: Fits, masks: np.ndarray, first_row: int, most_error: float
+    ) -> Rows:
+        """Give some cells (M,) their rows; `masks` (P, M) are those of their test points.
+
+        Returns the rows; `first_row` have been made before.
+        """
+        one = fits.used.sum(axis=1) == 1
+        self.label[cells] = np.where(one, fits.used.argmax(axis=1), -1)
+        self.accepted[cells] = (fits.wrong == 0) & (fits.error <= most_error)
+        self.error[cells] = fits.error
+        self.axes[cells] &= fits.axes
+        single = np.where(several(masks), masks.dtype.type(0), masks)
+        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64) | masks_of_members(fits.used)
+        self.seen[cells] = np.where(fits.wrong == 0, np.uint64(0), seen)
+        kept = fits.used & ~one[:, None]
+        self.rows[cells] = kept.sum(axis=1)
+        self.row[cells] = first_row + np.cumsum(self.rows[cells]) - self.rows[cells]
+        cell, symbol = np.nonzero(kept)
+        return Rows(
+            symbol.astype(np.int32),
+            fits.constants[cell, symbol].astype(np.int32),
+            fits.slopes[cell, symbol].astype(np.int16),
+        )
+
+    def children(self, cells: np.ndarray, refinement: tuple[int, ...]) -> np.ndarray:
+        """Return into how many children each of some cells (M,) is split, if it is."""
+        return np.prod(np.where(self.axes[cells], refinement, 1), axis=1)
+
+    def groups(self, chosen: np.ndarray, refinement: tuple[int, ...]) -> list[SplitCells]:
+        """Return some cells (M,), those together that are split along the same axes."""
+        kinds, kind = np.unique(self.axes[chosen], axis=0, return_inverse=True)
+        found = []
+        for k, axes in enumerate(kinds):
+            here = chosen[kind.ravel() == k]
+            times = (self.times[here] + axes).astype(np.int8)
+            factors = np.where(axes, refinement, 1)
+            found.append(SplitCells(here, factors, self.corner[here], times, self.level[here] + 1))
+        return found
+
+    def by_level(self, roots: int, refinement: tuple[int, ...]) -> Iterator[np.ndarray]:
+        """Yield the cells (M,) of each level in the order of a `CellTree`."""
+        here = np.arange(roots)
+        while here.size:
+            yield here
+            split = here[self.child[here] >= 0]
+            parent, number = ragged(self.children(split, refinement))
+            here = self.child[split][parent] + number
+
+    def tree(
+        self,
+        partitions: tuple[int, ...],
+        refinement: tuple[int, ...],
+        level: int,
+        first: int,
+        rows: list[Rows],
+        adaptive: bool,
+    ) -> CellTree:
+        """Return the cells as a tree on the lattice of a level.
+
+        Affine leaves have numbers from `first` on. Where `adaptive`, cells may be split along some
+        axes only.
+        """
+        roots = math.prod(partitions)
+        order = np.concatenate(list(self.by_level(roots, refinement)))
+        split = self.child[order] >= 0
+        entries = -1 - self.label[order].astype(np.int64)
+        counts = self.children(order[split], refinement)
+        entries[split] = roots + np.cumsum(counts) - counts
+        affine = np.flatnonzero(~split & (self.label[order] < 0))
+        entries[affine] = -1 - (first + np.arange(len(affine)))
+        mixed = np.flatnonzero(~split & (self.seen[order] != 0))
+        bits = np.uint16(1) << np.arange(self.axes.shape[1], dtype=np.uint16)
+        splits = (self.axes[order] @ bits).astype(np.uint16) * split if adaptive else None
+        return CellTree(
+            partitions,
+            refinement,
+            level,
+            entries.astype(np.int32),
+            mixed.astype(np.int32),
+            self.seen[order[mixed]],
+            self._affine(order[affine], first, rows) if affine.size else None,
+            splits,
+        )
+
+    def _affine(self, cells: np.ndarray, first: int, rows: list[Rows]) -> AffineLeaves:
+        """Return the affine leaves of cells (A,)."""
+        count = self.rows[cells]
+        cell, number = ragged(count)
+        picked = self.row[cells][cell] + number
+        symbols, constants, slopes = (np.concatenate(table)[picked] for table in zip(*rows))
+        return AffineLeaves.of(first, count, symbols, constants, slopes)
+
+
+@dataclass(frozen=True, eq=False)
+class SplitCells:
+    """Cells that are split alike.
+
+    Parameters
+    ----------
+    cells : (M,)
+        Their numbers.
+    factors : (n,)
+        Into how many children along each axis.
+    corners, times : (M, n)
+        Lower corners [lattice units], and how often their children have been split.
+    level : (M,)
+        The children's level.
+    """
+
+    cells: np.ndarray
+    factors: np.ndarray
+    corners: np.ndarray
+    times: np.ndarray
+    level: np.ndarray
+
+    def part(self, some: slice) -> SplitCells:
+        """Return some of them."""
+        return SplitCells(
+            self.cells[some], self.factors, self.corners[some], self.times[some], self.level[some]
+        )
+
+    @staticmethod
+    def roots(corners: np.ndarray) -> SplitCells:
+        """Return the cells of the root grid, which are their own parents."""
+        count, n = corners.shape
+        none = np.zeros((count, n), dtype=np.int8)
+        level = np.zeros(count, dtype=np.int16)
+        return SplitCells(np.arange(count), np.ones(n, dtype=np.int64), corners, none, level)
+
+
+class Rows(NamedTuple):
+    """Rows as `AffineLeaves` has them: symbols (R,), constants (R,) and slopes (R, n)."""
+
+    symbols: np.ndarray
+    constants: np.ndarray
+    slopes: np.ndarray

@@ -1,0 +1,145 @@
+"""Who answers a synthesis: this process, or the workers of a cluster, with or without a memory."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.controllers.formulation import Formulation
+from capsyn.controllers.ssac import BatchController, batch_controller
+from capsyn.execution.answers import Labelling, Packed, digest
+from capsyn.execution.checkpoint import Checkpoint
+from capsyn.execution.cluster import Job, Workers
+from capsyn.synthesis.remote_labels import IN_FLIGHT, RemoteLabels
+from capsyn.version import __version__
+
+PROBES = 2048
+"""Random states whose solutions, bit by bit, tell whether two machines compute the same."""
+
+
+@dataclass(frozen=True)
+class Answerer:
+    """What labels states.
+
+    Parameters
+    ----------
+    controller : BatchController
+        The controller whose answers they are, in this process.
+    label : callable
+        States (B, n) to an answer.
+    threads : int
+        Threads that should call it.
+    """
+
+    controller: BatchController
+    label: Labelling
+    threads: int
+
+
+@contextlib.contextmanager
+def answerer(
+    controller: BatchController,
+    method: str,
+    threads: int,
+    backend: str = "auto",
+    executor: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> Iterator[Answerer]:
+    """Yield what answers for a method of a controller.
+
+    Parameters
+    ----------
+    controller : BatchController
+        The controller.
+    method : str
+        The name of its method.
+    threads : int
+        Threads of this process that solve, where it does.
+    backend : "auto", "c" or "numpy"
+        As asked for.
+    executor : dask.distributed.Client, optional
+        The workers to ask.
+    checkpoint : path, optional
+        The directory of a `Checkpoint`.
+    about : mapping, optional
+        What the questions depend on beside the controller, as plain data, for its manifest.
+    """
+    label = getattr(controller, method)
+    with contextlib.ExitStack() as stack:
+        if executor is not None:
+            formulation = controller.formulation
+            workers = Workers(
+                executor,
+                lambda used: label_job(formulation, method, used),
+                backend,
+                controller.backend,
+            )
+            if workers.used != controller.backend:
+                controller = batch_controller(formulation, workers.used)
+            label, threads = RemoteLabels(workers), IN_FLIGHT
+            stack.callback(label.close)
+        if checkpoint is not None:
+            document = manifest(controller) | {"answers": method, **(about or {})}
+            label = stack.enter_context(Checkpoint(checkpoint, document)).remember(label)
+        yield Answerer(controller, label, threads)
+
+
+def manifest(controller: BatchController) -> dict[str, Any]:
+    """Return all that the answers of a controller depend on, as plain data for a `Checkpoint`."""
+    formulation = controller.formulation
+    solved = {str(i): array for i, array in enumerate(probe(controller))}
+    programs = json.dumps(formulation.model.to_json(), sort_keys=True)
+    domain = formulation.domain.to_json()
+    return {
+        "capsyn": __version__,
+        "model": hashlib.sha256(programs.encode()).hexdigest()[:16],
+        **{key: domain[key] for key in ("lower", "upper", "periodic", "names")},
+        "default": formulation.default.tolist(),
+        "horizon": formulation.horizon,
+        **dataclasses.asdict(formulation.settings),
+        "backend": controller.backend,
+        "bits of results": digest(solved)[:16],
+    }
+
+
+def label_job(formulation: Formulation, method: str, backend: str) -> Job:
+    """Return the job of labelling batches of ``(states (B, n), states of each chunk)``.
+
+    Parameters
+    ----------
+    formulation : Formulation
+        With the steps of its settings.
+    method : str
+        The method of `BatchController` that answers.
+    backend : "c" or "numpy"
+        How to solve.
+    """
+    return Job(build, json.dumps([formulation.to_text(), method, backend]))
+
+
+def build(plain: str) -> tuple[Callable[[tuple[np.ndarray, list[int]]], Packed], Callable[[], Any]]:
+    """Return what answers and what probes, of a `label_job`; kernels are built here."""
+    text, method, backend = json.loads(plain)
+    controller = batch_controller(Formulation.from_text(text), backend)
+    label = getattr(controller, method)
+
+    def answer(batch: tuple[np.ndarray, list[int]]) -> Packed:
+        states, rows = batch
+        return Packed.of([label(chunk) for chunk in np.split(states, np.cumsum(rows)[:-1])])
+
+    return answer, lambda: probe(controller)
+
+
+def probe(controller: BatchController) -> tuple[np.ndarray, ...]:
+    """Return costs, gradients and scales of the probe."""
+    solution = controller.solve(controller.formulation.domain.sample(PROBES, 0))
+    return solution.cost, solution.gradients, solution.scales

@@ -1,0 +1,272 @@
+"""From a problem to a policy."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from capsyn.cells.masks import several
+from capsyn.controllers.formulation import Formulation
+from capsyn.controllers.solver import TIE
+from capsyn.controllers.ssac import BatchController, batch_controller
+from capsyn.errors import ProblemError, warn
+from capsyn.execution.cluster import check_client
+from capsyn.execution.processors import processors
+from capsyn.modelling.alphabet import Outside
+from capsyn.modelling.domain import Box
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.transcription import transcribe, transcribe_target
+from capsyn.policies.policy import Policy
+from capsyn.programs.model import Model
+from capsyn.subdivision.lattice_points import Progress
+from capsyn.subdivision.limits import Limits
+from capsyn.subdivision.subdivide import check_size, checked_leaf_error, subdivide
+from capsyn.synthesis.labelling import answerer
+from capsyn.validation import BACKENDS, describe, one_of, whole_number
+
+SAMPLES = 2048
+"""Random states by which the controller is judged, see ``Policy.statistics['sample']``."""
+
+
+def synthesize(
+    problem: Problem,
+    *,
+    partitions: Any = None,
+    refinement: Any = None,
+    max_level: int | None = None,
+    settings: SsacSettings | None = None,
+    outside: Outside | None = None,
+    min_dwell: float | None = None,
+    leaves: str = "constant",
+    leaf_error: float = 0.01,
+    refine: str = "isotropic",
+    test_points: str = "vertices+center",
+    seed: int = 0,
+    max_solves: int | None = None,
+    max_seconds: float | None = None,
+    max_memory: int | str | None = None,
+    memory_limit: int | str | None = None,
+    backend: str = "auto",
+    threads: int | None = None,
+    executor: Any = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Policy:
+    """Return the control alphabet policy of a problem: sSAC at every test point, Algorithm 1.
+
+    Parameters
+    ----------
+    problem : Problem
+        System, goal and alphabet, with their own settings.
+    partitions, refinement, max_level, settings, outside, min_dwell : optional
+        Override the problem's own.
+    leaves : "constant" or "affine"
+        One symbol for each cell, or rows that are affine in the state for cells on a switching
+        surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
+    leaf_error : float
+        Largest estimated share of a cell where its rows may be wrong; see `subdivide`.
+    refine : "isotropic" or "adaptive"
+        Split cells along all axes, or along those only along which their labels, or the errors of
+        their rows, vary: fewer solves in three dimensions and more; see `subdivide`.
+    test_points : str
+        ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` and ``+random:R`` added as
+        wanted; or ``"center+faces"`` and more, without the 2^n vertices.
+    seed : int
+        Seed of everything that is random.
+    max_solves : int, optional
+        Of constant leaves, split along all axes: stop before a level that would exceed so many
+        solves, with a valid coarser policy. Else: spend them where the estimated error is largest.
+    max_seconds : float, optional
+        Stop after so long [s], with a valid policy that is coarser in what was not reached: the
+        only setting by which results depend on the machine; see `subdivide`.
+    max_memory : int or str, optional
+        Stop likewise before so much memory is taken [bytes, or text as ``"2GB"``].
+    memory_limit : int or str, optional
+        Refuse, before any work, what may take more memory at worst [bytes, or text]; default: what
+        is available. The result does not depend on it.
+    backend : "auto", "c" or "numpy"
+        How to solve: compiled where there is a compiler, or as told.
+    threads : int, optional
+        Threads that solve; default: one per processor. The policy does not depend on it.
+    executor : dask.distributed.Client, optional
+        A cluster whose workers solve, with the same results; workers that would give others are
+        refused.
+    checkpoint : path, optional
+        A directory that keeps what is solved. A run that was killed goes on from there when it is
+        started again, to the same policy; one of another problem or other settings is refused.
+        Threads, executor, budgets and `memory_limit` may change.
+    progress : callable, optional
+        Called with a `Progress` now and then.
+
+    Returns
+    -------
+    Policy
+        Its file carries the model, too. The same problem and settings give the same policy,
+        whatever the threads; backends round differently in the last bits, far below the width
+        of a tie.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used.
+    SynthesisError
+        More than 1 % of the solves have no finite result.
+    KernelBuildError
+        ``backend="c"`` without a working compiler.
+    """
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
+    overrides = {
+        "partitions": partitions,
+        "refinement": refinement,
+        "max_level": max_level,
+        "settings": settings,
+        "outside": outside,
+        "min_dwell": min_dwell,
+    }
+    problem = problem.replace(**{k: v for k, v in overrides.items() if v is not None})
+    threads = processors(threads)
+    seed = whole_number("seed", seed, least=0)
+    leaf_error = checked_leaf_error(leaf_error)
+    one_of("backend", backend, BACKENDS)
+    if executor is not None:
+        check_client(executor)
+    domain = problem.domain
+    check_size(
+        domain,
+        len(problem.alphabet),
+        problem.partitions,
+        problem.refinement,
+        problem.max_level,
+        test_points,
+        Limits.of(max_solves, max_seconds, max_memory, memory_limit),
+        leaves,
+        refine,
+    )
+    started = time.perf_counter()
+    model = transcribe(problem)
+    controller = problem_controller(problem, model, backend, seed)
+    ready = time.perf_counter()
+    affine = leaves == "affine"
+    asked: dict[str, Any] = {
+        "leaves": leaves,
+        "leaf_error": leaf_error,
+        "refine": refine,
+        "test_points": test_points,
+        "seed": seed,
+    }
+    method = "scored" if affine else "masks"
+    about = asked | {
+        "name": problem.name,
+        "alphabet": problem.alphabet.to_json(),
+        "partitions": list(problem.partitions),
+        "refinement": list(problem.refinement),
+        "max_level": problem.max_level,
+        "outside": problem.outside,
+        "min_dwell": problem.min_dwell,
+    }
+    with answerer(controller, method, threads, backend, executor, checkpoint, about) as answers:
+        controller = answers.controller
+        policy = subdivide(
+            answers.label,
+            domain,
+            problem.alphabet,
+            partitions=problem.partitions,
+            refinement=problem.refinement,
+            max_level=problem.max_level,
+            **asked,
+            returns="masks+scores" if affine else "masks",
+            preference=controller.preference,
+            outside=problem.outside,
+            name=problem.name,
+            max_solves=max_solves,
+            max_seconds=max_seconds,
+            max_memory=max_memory,
+            memory_limit=memory_limit,
+            threads=answers.threads,
+            progress=progress,
+        )
+    _warn_not_finite(policy)
+    return dataclasses.replace(
+        policy,
+        default=problem.default,
+        min_dwell=problem.min_dwell,
+        target=transcribe_target(problem),
+        horizon=problem.horizon,
+        settings=controller.settings,
+        model=model,
+        statistics=policy.statistics | {"sample": sample_statistics(controller, domain, seed)},
+        timings={"prepare": ready - started, **policy.timings},
+    )
+
+
+def problem_controller(
+    problem: Problem, model: Model, backend: str = "auto", seed: int = 0
+) -> BatchController:
+    """Return sSAC for a problem and its transcribed model; see `batch_controller`."""
+    return batch_controller(Formulation.of_problem(problem, model), backend, seed)
+
+
+def sample_statistics(controller: BatchController, domain: Box, seed: int) -> dict[str, Any]:
+    """Return what sSAC does at random states, as estimates of shares of the volume.
+
+    ``no_descent``: the chosen symbol does not lower the cost to first order; ``indifferent``:
+    several symbols tie; ``held_back``: nor does it though another symbol would;
+    ``not_finite``: no result; ``negative_cost``: the cost is negative.
+    ``wanted_over_reachable``: median of ``|alpha_d|`` over the steepest descent on offer;
+    ``effort_over_choice``: median of the spread of the efforts over the spread of the rest of the
+    score; ``reach``: median share of the cost that the best symbol would take off if it acted
+    over the whole horizon, to first order.
+    """
+    states = domain.sample(SAMPLES, seed + 1)
+    solution = controller.solve(states)
+    masks = controller.possible(solution)
+    finite = masks != 0
+    gradients, cost = solution.gradients[finite], solution.cost[finite]
+    scores = controller.scores(solution)[finite]
+    chosen = np.argmin(scores, axis=1)[:, None]
+    slope = np.take_along_axis(gradients, chosen, axis=1)
+    margin = TIE * np.take_along_axis(solution.scales[finite], chosen, axis=1)
+    best = -gradients.min(axis=1)
+    indifferent = several(masks)
+
+    def median(values: np.ndarray) -> float | None:
+        values = values[np.isfinite(values)]
+        return float(f"{np.median(values):.4g}") if values.size else None
+
+    settings = controller.settings
+    wanted = np.abs(settings.wanted_sensitivity(cost))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = {
+            "wanted_over_reachable": None
+            if settings.rule == "steepest"
+            else median(wanted / np.maximum(best, 0.0)),
+            "effort_over_choice": median(
+                np.ptp(controller.efforts) / np.ptp(scores - controller.efforts, axis=1)
+            ),
+            "reach": median(best * controller.horizon / np.abs(cost)),
+        }
+    return {
+        "states": SAMPLES,
+        "no_descent": float((slope > margin).sum() / SAMPLES),
+        "indifferent": float(indifferent.sum() / SAMPLES),
+        "held_back": float(((slope > margin)[:, 0] & (best > margin[:, 0])).sum() / SAMPLES),
+        "not_finite": float((~finite).sum() / SAMPLES),
+        "negative_cost": float((cost < 0).sum() / SAMPLES),
+        **ratios,
+    }
+
+
+def _warn_not_finite(policy: Policy) -> None:
+    count = policy.statistics["not_finite_points"]
+    if count:
+        warn(
+            f"{count} of {policy.statistics['solves']} solves gave no finite result and take the "
+            f"default control, for instance at state {policy.statistics['not_finite_example']}"
+        )

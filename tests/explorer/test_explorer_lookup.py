@@ -1,0 +1,260 @@
+"""The page's lookup against Python's, on the same states."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from capsyn import Alphabet, Box, Policy, compress, problems, synthesize
+from capsyn.cells.cell_tree import CellTree
+from capsyn.errors import OutsideDomainError
+from support.explorer_node import BEGIN, node, texts
+from support.exported import built_in, oblique
+from support.trees import GRIDS, random_policy, random_tree, states_at_faces
+
+LOOKUP = (
+    'import { makeLookup } from "./lookup.js";' + BEGIN + "const lookup = makeLookup(input.policy);"
+)
+INSIDE, OUTSIDE, NOT_FINITE = 0, 1, 2
+
+
+def states_for(policy, count=10_000, seed=0):
+    """Return states in the domain, on faces and seams and beside them, outside, not finite."""
+    domain, rng = policy.domain, np.random.default_rng(seed)
+    at_faces = states_at_faces(domain, policy.cells.counts, count // 6, seed)
+    wide = domain.lower + domain.widths * rng.uniform(-3, 4, (count // 6, domain.n))
+    far = rng.normal(size=(count // 20, domain.n)) * 10.0 ** rng.integers(0, 290, (count // 20, 1))
+    odd = domain.sample(60, seed)
+    rows = rng.integers(0, domain.n, len(odd))
+    odd[np.arange(len(odd)), rows] = rng.choice([np.nan, np.inf, -np.inf], len(odd))
+    corners = np.stack([domain.lower, domain.upper, -domain.lower * 0.0])
+    turns = domain.lower + domain.widths * rng.integers(-3, 4, (200, domain.n))
+    some = [at_faces, wide, far, odd, corners, turns]
+    inside = domain.sample(count - sum(map(len, some)), seed)
+    return np.concatenate([inside, *some])
+
+
+def expected(policy, states, outside):
+    """Return symbols and statuses, as the docstring of `Policy` says them."""
+    finite = np.isfinite(states).all(axis=1)
+    inside = policy.domain.contains(states)
+    statuses = np.where(inside, INSIDE, np.where(finite, OUTSIDE, NOT_FINITE))
+    symbols = np.full(len(states), -2 if isinstance(outside, str) else outside)
+    known = finite if outside == "nearest" else inside
+    symbols[known] = policy(states[known], "nearest")
+    return symbols, statuses
+
+
+@functools.cache
+def many_symbols():
+    """Return a policy of 40 symbols, whose masks need two words."""
+    tree = random_tree((3, 2), (2, 2), 3, leaf_count=41, seed=5)
+    box = Box([0.1, -2], [0.7, 3], periodic=[False, True])
+    return Policy("many", box, Alphabet(np.arange(40.0)), [0.5], tree)
+
+
+POLICIES = {
+    "cart-pendulum": lambda: built_in("cart-pendulum"),
+    "cart-pole": lambda: built_in("cart-pole"),
+    "exact": lambda: compress(built_in("cart-pendulum-4"), "exact"),
+    "oblique": oblique,
+    "periodic 1-D": lambda: random_policy(2, periodic=True),
+    "many symbols": many_symbols,
+    **{
+        f"random {grid}{kind}": functools.partial(random_policy, grid, True, 0, bool(kind))
+        for grid in range(len(GRIDS))
+        for kind in ("", " adaptive")
+    },
+}
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_symbols_are_those_of_python(name, tmp_path):
+    policy = POLICIES[name]()
+    states = states_for(policy)
+    assert len(states) == 10_000
+    rules = ["error", "nearest", len(policy.alphabet) - 1, -1]
+    code = (
+        LOOKUP
+        + """
+      const states = numbers(input.states);
+      print(input.rules.map(rule => states.map(x => {
+        const { symbol, status } = lookup.symbol(x, rule);
+        return [symbol, status];
+      })));
+    """
+    )
+    found = np.array(node(tmp_path, code, policy, states=texts(states), rules=rules))
+    for rule, answers in zip(rules, found):
+        symbols, statuses = expected(policy, states, rule)
+        np.testing.assert_array_equal(answers[:, 0], symbols)
+        np.testing.assert_array_equal(answers[:, 1], statuses)
+
+
+def test_the_rule_is_the_policys_own_unless_given(tmp_path):
+    for rule in ("error", "nearest", 1, -1):
+        policy = dataclasses.replace(random_policy(3), outside=rule)
+        away = policy.domain.upper + 1
+        code = LOOKUP + "print(lookup.symbol(numbers(input.states)[0]));"
+        found = node(tmp_path, code, policy, states=texts(away[None]))
+        assert found["status"] == OUTSIDE
+        if rule == "error":
+            assert found["symbol"] == -2
+            with pytest.raises(OutsideDomainError):
+                policy(away)
+        else:
+            assert found["symbol"] == policy(away)
+
+
+CELL = """
+  print(numbers(input.states).map(x => lookup.cell(x)));
+"""
+
+
+@pytest.mark.parametrize("name", ["cart-pendulum", "many symbols", "random 6", "exact"])
+def test_cells_are_those_of_python(name, tmp_path):
+    policy = POLICIES[name]()
+    cells, domain = policy.cells, policy.domain
+    states = states_for(policy, 2000)
+    found = node(tmp_path, LOOKUP + CELL, policy, states=texts(states))
+    inside = domain.contains(states)
+    assert [cell is not None for cell in found] == inside.tolist()
+    boxes = cells.boxes()
+    row_of = {place: row for row, place in enumerate(boxes.places.tolist())}
+    places = cells.find(domain.locate(states[inside], cells.counts))
+    lower, upper = (domain.points(corner, cells.counts) for corner in (boxes.lower, boxes.upper))
+    masks = dict(
+        zip(cells.mixed_cells.tolist(), getattr(cells, "mixed_labels", np.empty(0)).tolist())
+    )
+    labels = len(policy.alphabet) + 1
+    several = 0
+    for place, cell in zip(places.tolist(), (cell for cell in found if cell)):
+        row = row_of[place]
+        label = int(boxes.labels[row])
+        mask = masks.get(place, 1 << label)
+        seen = [b if b < labels - 1 else -1 for b in range(labels) if mask >> b & 1]
+        level = boxes.levels[row] if isinstance(cells, CellTree) else cells.depths[place]
+        assert cell["leaf"] == place and cell["level"] == level
+        assert cell["lower"] == lower[row].tolist() and cell["upper"] == upper[row].tolist()
+        assert cell["symbol"] == (label if label < labels - 1 else -1)
+        assert cell["allowed"] == seen
+        several += len(seen) > 1
+    assert several > 10 or not isinstance(cells, CellTree)
+
+
+def test_cells_of_oblique_splits_have_no_corners(tmp_path):
+    policy = oblique()
+    states = policy.domain.sample(500)
+    found = node(tmp_path, LOOKUP + CELL, policy, states=texts(states))
+    places = policy.cells.find(policy.domain.locate(states, policy.cells.counts))
+    assert [cell["leaf"] for cell in found] == places.tolist()
+    assert any(cell["lower"] is None for cell in found)
+    assert [cell["symbol"] for cell in found] == policy(states).tolist()
+
+
+RASTER = """
+  print(input.views.map(view => lookup[input.what ?? "raster"](view)));
+"""
+
+
+def centres(policy, view):
+    """Return the states (height, width, n) at the centres of a view's pixels."""
+    (i, j), (x0, x1, y0, y1) = view["axes"], view["bounds"]
+    width, height = view["width"], view["height"]
+    states = np.tile(np.array(view["fixed"], dtype=float), (height, width, 1))
+    states[:, :, i] = x0 + (np.arange(width) + 0.5) / width * (x1 - x0)
+    states[:, :, j] = (y1 - (np.arange(height) + 0.5) / height * (y1 - y0))[:, None]
+    return states
+
+
+def views_of(policy, seed=0):
+    """Return views of planes: the whole domain, beyond it, and close up; both orders of axes."""
+    domain, rng = policy.domain, np.random.default_rng(seed)
+    for i, j in ((0, domain.n - 1), (domain.n - 1, 0)):
+        for low, high in ((0, 1), (-0.7, 2.3), (0.41, 0.47)):
+            bounds = [
+                float(domain.lower[k] + share * domain.widths[k])
+                for k in (i, j)
+                for share in (low, high)
+            ]
+            fixed = domain.sample(1, int(rng.integers(1000)))[0].tolist()
+            yield {"axes": [i, j], "fixed": fixed, "bounds": bounds, "width": 83, "height": 57}
+
+
+def seen_at_level(policy, states, level):
+    """Return what Algorithm 1 knew of states (B, n) in the domain at a level: a symbol or -3."""
+    cells = policy.cells
+    steps = policy.domain.locate(states, cells.counts)
+    found = np.full(len(states), -3)
+    for here, places, lower, sizes in cells.levels():
+        if here > level:
+            break
+        for entry, corner, size in zip(cells.entries[places], lower, sizes):
+            inside = ((steps >= corner) & (steps < corner + size)).all(axis=1)
+            if entry < 0:
+                found[inside] = -1 - entry
+    found[found == len(policy.alphabet)] = -1
+    return found
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["cart-pendulum", "cart-pole", "exact", "oblique", "oblique 4-D", "random 6", "random 7"]
+    + [f"random {grid} adaptive" for grid in (3, 6, 7)],
+)
+def test_pixels_have_the_symbols_of_their_centres(name, tmp_path):
+    policy = oblique_4() if name == "oblique 4-D" else POLICIES[name]()
+    views = list(views_of(policy))
+    found = node(tmp_path, LOOKUP + RASTER, policy, views=views)
+    for view, pixels in zip(views, found):
+        states = centres(policy, view).reshape(-1, policy.domain.n)
+        symbols, _ = expected(policy, states, "error")
+        np.testing.assert_array_equal(pixels, symbols)
+
+
+@functools.cache
+def oblique_4():
+    problem = problems.get("cart-pole").replace(partitions=2, max_level=2)
+    return compress(synthesize(problem), "linear", agreement=0.9, states=5000)
+
+
+@pytest.mark.parametrize("name", ["cart-pendulum", "random 3", "random 7", "random 7 adaptive"])
+def test_levels_show_what_the_algorithm_knew(name, tmp_path):
+    policy = POLICIES[name]()
+    views = [
+        view | {"level": level}
+        for view in list(views_of(policy))[:2]
+        for level in range(policy.cells.depth + 1)
+    ]
+    found = node(tmp_path, LOOKUP + RASTER, policy, views=views)
+    mixed = 0
+    for view, pixels in zip(views, found):
+        states = centres(policy, view).reshape(-1, policy.domain.n)
+        inside = policy.domain.contains(states)
+        symbols = np.full(len(states), -2)
+        symbols[inside] = seen_at_level(policy, states[inside], view["level"])
+        np.testing.assert_array_equal(pixels, symbols)
+        mixed += (symbols == -3).sum()
+    assert mixed
+
+
+@pytest.mark.parametrize("name", ["cart-pendulum", "random 7", "random 7 adaptive", "exact"])
+def test_levels_are_as_many_as_the_slider_shows(name, tmp_path):
+    policy = POLICIES[name]()
+    levels = node(tmp_path, LOOKUP + "print(lookup.levels);", policy)
+    if not isinstance(policy.cells, CellTree):
+        assert levels == 0
+    else:
+        adaptive = policy.cells.splits is not None
+        assert levels == (policy.cells.depth if adaptive else policy.cells.max_level)
+        assert not adaptive or levels > policy.cells.max_level
+
+
+def test_places_are_those_of_cells(tmp_path):
+    policy = built_in("cart-pendulum")
+    view = next(views_of(policy))
+    found = node(tmp_path, LOOKUP + RASTER, policy, views=[view], what="places")[0]
+    states = centres(policy, view).reshape(-1, 2)
+    places = policy.cells.find(policy.domain.locate(states, policy.cells.counts))
+    np.testing.assert_array_equal(found, places)

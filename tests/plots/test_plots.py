@@ -1,0 +1,139 @@
+"""Pictures of policies, asserted by what was put on the axes."""
+
+import dataclasses
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+import capsyn
+from capsyn import Problem, problems, simulate, synthesize
+from capsyn.errors import ProblemError
+from capsyn.plots.policy import plot_policy, save_policy_plot
+from capsyn.plots.trajectory import plot_trajectory, save_trajectory_plot
+from capsyn.policies.colors import PALETTE, symbol_colors
+
+
+def policy_of(n, symbols=2, level=2):
+    names = ["a", "b", "c", "d"][:n]
+    box = capsyn.Box([-1.0] * n, [1.0] * n, names=names, units=["m"] + [""] * (n - 1))
+    return capsyn.subdivide(
+        lambda x: np.minimum((np.abs(x).sum(axis=1) * 2).astype(int), symbols - 1),
+        box,
+        symbols,
+        partitions=3,
+        max_level=level,
+    )
+
+
+def area(path):
+    x, y = path.vertices[:4].T
+    return np.ptp(x) * np.ptp(y)
+
+
+@pytest.mark.parametrize(("n", "plane"), [(2, (0, 1)), (3, (2, 0)), (4, ("d", "b"))])
+def test_the_cells_in_a_plane_tile_it_and_have_the_lookups_colours(n, plane):
+    policy = policy_of(n)
+    indices = [policy.domain.names.index(p) if isinstance(p, str) else p for p in plane]
+    at = {name: 0.3 for i, name in enumerate(policy.domain.names) if i not in indices}
+    ax = plot_policy(policy, plane, at, Figure().add_subplot())
+    paths = [path for cells in ax.collections for path in cells.get_paths()]
+    colours = [color for cells in ax.collections for color in cells.get_facecolor()]
+    assert sum(map(area, paths)) == pytest.approx(4.0)
+    states = np.full((len(paths), n), 0.3)
+    states[:, indices] = [path.vertices[:4].mean(axis=0) for path in paths]
+    wanted = [PALETTE[k] for k in policy(states)]
+    assert [to_hex(c).upper() for c in colours] == wanted
+
+
+def test_axes_carry_names_units_bounds_and_a_legend_with_the_symbols_seen():
+    ax = plot_policy(policy_of(2, symbols=3), ax=Figure().add_subplot())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("a [m]", "b")
+    assert (*ax.get_xlim(), *ax.get_ylim()) == (-1, 1, -1, 1)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["0", "1", "2"]
+
+
+def test_many_symbols_get_different_colours():
+    for count in (1, 8, 9, 63):
+        assert len({to_hex(color) for color in symbol_colors(count)}) == count
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"plane": (0, 0)}, "`plane`"),
+        ({"plane": (0, 5)}, "`plane`"),
+        ({"plane": ("a", "z")}, "`plane`"),
+        ({"plane": ("a",)}, "`plane`"),
+        ({"at": {"z": 0.0}}, "`at`"),
+        ({"at": {"a": 0.0}}, "`at` must name states outside the plane"),
+        ({"at": {"c": np.nan}}, "`at c`"),
+        ({"at": {"c": 7.0}}, r"`at c` must lie in \[-1, 1\]; got 7"),
+    ],
+)
+def test_bad_arguments(options, words):
+    with pytest.raises(ProblemError, match=words):
+        plot_policy(policy_of(3), **options)
+
+
+def test_one_state_cannot_be_drawn():
+    with pytest.raises(ProblemError, match="two states"):
+        plot_policy(policy_of(1))
+
+
+def test_a_failing_save_keeps_the_old_picture(tmp_path):
+    path = tmp_path / "p.png"
+    path.write_text("old")
+    with pytest.raises(ProblemError):
+        save_policy_plot(policy_of(2), path, plane=(0, 7))
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_trajectories_are_drawn_by_state_and_control():
+    policy = policy_of(2, symbols=3)
+    problem = Problem(
+        name="drift",
+        dynamics=lambda x, u: [0.1, -0.2],
+        domain=policy.domain,
+        alphabet=policy.alphabet,
+        default=policy.default,
+        horizon=1.0,
+        running_cost=lambda x: x[0] ** 2,
+    )
+    for x0 in ([0.0, 0.0], [[0.0, 0.0], [0.5, -0.5]]):
+        run = simulate(policy, x0, 1.0, 10.0, model=problem)
+        axes = plot_trajectory(run, Figure().subplots(2 + policy.alphabet.m))
+        lines = [ax.get_lines() for ax in axes]
+        assert all(len(drawn) == np.ndim(x0) for drawn in lines)
+        states, controls = run.states.reshape(-1, 11, 2), run.controls.reshape(-1, 10, 1)
+        for k in range(np.ndim(x0)):
+            assert np.array_equal(lines[0][k].get_ydata(), states[k, :, 0])
+            assert np.array_equal(lines[2][k].get_ydata()[:-1], controls[k, :, 0])
+        assert axes[0].get_ylabel() == "a [m]" and axes[-1].get_xlabel() == "time [s]"
+    with pytest.raises(ProblemError, match="`axes` must be 3 Axes"):
+        plot_trajectory(run, Figure().subplots(2))
+
+
+def test_a_picture_of_a_trajectory_is_the_same_bytes_each_time(tmp_path):
+    run = simulate(synthesize(problems.get("double-tank-b"), max_level=1), [0.2, 0.3], 0.1, 100.0)
+    for name in ("one.svg", "two.svg"):
+        save_trajectory_plot(run, tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+    with pytest.raises(ProblemError, match="a picture must end in"):
+        save_trajectory_plot(run, tmp_path / "one.gif")
+
+
+def test_gaps_beside_oblique_surfaces_have_the_colour_of_the_default():
+    box = capsyn.Box([-1, -1], [1, 1])
+    options = {"leaves": "affine", "max_level": 1, "partitions": 4}
+    made = capsyn.subdivide(lambda x: np.where(x[:, 0] < x[:, 1], 0, -1), box, 1, **options)
+    images = []
+    for policy in (made, dataclasses.replace(made, gaps=True)):
+        assert policy.has_planes
+        images.append(plot_policy(policy, ax=Figure().add_subplot()).images[0].get_array())
+    assert np.array_equal(*images) and len(np.unique(images[0].reshape(-1, 3), axis=0)) == 2
