@@ -99,6 +99,7 @@ def test_the_text_says_what_works_without(tmp_path, monkeypatch):
 def test_the_files_beside_modules_are_looked_for():
     root = Path(capsyn.__file__).parent
     files = {path for path in root.rglob("*") if path.suffix in (".c", ".json", ".typed")}
+    files |= set((root / "exports").rglob("*.js"))
     files |= {path for path in (root / "explorer").glob("page.*") if path.is_file()}
     files |= {root / "explorer" / "page" / "page.html", root / "explorer/vendor/uPlot.LICENSE"}
     listed = [root / folder / name for folder, names in cli_doctor.DATA.items() for name in names]

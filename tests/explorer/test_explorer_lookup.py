@@ -14,7 +14,9 @@ from support.exported import built_in, oblique
 from support.trees import GRIDS, random_policy, random_tree, states_at_faces
 
 LOOKUP = (
-    'import { makeLookup } from "./lookup.js";' + BEGIN + "const lookup = makeLookup(input.policy);"
+    'import { makeLookup } from "./explorer/page/lookup.js";'
+    + BEGIN
+    + "const lookup = makeLookup(input.policy);"
 )
 INSIDE, OUTSIDE, NOT_FINITE = 0, 1, 2
 

@@ -19,7 +19,8 @@ from support.random_programs import random_program
 from support.trees import random_policy
 
 LOOP = (
-    'import { makeLookup } from "./lookup.js"; import { makeLoop } from "./loop.js";'
+    'import { makeLookup } from "./explorer/page/lookup.js";'
+    'import { makeLoop } from "./explorer/page/loop.js";'
     'import { model } from "./model.js";'
     + BEGIN
     + "const loop = makeLoop(input.policy, makeLookup(input.policy), model);"

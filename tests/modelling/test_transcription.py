@@ -197,7 +197,12 @@ def kernel_source(model: Model) -> str:
     lanes = [p.to_c(name, uniform=["dt", "rounding"]) for name, p in zip(names, programs)]
     sizes = f"#define STATES {model.step.outputs[0][1]}\n"
     sizes += f"#define SYMBOLS {model.insertion.outputs[0][1]}\n"
-    return declarations(programs, "double", 64) + sizes + "".join(lanes) + hand_written("ssac.c")
+    return (
+        declarations(programs, "double", 64)
+        + sizes
+        + "".join(lanes)
+        + hand_written("controllers/ssac.c")
+    )
 
 
 def scalar_loops(source: str, directory) -> list[str]:

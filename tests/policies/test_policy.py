@@ -355,7 +355,7 @@ def test_without_a_compiler_numpy_answers_with_a_warning(plane, monkeypatch):
 
     states = plane.domain.sample(100)
     wanted = plane(states)
-    monkeypatch.setattr(policy, "_built_lookup_kernel", broken)
+    monkeypatch.setattr(lookup, "_built", broken)
     monkeypatch.setattr(lookup, "COMPILED_FROM", 100)
     with pytest.warns(CapsynWarning, match="looking up with NumPy: no C compiler found"):
         assert np.array_equal(plane(states), wanted)

@@ -305,7 +305,7 @@ def test_solves_that_suffice_surely_are_not_counted(monkeypatch):
 def test_a_time_budget_stops_after_a_block(leaves, monkeypatch, tmp_path):
     clock = itertools.count()
     kind = "round" if leaves == "affine" else leaves
-    module = f"capsyn.{kind}_subdivision.time"
+    module = f"capsyn.subdivision.{kind}.time"
 
     class Clock:
         perf_counter = staticmethod(lambda: float(next(clock)))

@@ -12,7 +12,7 @@ from capsyn.explorer.policy_data import policy_data
 from capsyn.explorer.program_javascript import model_javascript
 
 NODE = shutil.which("node")
-PAGE = Path(capsyn.explorer.__file__).parent / "page"
+HOME = Path(capsyn.explorer.__file__).parents[1]
 BEGIN = """
 import { readFileSync } from "node:fs";
 const input = JSON.parse(readFileSync(process.argv[2], "utf8"));
@@ -32,8 +32,10 @@ def node(directory, code, policy, **given):
     """Return what a script prints of ``input``: a policy's data and what else is given."""
     if not NODE:
         pytest.skip("needs node: apt-get install nodejs")
-    for path in PAGE.glob("*.js"):
-        (directory / path.name).write_bytes(path.read_bytes())
+    for path in [*HOME.rglob("explorer/page/**/*.js"), *HOME.rglob("exports/**/*.js")]:
+        copy = directory / path.relative_to(HOME)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(path.read_bytes())
     (directory / "model.js").write_text(model_javascript(policy))
     (directory / "package.json").write_text('{"type": "module"}')
     (directory / "run.js").write_text(code)

@@ -8,8 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
-from importlib import metadata
-from pathlib import Path
+from importlib import metadata, resources
 from typing import Any
 
 import typer
@@ -93,7 +92,7 @@ def examine() -> dict[str, Any]:
     from capsyn.execution.processors import processors
 
     packages = [_package(text) for text in metadata.requires("capsyn") or [] if ";" not in text]
-    root = Path(__file__).parent
+    root = resources.files("capsyn")
     missing = [f"{folder}/{name}" for folder, names in DATA.items() for name in names]
     missing = [name for name in missing if not (root / name).is_file()]
     broken = [f"{p['name']}: {p['trouble']}" for p in packages if p["trouble"]]

@@ -38,8 +38,6 @@ ROOM = 4
 kept or fitted; for one round. One in so many bytes is for a block of cells."""
 TIMED_BYTES = 10**8
 """Memory of the blocks between which the clock is looked at."""
-ENDLESS = 2**62
-"""Memory that is unknown [bytes]."""
 
 
 def level_for_precision(
@@ -218,11 +216,11 @@ def block_parents(limits: Limits, parents: int, need: int, left: int, taken: int
 
 
 def memory_bound(limits: Limits) -> int:
-    """Return what a run may take [bytes]: as given, else what is available, if that is known."""
-    for given in (limits.max_memory, limits.memory_limit, available_memory()):
-        if given is not None:
-            return given
-    return ENDLESS
+    """Return what a run may take [bytes]: as given, else what is available."""
+    for bound in (limits.max_memory, limits.memory_limit):
+        if bound is not None:
+            return bound
+    return available_memory()
 
 
 def worst_case_rounds_memory(
@@ -305,8 +303,7 @@ def check_memory(
 
     A budget of solves or of memory bounds the worst case; that of memory must do for the root grid.
     """
-    available = available_memory()
-    limit = available if limits.memory_limit is None else limits.memory_limit
+    limit = available_memory() if limits.memory_limit is None else limits.memory_limit
     room = block_room(limits)
 
     def need(level: int, q: Sequence[int] = partitions, most: int | None = None) -> int:
@@ -328,7 +325,7 @@ def check_memory(
             f"got {budget:,}: {fewer(budget)}"
         )
     worst = need(max_level) if budget is None else min(need(max_level), budget)
-    if limit is None or worst <= limit:
+    if worst <= limit:
         return
     fits = max((k for k in range(max_level) if need(k) <= limit), default=None)
     advice = fewer(limit) if fits is None else f"max_level <= {fits} fits"
