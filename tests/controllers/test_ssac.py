@@ -219,6 +219,13 @@ def test_results_do_not_depend_on_batch_order_size_or_position(backend):
     assert batch.masks(states[:0]).shape == (0,)
 
 
+def with_settings(batch: BatchController, settings: SsacSettings) -> BatchController:
+    """Return a controller with other settings."""
+    return dataclasses.replace(
+        batch, formulation=dataclasses.replace(batch.formulation, settings=settings)
+    )
+
+
 def fixed(solution: Solution, **options) -> BatchController:
     """Return a controller of three symbols u = 0, 1, 2 whose every solve is this solution."""
     values = np.array([[0.0], [1.0], [2.0]])
@@ -470,7 +477,7 @@ def test_steps_that_are_too_long_to_be_stable_are_never_chosen(rate):
     problem = stiff(rate)
     batch = controller(problem)
     states = problem.domain.sample(500, seed=14)
-    exact = dataclasses.replace(batch, settings=SsacSettings(steps=20_000))
+    exact = with_settings(batch, SsacSettings(steps=20_000))
     true, found = exact.solve(states), batch.solve(states)
     assert np.isfinite(true.gradients).all()
     error = np.abs(found.gradients - true.gradients) / true.scales
@@ -495,9 +502,8 @@ def motor(horizon) -> Problem:
 def test_unstable_steps_that_agree_on_garbage_are_seen(horizon):
     problem = motor(horizon)
     batch, states = controller(problem), problem.domain.sample(300, seed=3)
-    exact = dataclasses.replace(
-        batch, settings=dataclasses.replace(batch.settings, steps=round(5000 * horizon))
-    )
+    steps = round(5000 * horizon)
+    exact = with_settings(batch, dataclasses.replace(batch.settings, steps=steps))
     assert batch.settings.steps > 350 * horizon  # Runge-Kutta is unstable below 1000 / 2.79
     assert np.mean(batch.symbols(states) == exact.symbols(states)) > 0.99
 

@@ -149,10 +149,10 @@ def test_doctor_says_whether_the_installation_is_whole(clean, tmp_path):
     data = json.loads(run(clean, "capsyn", "doctor", "--json")[0])
     assert data["broken"] == [] and "no C compiler" in data["compiler"]["trouble"]
     assert {tool["version"] for tool in data["commands"]} == {None}
-    (source,) = clean.glob("lib/python*/site-packages/capsyn/native/ssac.c")
+    (source,) = clean.glob("lib/python*/site-packages/capsyn/controllers/ssac.c")
     source.rename(tmp_path / "ssac.c")
     try:
         err = run(clean, "capsyn", "doctor", code=1)[1]
     finally:
         (tmp_path / "ssac.c").rename(source)
-    assert err == "error: broken installation: the file native/ssac.c is missing\n"
+    assert err == "error: broken installation: the file controllers/ssac.c is missing\n"

@@ -304,7 +304,7 @@ def test_solves_that_suffice_surely_are_not_counted(monkeypatch):
 @pytest.mark.parametrize("leaves", ["constant", "affine"])
 def test_a_time_budget_stops_after_a_block(leaves, monkeypatch, tmp_path):
     clock = itertools.count()
-    kind = "round" if leaves == "affine" else leaves
+    kind = "rounds" if leaves == "affine" else leaves
     module = f"capsyn.subdivision.{kind}.time"
 
     class Clock:

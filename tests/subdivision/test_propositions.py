@@ -205,8 +205,8 @@ def test_root_grid_that_does_not_fit_asks_for_fewer_partitions(monkeypatch):
         props.check_memory(*PAPER, 3, CENTER, 1, Limits())
 
 
-def test_unknown_memory_refuses_nothing(monkeypatch):
-    monkeypatch.setattr(props, "available_memory", lambda: None)
+def test_memory_that_suffices_refuses_nothing(monkeypatch):
+    monkeypatch.setattr(props, "available_memory", lambda: 2**80)
     props.check_memory((9,) * 6, (2,) * 6, 20, CENTER, 8, Limits())
 
 

@@ -88,7 +88,7 @@ def answerer(
             label, threads = RemoteLabels(workers), IN_FLIGHT
             stack.callback(label.close)
         if checkpoint is not None:
-            document = manifest(controller) | {"answers": method, **(about or {})}
+            document = {**(about or {}), "answers": method, **manifest(controller)}
             label = stack.enter_context(Checkpoint(checkpoint, document)).remember(label)
         yield Answerer(controller, label, threads)
 

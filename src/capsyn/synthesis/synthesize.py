@@ -162,7 +162,7 @@ def synthesize(
         "seed": seed,
     }
     method = "scored" if affine else "masks"
-    about = asked | {
+    about = {
         "name": problem.name,
         "alphabet": problem.alphabet.to_json(),
         "partitions": list(problem.partitions),
@@ -170,6 +170,7 @@ def synthesize(
         "max_level": problem.max_level,
         "outside": problem.outside,
         "min_dwell": problem.min_dwell,
+        **asked,
     }
     with answerer(controller, method, threads, backend, executor, checkpoint, about) as answers:
         controller = answers.controller
