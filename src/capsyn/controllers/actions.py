@@ -55,15 +55,15 @@ class NumpyActions:
         model, steps = formulation.model, formulation.settings.steps
         assert steps is not None
         dt, m = [formulation.horizon / steps], formulation.values.shape[1]
-        found = np.zeros(count, action_type(m))
-        found["base_symbol"] = -1
+        actions = np.zeros(count, action_type(m))
+        actions["base_symbol"] = -1
         x, total, path, controls = states.T, np.zeros(count), [], []
         for k in range(steps):
             if isinstance(signal, Policy):
                 labels = predicted_labels(signal, x.T)
                 u = signal.controls[labels].T
                 if k == 0:
-                    found["base_symbol"] = np.where(labels == len(signal.alphabet), -1, labels)
+                    actions["base_symbol"] = np.where(labels == len(signal.alphabet), -1, labels)
             else:
                 u = np.tile(signal[k][:, None], count)
             path.append(x)
@@ -79,7 +79,7 @@ class NumpyActions:
             adjoints.append(model.adjoint.evaluate(path[k], controls[k], dt, adjoints[-1])[0])
         adjoints.reverse()
 
-        found["cost"], found["base"], found["control"] = total, controls[0].T, controls[0].T
+        actions["cost"], actions["base"], actions["control"] = total, controls[0].T, controls[0].T
         search = self.formulation.settings.application_time == "search"
         best = np.full(count, np.inf)
         for k in range(steps + 1 if search or schedules is not None else 1):
@@ -90,13 +90,13 @@ class NumpyActions:
                 value = np.sqrt((control**2).sum(axis=0)) + gradient + (k * dt[0]) ** EXPONENT
                 take = value < best if search else np.full(count, k == 0)
             best[take] = value[take]
-            found["time"][take] = k * dt[0]
-            found["gradient"][take] = gradient[take]
-            found["symbol"][take] = symbol[take]
-            found["control"][take] = control.T[take]
-        wanted = np.isfinite(total) & (found["gradient"] < 0)
-        self._search_duration(found, np.flatnonzero(wanted), path[0], controls)
-        return found
+            actions["time"][take] = k * dt[0]
+            actions["gradient"][take] = gradient[take]
+            actions["symbol"][take] = symbol[take]
+            actions["control"][take] = control.T[take]
+        wanted = np.isfinite(total) & (actions["gradient"] < 0)
+        self._search_duration(actions, np.flatnonzero(wanted), path[0], controls)
+        return actions
 
     def _schedule(
         self, x: np.ndarray, u: np.ndarray, rho: np.ndarray, cost: np.ndarray
@@ -117,15 +117,15 @@ class NumpyActions:
         return control, np.where(chosen, gradients[symbol, np.arange(count)], 0.0), symbol
 
     def _search_duration(
-        self, found: np.ndarray, rows: np.ndarray, x0: np.ndarray, controls: list[np.ndarray]
+        self, actions: np.ndarray, rows: np.ndarray, x0: np.ndarray, controls: list[np.ndarray]
     ) -> None:
         """Find start, duration and decrease of the actions `rows`, in place."""
         settings = self.formulation.settings
         width = settings.initial_duration
         for attempt in range(settings.max_backtracks + 1):
-            start = np.maximum(found["time"][rows] - width, 0.0)
-            stop = np.minimum(found["time"][rows] + width, self.formulation.horizon)
-            action = found["control"][rows].T
+            start = np.maximum(actions["time"][rows] - width, 0.0)
+            stop = np.minimum(actions["time"][rows] + width, self.formulation.horizon)
+            action = actions["control"][rows].T
             base = [u[:, rows] for u in controls[:-1]]
             idle = self._cost(x0[:, rows], base, action, start, stop, False)
             acting = self._cost(x0[:, rows], base, action, start, stop, True)
@@ -133,8 +133,8 @@ class NumpyActions:
             with np.errstate(invalid="ignore"):
                 good = acting < idle - (0.0 if last else settings.descent * np.abs(idle))
             taken = rows[good]
-            found["start"][taken], found["duration"][taken] = start[good], (stop - start)[good]
-            found["decrease"][taken] = (idle - acting)[good]
+            actions["start"][taken], actions["duration"][taken] = start[good], (stop - start)[good]
+            actions["decrease"][taken] = (idle - acting)[good]
             rows, width = rows[~good], width * settings.shrink
 
     def _cost(

@@ -150,48 +150,48 @@ class OnlineController:
                 feed = self._feed(time)
                 options = ActionOptions.from_buffer_copy(options)  # other threads have their own
                 options.feed = feed.ctypes.data
-            found = self.kernel(flat, options, schedules)
+            records = self.kernel(flat, options, schedules)
         else:
             policy = self.background if isinstance(self.background, Policy) else None
-            found = self.numpy(flat, policy or self._feed(time), schedules)
+            records = self.numpy(flat, policy or self._feed(time), schedules)
         if signal is not None:  # now, not in the middle of the first step
-            found["base"] = self.alphabet.control("default", signal(time))
-            idle = found["symbol"] == -1
-            found["control"][idle] = found["base"][idle]
-        found = found.reshape(shape)
+            records["base"] = self.alphabet.control("default", signal(time))
+            idle = records["symbol"] == -1
+            records["control"][idle] = records["base"][idle]
+        records = records.reshape(shape)
         return Actions(
-            symbol=found["symbol"][()],  # [()]: numbers of a single state, not arrays
-            control=found["control"][()],
-            application_time=found["time"][()],
-            start=found["start"][()],
-            duration=found["duration"][()],
-            gradient=found["gradient"][()],
-            cost=found["cost"][()],
-            decrease=found["decrease"][()],
-            base=found["base"][()],
-            base_symbol=found["base_symbol"][()],
+            symbol=records["symbol"][()],  # [()]: numbers of a single state, not arrays
+            control=records["control"][()],
+            application_time=records["time"][()],
+            start=records["start"][()],
+            duration=records["duration"][()],
+            gradient=records["gradient"][()],
+            cost=records["cost"][()],
+            decrease=records["decrease"][()],
+            base=records["base"][()],
+            base_symbol=records["base_symbol"][()],
             schedule=None if schedules is None else schedules.reshape((*shape, steps + 1, m)),
         )
 
     def __call__(self, time: float, states: Any) -> np.ndarray:
         """Return the controls (..., m) that act at once in states (..., n) at a time [s]."""
-        found = self.actions(states, time)
-        acts = np.asarray((found.duration > 0) & (found.start <= 0))
-        return np.where(acts[..., None], found.control, found.base)
+        planned = self.actions(states, time)
+        acts = np.asarray((planned.duration > 0) & (planned.start <= 0))
+        return np.where(acts[..., None], planned.control, planned.base)
 
     def decide(self, time: float, measured: np.ndarray) -> Command:
         """Return the command over a sample: default control, action, default control.
 
         `measured` are the states (B, n) at `time` [s]; `simulate` calls this.
         """
-        found = self.actions(measured, time)
-        start = np.where(found.duration > 0, found.start, np.inf)
-        stop, now = start + found.duration, start <= 0
-        first = np.where(now[:, None], found.control, found.base)
+        planned = self.actions(measured, time)
+        start = np.where(planned.duration > 0, planned.start, np.inf)
+        stop, now = start + planned.duration, start <= 0
+        first = np.where(now[:, None], planned.control, planned.base)
         return Command(
-            np.stack([first, found.control, found.base], axis=1),
+            np.stack([first, planned.control, planned.base], axis=1),
             np.stack([np.where(now, stop, start), stop, np.full(len(start), np.inf)], axis=1),
-            np.where(now, found.symbol, found.base_symbol),
+            np.where(now, planned.symbol, planned.base_symbol),
             np.full(len(start), TIME),
             np.zeros(len(start), dtype=bool),
         )

@@ -31,12 +31,12 @@ def kind(answer: Answer) -> tuple[Any, ...]:
 
 def digest(arrays: Mapping[str, np.ndarray], about: str = "") -> str:
     """Return the SHA-256 of arrays, bit by bit, and of a text."""
-    found = hashlib.sha256(about.encode())
+    hashed = hashlib.sha256(about.encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
-        found.update(f"{name}:{array.dtype.str}:{array.shape}".encode())
-        found.update(array.data)
-    return found.hexdigest()
+        hashed.update(f"{name}:{array.dtype.str}:{array.shape}".encode())
+        hashed.update(array.data)
+    return hashed.hexdigest()
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class Packed:
     def answer(self, i: int) -> Answer:
         """Return one of the answers; it shares the packed memory where the type is the same."""
         start, stop = self._ends[i : i + 2]
-        found = tuple(
+        values = tuple(
             column[start:stop].astype(dtype, copy=False)
             for column, dtype in zip(self.columns, self.dtypes)
         )
-        return found if self.together else found[0]
+        return values if self.together else values[0]
 
     def answers(self) -> list[Answer]:
         """Return the answers."""

@@ -154,14 +154,15 @@ class Checkpoint:
         own = json.loads(json.dumps(own))
         if own == there:
             return settled
-        told = [
+        differences = [
             f"`{key}` is {describe(there.get(key), 40)} there, {describe(own.get(key), 40)} here"
             for key in dict.fromkeys([*own, *there])
             if own.get(key) != there.get(key)
         ]
         raise ProblemError(
             one_line(
-                f"the checkpoint '{self._directory}' is of another run: {'; '.join(told)}", 400
+                f"the checkpoint '{self._directory}' is of another run: {'; '.join(differences)}",
+                400,
             )
         )
 
@@ -269,9 +270,9 @@ class Remembered:
 
 
 def _key(states: np.ndarray) -> bytes:
-    found = hashlib.blake2b(repr(states.shape).encode(), digest_size=HASH_BYTES)
-    found.update(np.ascontiguousarray(states, dtype=np.float64).data)
-    return found.digest()
+    hashed = hashlib.blake2b(repr(states.shape).encode(), digest_size=HASH_BYTES)
+    hashed.update(np.ascontiguousarray(states, dtype=np.float64).data)
+    return hashed.digest()
 
 
 def _write_block(path: Path, new: list[tuple[bytes, Answer]]) -> None:

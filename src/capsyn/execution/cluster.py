@@ -185,18 +185,18 @@ class Workers:
     def __init__(self, client: Any, job_of: Callable[[str], Job], backend: str, used: str) -> None:
         self._client, self._used = client, used
         self._threads, self._asked = 1, -np.inf
-        found = self._inspect(job_of(used))
-        lacking = {who: report["lacks"] for who, report in found.items() if "lacks" in report}
-        if lacking and backend == "auto" and len(lacking) == len(found):
+        reports = self._inspect(job_of(used))
+        lacking = {who: report["lacks"] for who, report in reports.items() if "lacks" in report}
+        if lacking and backend == "auto" and len(lacking) == len(reports):
             self._used = "numpy"
             who, reason = min(lacking.items())
             warn(f"all workers solve with NumPy, and so does this process: worker {who}: {reason}")
-            found = self._inspect(job_of("numpy"))
+            reports = self._inspect(job_of("numpy"))
         elif lacking:
             who, reason = min(lacking.items())
             advice = "" if backend == "c" else '; with backend "numpy" all can take part'
             raise ProblemError(f"worker {who} cannot take part: {reason}{advice}")
-        self._check(found)
+        self._check(reports)
         self._plain = client.submit(_same, self._job.plain, key=f"capsyn-job-{self._job.key}")
 
     @property
@@ -208,18 +208,18 @@ class Workers:
         """Let every worker build the job, and return what they report."""
         self._job = job
         self._expected = _ready(job.build, job.key, job.plain)[1]
-        found = self._client.run(
+        reports = self._client.run(
             _report, job.build, job.key, job.plain, __version__, on_error="return"
         )
-        for who, report in found.items():
+        for who, report in reports.items():
             if isinstance(report, BaseException):
                 reason = one_line(f"{type(report).__name__}: {report}")
                 raise ProblemError(f"worker {who} cannot take part: {reason}")
-        return found
+        return reports
 
-    def _check(self, found: dict[str, dict[str, Any]]) -> None:
+    def _check(self, reports: dict[str, dict[str, Any]]) -> None:
         own = about()
-        for who, report in sorted(found.items()):
+        for who, report in sorted(reports.items()):
             if "capsyn" in report:
                 raise ProblemError(_other_version(who, report["capsyn"], __version__))
             if report["probe"] != self._expected:
@@ -275,8 +275,8 @@ class Workers:
 def about() -> dict[str, str]:
     """Return what of this machine results may depend on, in words."""
     try:
-        found = find_compiler()
-        compiler = " ".join([found.version, *found.command[1:]])
+        tool = find_compiler()
+        compiler = " ".join([tool.version, *tool.command[1:]])
     except KernelBuildError:
         compiler = "none"
     return {
@@ -289,12 +289,12 @@ def about() -> dict[str, str]:
 
 
 def _difference(who: str, theirs: dict[str, str], own: dict[str, str]) -> str:
-    told = [
+    differences = [
         f"its {key} is {theirs.get(key)}, not {value}"
         for key, value in own.items()
         if theirs.get(key) != value
     ]
-    reason = "; ".join(told) or ", ".join(f"its {k} is {v}" for k, v in theirs.items())
+    reason = "; ".join(differences) or ", ".join(f"its {k} is {v}" for k, v in theirs.items())
     return one_line(f"worker {who} cannot take part: its results have other bits: {reason}", 400)
 
 

@@ -36,9 +36,9 @@ def memory(name: str, value: Any) -> int:
     """Return an amount of memory [bytes] that is a whole number, or a text as ``"1.5 GB"``."""
     if not isinstance(value, str):
         return whole_number(name, value, least=1)
-    found = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,9})?)\s*([A-Za-z]*)\s*", value, re.ASCII)
-    unit = UNITS.get(found[2].upper()) if found else None
-    amount = int(float(found[1]) * unit) if found and unit else 0
+    match = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,9})?)\s*([A-Za-z]*)\s*", value, re.ASCII)
+    unit = UNITS.get(match[2].upper()) if match else None
+    amount = int(float(match[1]) * unit) if match and unit else 0
     if amount < 1:
         raise ProblemError(
             f"`{name}` must be bytes, or a text as '800MB' or '2GiB'; got {describe(value)}"

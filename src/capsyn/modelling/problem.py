@@ -130,7 +130,7 @@ class Problem:
             for name in ("running_cost", "terminal_cost")
         }
         expressions = {
-            "dynamics": expression("dynamics", self.dynamics, [x, u], self.domain.n),
+            "dynamics": expression("dynamics", self.dynamics, [x, u], self.domain.n, rates=True),
             **costs,
         }
         arguments = {"dynamics": [x, u], "running_cost": [x], "terminal_cost": [x]}
@@ -175,9 +175,30 @@ _MEANINGS = (
 
 
 def expression(
-    name: str, function: Callable[..., Any], arguments: Sequence[ca.SX], size: int
+    name: str,
+    function: Callable[..., Any],
+    arguments: Sequence[ca.SX],
+    size: int,
+    *,
+    rates: bool = False,
+    parameters: bool = False,
 ) -> ca.SX:
     """Return what a user's function gives on symbols, as a dense column of `size` components.
+
+    Parameters
+    ----------
+    name : str
+        What errors call the function.
+    function : callable
+        Takes the arguments.
+    arguments : CasADi columns
+        Its arguments x, u and p, as many as it takes.
+    size : int
+        Components that it returns.
+    rates : bool
+        Whether they are rates, one for each state.
+    parameters : bool
+        Whether it may take parameters p that the user names elsewhere.
 
     Raises
     ------
@@ -193,17 +214,16 @@ def expression(
         reason = next((text for words, text in _MEANINGS if words in reason), reason)
         if "positional argument" in reason:
             reason = f"it must be a function of {' and '.join('xup'[: len(arguments)])}" + (
-                ", and of p where there are `parameters`" if name == "model" else ""
+                ", and of p where there are `parameters`" if parameters else ""
             )
         shapes = ", ".join(
             f"{symbol}: {argument.numel()}" for symbol, argument in zip("xup", arguments)
         )
-        if name == "model" and "out of range" in reason:
+        if parameters and "out of range" in reason:
             reason += "; it may take more parameters (`parameters`, --parameter) than are given"
         raise ProblemError(
             f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
         ) from error
-    rates = name in ("dynamics", "model")
     wanted = f"{size} component(s), one per state" if rates else "a scalar"
     try:
         with _numpy_functions():

@@ -85,6 +85,9 @@ def user_program(
     function: Callable[..., Any],
     inputs: Ports,
     outputs: Ports,
+    *,
+    rates: bool = False,
+    parameters: bool = False,
 ) -> Program:
     """Return the program of a user's function, such as another plant's dynamics, or a set.
 
@@ -99,6 +102,8 @@ def user_program(
     outputs : ports
         The value; a second output, if there is one, is the gradient of a scalar value with
         respect to the first input.
+    rates, parameters : bool
+        As for `expression`.
 
     Raises
     ------
@@ -106,7 +111,7 @@ def user_program(
         The function fails, returns another size, or uses an operation that programs do not have.
     """
     arguments = [ca.SX.sym(port, size) for port, size in inputs]
-    value = expression(name, function, arguments, outputs[0][1])
+    value = expression(name, function, arguments, outputs[0][1], rates=rates, parameters=parameters)
     casadi_function(name, arguments, value)  # no foreign symbols
     results = [value] + ([_gradient(value, arguments[0])] if len(outputs) > 1 else [])
     return program_from_casadi(name, ca.Function(name, arguments, results), inputs, outputs)

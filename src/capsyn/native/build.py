@@ -78,21 +78,21 @@ def _find_compiler(cc: str, path: str) -> Compiler:
         raise KernelBuildError(f"CC={cc} is not a command: {error}") from None
     broken: KernelBuildError | None = None
     for command in candidates:
-        found = shutil.which(command[0], path=path)
-        if not found:
+        program = shutil.which(command[0], path=path)
+        if not program:
             continue
-        arguments = [found, *command[1:]]
+        arguments = [program, *command[1:]]
         try:
             run = subprocess.run(
                 [*arguments, "--version"], capture_output=True, text=True, timeout=30
             )
         except (OSError, subprocess.TimeoutExpired) as error:
-            broken = KernelBuildError(f"the C compiler {found} does not run: {error}", arguments)
+            broken = KernelBuildError(f"the C compiler {program} does not run: {error}", arguments)
             continue
         if run.returncode == 0:
             return Compiler(tuple(arguments), (run.stdout.splitlines() or [""])[0])
         output = run.stdout + run.stderr
-        broken = KernelBuildError(f"the C compiler {found} does not run", arguments, output)
+        broken = KernelBuildError(f"the C compiler {program} does not run", arguments, output)
     if broken:
         raise broken
     wanted = f"CC={cc}" if cc.strip() else "cc, gcc or clang"

@@ -85,10 +85,10 @@ def _vector_library() -> tuple[ctypes.CDLL, str] | None:
 
 
 def _has_vector_version(function: str, arity: int, precision: str) -> bool:
-    found = _vector_library()
-    if found is None:
+    vectors = _vector_library()
+    if vectors is None:
         return False
-    library, letter = found
+    library, letter = vectors
     lanes = 4 if precision == "single" else 2
     return hasattr(library, f"_ZGV{letter}N{lanes}{'v' * arity}_{function}")
 

@@ -165,7 +165,9 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))
         inputs += (("p", len(parameters)),) if parameters else ()
-        dynamics = user_program("model", function, inputs, (("xdot", plant.n),))
+        dynamics = user_program(
+            "model", function, inputs, (("xdot", plant.n),), rates=True, parameters=True
+        )
         used = dynamics.used_inputs()
         for k, name in enumerate(parameters):
             if plant.n + plant.m + k not in used:

@@ -84,9 +84,9 @@ class RemoteLabels:
         """Hand out the answers of a batch that is done, and send the next."""
         try:
             packed: Packed = self._workers.result(task)
-            found = packed.answers()
+            values = packed.answers()
             with self._guard:
-                for answer, value in zip(answers, found, strict=True):
+                for answer, value in zip(answers, values, strict=True):
                     if not answer.done():
                         answer.set_result(value)
                 self._open.difference_update(answers)
