@@ -279,7 +279,7 @@ class Policy:
         """
         from capsyn.policies.file import load
 
-        return load(path, lambda fields: _KINDS["guarantee" in fields](**fields))
+        return load(path, _of_fields)
 
     def with_evidence(self, **kinds: dict[str, Any]) -> Policy:
         """Return the policy with evidence added, which its file will carry.
@@ -380,5 +380,6 @@ def cell_tree(policy: Any) -> CellTree:
     return policy.cells
 
 
-_KINDS = (Policy, DecisionTree)
-"""What a file without and with a guarantee holds."""
+def _of_fields(fields: dict[str, Any]) -> Policy:
+    """Return the policy or tree of the fields in a file."""
+    return (DecisionTree if "guarantee" in fields else Policy)(**fields)
