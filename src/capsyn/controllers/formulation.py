@@ -45,30 +45,11 @@ class Formulation:
     settings: SsacSettings
 
     @staticmethod
-    def of_problem(problem: Problem, model: Model) -> Formulation:
-        """Return that of a problem and its transcribed model."""
-        return Formulation(
-            model,
-            problem.domain,
-            problem.alphabet.values,
-            problem.default,
-            problem.horizon,
-            problem.settings,
-        )
-
-    @staticmethod
-    def of_policy(policy: Policy) -> Formulation | None:
-        """Return that of the controller that a policy came from; None where it carries none."""
-        if policy.model is None or policy.horizon is None or policy.settings is None:
-            return None
-        return Formulation(
-            policy.model,
-            policy.domain,
-            policy.alphabet.values,
-            policy.default,
-            policy.horizon,
-            policy.settings,
-        )
+    def of(source: Problem | Policy, model: Model) -> Formulation:
+        """Return that of a problem or a policy, which has horizon and settings, and its model."""
+        assert source.horizon is not None and source.settings is not None
+        values, default = source.alphabet.values, source.default
+        return Formulation(model, source.domain, values, default, source.horizon, source.settings)
 
     def to_text(self) -> str:
         """Return the formulation as JSON, with the programs as a policy's file holds them."""

@@ -224,8 +224,9 @@ def batch_controller(
 
 def policy_controller(policy: Policy, backend: str = "auto") -> BatchController | None:
     """Return the controller that a policy came from, or None where it does not carry it."""
-    formulation = Formulation.of_policy(policy)
-    return None if formulation is None else batch_controller(formulation, backend)
+    if policy.model is None or policy.horizon is None or policy.settings is None:
+        return None
+    return batch_controller(Formulation.of(policy, policy.model), backend)
 
 
 def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: SsacSettings) -> int:

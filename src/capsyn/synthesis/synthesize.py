@@ -211,7 +211,7 @@ def problem_controller(
     problem: Problem, model: Model, backend: str = "auto", seed: int = 0
 ) -> BatchController:
     """Return sSAC for a problem and its transcribed model; see `batch_controller`."""
-    return batch_controller(Formulation.of_problem(problem, model), backend, seed)
+    return batch_controller(Formulation.of(problem, model), backend, seed)
 
 
 def sample_statistics(controller: BatchController, domain: Box, seed: int) -> dict[str, Any]:
