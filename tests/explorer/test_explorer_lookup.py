@@ -14,7 +14,7 @@ from support.exported import built_in, oblique
 from support.trees import GRIDS, random_policy, random_tree, states_at_faces
 
 LOOKUP = (
-    'import { makeLookup } from "./explorer/page/lookup.js";'
+    'import { makeLookup } from "./explorer/page/policy/lookup.js";'
     + BEGIN
     + "const lookup = makeLookup(input.policy);"
 )
