@@ -14,7 +14,7 @@ from capsyn import Alphabet, Box, Policy, compress, explore, simulate, subdivide
 from capsyn.errors import ProblemError
 from capsyn.explorer.explore import page
 from cli.test_cli import capsyn as run_capsyn
-from support.explorer_page import OUTPUT, Shown, chromium, hex_color, made
+from support.explorer_page import OUTPUT, Shown, chromium, hex_color, synthesized
 from support.trees import random_policy
 
 HOME = Path(capsyn.explorer.__file__).parent
@@ -23,8 +23,8 @@ ROOT = HOME.parents[2]
 
 @pytest.fixture(scope="module")
 def browser():
-    with chromium() as found:
-        yield found
+    with chromium() as opened:
+        yield opened
 
 
 @pytest.fixture
@@ -44,11 +44,11 @@ def show(browser, tmp_path):
 
 
 def pendulum(level=3):
-    return made("cart-pendulum", max_level=level)
+    return synthesized("cart-pendulum", max_level=level)
 
 
 def test_the_page_is_one_small_file_and_the_same_every_time(tmp_path):
-    policy = made("cart-pendulum")
+    policy = synthesized("cart-pendulum")
     first = explore(policy, tmp_path / "a.html").read_bytes()
     policy.save(tmp_path / "p.cap")
     assert explore(Policy.load(tmp_path / "p.cap"), tmp_path / "b.html").read_bytes() == first
@@ -71,13 +71,12 @@ def test_pointing_shows_what_the_policy_says(show):
         assert pointed["state"] == pytest.approx(state, abs=0.02)
         symbol = policy(pointed["state"])
         assert pointed["symbol"] == symbol
-        told = shown.text("#readout")
+        text = shown.text("#readout")
         cell = policy.cells.find(policy.domain.locate(np.array([pointed["state"]]),
                                                       policy.cells.counts))[0]  # fmt: skip
-        assert (
-            f"{cell:,}, level" in told and f"acceleration = {'−' if symbol else ''}5 m/s²" in told
-        )
-        assert ("mixed" in told) == (cell in policy.cells.mixed_cells)
+        control = f"acceleration = {'−' if symbol else ''}5 m/s²"
+        assert f"{cell:,}, level" in text and control in text
+        assert ("mixed" in text) == (cell in policy.cells.mixed_cells)
     shown.page.mouse.move(5, 5)
     assert shown.state["pointed"] is None
 
@@ -155,7 +154,7 @@ def test_levels_replay_the_algorithm(show):
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a"])
 def test_a_click_runs_the_closed_loop_as_simulate_does(show, name):
-    policy = made(name, max_level=3)
+    policy = synthesized(name, max_level=3)
     shown = show(policy)
     shown.set("duration", 5)
     state = policy.domain.lower + 0.35 * policy.domain.widths
@@ -229,7 +228,7 @@ def test_settings_of_the_loop(show):
 
 
 def test_stop_at_the_target(show):
-    policy = made("double-tank-a", max_level=3)
+    policy = synthesized("double-tank-a", max_level=3)
     shown = show(policy)
     shown.page.check("#set-stop")
     known = simulate(policy, shown.active["start"], 5, stop_at_target=True)
@@ -355,17 +354,17 @@ def test_the_automaton_and_the_drawing_follow(show):
 
 @pytest.mark.parametrize("name", ["double-tank-a", "cart-pole"])
 def test_drawings_of_the_other_systems(show, name):
-    shown = show(made(name, max_level=1))
+    shown = show(synthesized(name, max_level=1))
     drawing = shown.page.locator("#drawing canvas")
     first = drawing.screenshot()
     shown.slide("#scrub", 0.1)
     assert drawing.screenshot() != first
-    shown = show(made(name, max_level=1), drawing="none")
+    shown = show(synthesized(name, max_level=1), drawing="none")
     assert not shown.page.locator("#drawing").is_visible()
 
 
 def test_planes_and_slices_of_four_states(show):
-    shown = show(made("cart-pole", max_level=1))
+    shown = show(synthesized("cart-pole", max_level=1))
     shown.page.uncheck("#outlines")
     shown.assert_map()
     shown.page.select_option("#axis-x", label="theta")
@@ -439,7 +438,7 @@ def test_light_dark_and_narrow_and_looked_at(show):
     backgrounds = []
     for scheme, width in (("light", 1280), ("dark", 1280), ("light", 420)):
         for name in ("cart-pendulum", "double-tank-a"):
-            shown = show(made(name), color_scheme=scheme, width=width)
+            shown = show(synthesized(name), color_scheme=scheme, width=width)
             assert shown.state["theme"] == scheme
             shown.slide("#scrub", 0.2)
             shown.page.screenshot(path=OUTPUT / f"{name}-{scheme}-{width}.png", full_page=True)
@@ -458,11 +457,11 @@ def test_light_dark_and_narrow_and_looked_at(show):
 
 
 def test_facts_and_evidence(show):
-    found = {
+    evidence = {
         **{"trials": 1000, "successes": 997, "low": 0.991, "high": 0.999, "confidence": 0.95},
         "conditions": {"target": "near", "within": 9},
     }
-    policy = made("cart-pendulum").with_evidence(monte_carlo=found)
+    policy = synthesized("cart-pendulum").with_evidence(monte_carlo=evidence)
     shown = show(policy)
     facts = shown.text("#facts")
     for words in ("4,314", "41,842 at worst: 10.3% were needed", "1,710", "theta [rad] ↻",
@@ -541,7 +540,7 @@ def test_paths_stay_when_zoomed_and_cross_seams(show):
 
 
 def test_series_show_what_simulate_gives(show):
-    policy = made("double-tank-a", max_level=3)
+    policy = synthesized("double-tank-a", max_level=3)
     shown = show(policy)
     shown.set("duration", 2)
     track = shown.click([0.3, 0.6])
@@ -565,7 +564,7 @@ def test_series_show_what_simulate_gives(show):
 
 
 def test_the_target_is_outlined_where_it_ends(show):
-    policy = made("double-tank-a", max_level=1)
+    policy = synthesized("double-tank-a", max_level=1)
     shown = show(policy)
     drawn = shown.page.evaluate("capsyn.map()")
     points = np.array(drawn["target"])
@@ -602,7 +601,7 @@ def test_a_symbol_of_the_legend_or_the_automaton_stands_out(show):
 
 
 def test_the_readout_is_of_the_level_and_of_the_slice(show):
-    policy = made("cart-pole", max_level=1)
+    policy = synthesized("cart-pole", max_level=1)
     shown = show(policy)
     shown.slide("#slice-2", 0.3)
     assert not shown.page.is_checked("#follow")  # who moves the slice has it
@@ -626,8 +625,8 @@ def test_the_wheel_says_how_to_zoom(show):
 
 
 def test_evidence_of_another_content_is_not_shown():
-    found = {"trials": 10, "successes": 9, "low": 0.5, "high": 1.0, "confidence": 0.95}
-    policy = pendulum(1).with_evidence(monte_carlo=found)
+    evidence = {"trials": 10, "successes": 9, "low": 0.5, "high": 1.0, "confidence": 0.95}
+    policy = pendulum(1).with_evidence(monte_carlo=evidence)
     assert "9 of 10 trials" in page(policy)
     assert "9 of 10 trials" not in page(dataclasses.replace(policy, min_dwell=0.5))
 
@@ -691,7 +690,7 @@ def test_decision_trees(show, mode):
 
 
 def test_affine_leaves_are_shown_by_their_exact_tree(show):
-    policy = made("cart-pole", leaves="affine", max_level=0)
+    policy = synthesized("cart-pole", leaves="affine", max_level=0)
     shown = show(policy)
     shown.page.uncheck("#outlines")
     shown.assert_map()
@@ -762,7 +761,7 @@ def test_errors_say_what_is_wrong(tmp_path):
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a"])
 def test_notebooks_show_a_small_map(name):
-    policy = made(name, max_level=2)
+    policy = synthesized(name, max_level=2)
     html = policy._repr_html_()
     wide = {"cart-pendulum": "theta (0 to 6.283 rad)", "double-tank-a": "x2 (0 to 1 m) against x1"}
     assert wide[name] in html

@@ -14,7 +14,7 @@ from support.exported import built_in, oblique
 from support.trees import GRIDS, random_policy, random_tree, states_at_faces
 
 LOOKUP = (
-    'import { makeLookup } from "./explorer/page/lookup.js";'
+    'import { makeLookup } from "./explorer/page/policy/lookup.js";'
     + BEGIN
     + "const lookup = makeLookup(input.policy);"
 )
@@ -87,8 +87,8 @@ def test_symbols_are_those_of_python(name, tmp_path):
       })));
     """
     )
-    found = np.array(node(tmp_path, code, policy, states=texts(states), rules=rules))
-    for rule, answers in zip(rules, found):
+    by_rule = np.array(node(tmp_path, code, policy, states=texts(states), rules=rules))
+    for rule, answers in zip(rules, by_rule):
         symbols, statuses = expected(policy, states, rule)
         np.testing.assert_array_equal(answers[:, 0], symbols)
         np.testing.assert_array_equal(answers[:, 1], statuses)
@@ -99,14 +99,14 @@ def test_the_rule_is_the_policys_own_unless_given(tmp_path):
         policy = dataclasses.replace(random_policy(3), outside=rule)
         away = policy.domain.upper + 1
         code = LOOKUP + "print(lookup.symbol(numbers(input.states)[0]));"
-        found = node(tmp_path, code, policy, states=texts(away[None]))
-        assert found["status"] == OUTSIDE
+        answer = node(tmp_path, code, policy, states=texts(away[None]))
+        assert answer["status"] == OUTSIDE
         if rule == "error":
-            assert found["symbol"] == -2
+            assert answer["symbol"] == -2
             with pytest.raises(OutsideDomainError):
                 policy(away)
         else:
-            assert found["symbol"] == policy(away)
+            assert answer["symbol"] == policy(away)
 
 
 CELL = """
@@ -119,9 +119,9 @@ def test_cells_are_those_of_python(name, tmp_path):
     policy = POLICIES[name]()
     cells, domain = policy.cells, policy.domain
     states = states_for(policy, 2000)
-    found = node(tmp_path, LOOKUP + CELL, policy, states=texts(states))
+    cells = node(tmp_path, LOOKUP + CELL, policy, states=texts(states))
     inside = domain.contains(states)
-    assert [cell is not None for cell in found] == inside.tolist()
+    assert [cell is not None for cell in cells] == inside.tolist()
     boxes = cells.boxes()
     row_of = {place: row for row, place in enumerate(boxes.places.tolist())}
     places = cells.find(domain.locate(states[inside], cells.counts))
@@ -131,7 +131,7 @@ def test_cells_are_those_of_python(name, tmp_path):
     )
     labels = len(policy.alphabet) + 1
     several = 0
-    for place, cell in zip(places.tolist(), (cell for cell in found if cell)):
+    for place, cell in zip(places.tolist(), (cell for cell in cells if cell)):
         row = row_of[place]
         label = int(boxes.labels[row])
         mask = masks.get(place, 1 << label)
@@ -148,11 +148,11 @@ def test_cells_are_those_of_python(name, tmp_path):
 def test_cells_of_oblique_splits_have_no_corners(tmp_path):
     policy = oblique()
     states = policy.domain.sample(500)
-    found = node(tmp_path, LOOKUP + CELL, policy, states=texts(states))
+    cells = node(tmp_path, LOOKUP + CELL, policy, states=texts(states))
     places = policy.cells.find(policy.domain.locate(states, policy.cells.counts))
-    assert [cell["leaf"] for cell in found] == places.tolist()
-    assert any(cell["lower"] is None for cell in found)
-    assert [cell["symbol"] for cell in found] == policy(states).tolist()
+    assert [cell["leaf"] for cell in cells] == places.tolist()
+    assert any(cell["lower"] is None for cell in cells)
+    assert [cell["symbol"] for cell in cells] == policy(states).tolist()
 
 
 RASTER = """
@@ -188,16 +188,16 @@ def seen_at_level(policy, states, level):
     """Return what Algorithm 1 knew of states (B, n) in the domain at a level: a symbol or -3."""
     cells = policy.cells
     steps = policy.domain.locate(states, cells.counts)
-    found = np.full(len(states), -3)
+    symbols = np.full(len(states), -3)
     for here, places, lower, sizes in cells.levels():
         if here > level:
             break
         for entry, corner, size in zip(cells.entries[places], lower, sizes):
             inside = ((steps >= corner) & (steps < corner + size)).all(axis=1)
             if entry < 0:
-                found[inside] = -1 - entry
-    found[found == len(policy.alphabet)] = -1
-    return found
+                symbols[inside] = -1 - entry
+    symbols[symbols == len(policy.alphabet)] = -1
+    return symbols
 
 
 @pytest.mark.parametrize(
@@ -208,8 +208,8 @@ def seen_at_level(policy, states, level):
 def test_pixels_have_the_symbols_of_their_centres(name, tmp_path):
     policy = oblique_4() if name == "oblique 4-D" else POLICIES[name]()
     views = list(views_of(policy))
-    found = node(tmp_path, LOOKUP + RASTER, policy, views=views)
-    for view, pixels in zip(views, found):
+    rasters = node(tmp_path, LOOKUP + RASTER, policy, views=views)
+    for view, pixels in zip(views, rasters):
         states = centres(policy, view).reshape(-1, policy.domain.n)
         symbols, _ = expected(policy, states, "error")
         np.testing.assert_array_equal(pixels, symbols)
@@ -229,9 +229,9 @@ def test_levels_show_what_the_algorithm_knew(name, tmp_path):
         for view in list(views_of(policy))[:2]
         for level in range(policy.cells.depth + 1)
     ]
-    found = node(tmp_path, LOOKUP + RASTER, policy, views=views)
+    rasters = node(tmp_path, LOOKUP + RASTER, policy, views=views)
     mixed = 0
-    for view, pixels in zip(views, found):
+    for view, pixels in zip(views, rasters):
         states = centres(policy, view).reshape(-1, policy.domain.n)
         inside = policy.domain.contains(states)
         symbols = np.full(len(states), -2)
@@ -256,7 +256,7 @@ def test_levels_are_as_many_as_the_slider_shows(name, tmp_path):
 def test_places_are_those_of_cells(tmp_path):
     policy = built_in("cart-pendulum")
     view = next(views_of(policy))
-    found = node(tmp_path, LOOKUP + RASTER, policy, views=[view], what="places")[0]
+    pixels = node(tmp_path, LOOKUP + RASTER, policy, views=[view], what="places")[0]
     states = centres(policy, view).reshape(-1, 2)
     places = policy.cells.find(policy.domain.locate(states, policy.cells.counts))
-    np.testing.assert_array_equal(found, places)
+    np.testing.assert_array_equal(pixels, places)

@@ -19,8 +19,8 @@ from support.random_programs import random_program
 from support.trees import random_policy
 
 LOOP = (
-    'import { makeLookup } from "./explorer/page/lookup.js";'
-    'import { makeLoop } from "./explorer/page/loop.js";'
+    'import { makeLookup } from "./explorer/page/policy/lookup.js";'
+    'import { makeLoop } from "./explorer/page/loop/loop.js";'
     'import { model } from "./model.js";'
     + BEGIN
     + "const loop = makeLoop(input.policy, makeLookup(input.policy), model);"
@@ -43,8 +43,8 @@ def run_programs(directory, programs, states):
       }})));
     """
     sizes = [len(p.results) for p in programs]
-    found = node(directory, code, random_policy(3), states=texts(states), sizes=sizes)
-    return [np.array(rows, dtype=float) for rows in found]
+    outputs = node(directory, code, random_policy(3), states=texts(states), sizes=sizes)
+    return [np.array(rows, dtype=float) for rows in outputs]
 
 
 def test_every_operation_is_that_of_numpy(tmp_path):
@@ -56,12 +56,12 @@ def test_every_operation_is_that_of_numpy(tmp_path):
         Program(name, (("x", 2),), (("y", 1),), ((name, *range(operation.arity)),), (2,))
         for name, operation in OPERATIONS.items()
     ]
-    for program, found in zip(programs, run_programs(tmp_path, programs, states)):
+    for program, output in zip(programs, run_programs(tmp_path, programs, states)):
         expected = program.evaluate(states.T)[0].T
         exact = not OPERATIONS[program.name].libm or program.name in ("sqrt", "fabs", "fmod")
         with np.errstate(all="ignore"):
-            same = np.isclose(found, expected, rtol=0 if exact else 2e-15, atol=0, equal_nan=True)
-        assert same.all(), (program.name, states[~same[:, 0]][:4], found[~same][:4])
+            same = np.isclose(output, expected, rtol=0 if exact else 2e-15, atol=0, equal_nan=True)
+        assert same.all(), (program.name, states[~same[:, 0]][:4], output[~same][:4])
 
 
 ARITHMETIC = tuple(
@@ -79,8 +79,8 @@ def test_random_programs_are_those_of_numpy(tmp_path):
 
     collect()
     states = np.random.default_rng(0).normal(size=(50, 3)) * 3
-    for program, found in zip(programs, run_programs(tmp_path, programs, states)):
-        np.testing.assert_array_equal(found, program.evaluate(states.T)[0].T)
+    for program, output in zip(programs, run_programs(tmp_path, programs, states)):
+        np.testing.assert_array_equal(output, program.evaluate(states.T)[0].T)
 
 
 def test_what_is_no_operation_is_refused():
@@ -102,24 +102,24 @@ def test_there_is_no_model_in_a_policy_without_one(tmp_path):
     assert node(tmp_path, code, policy) == [None, None]
 
 
-def compare(policy, found, rtol=1e-9, **options):
+def compare(policy, trajectory, rtol=1e-9, **options):
     """Compare a trajectory of the page with that of `simulate`."""
     expected = simulate(policy, **options)
     last, n = int(expected.last), policy.domain.n
-    assert found["ended"] == expected.ended
-    assert len(found["t"]) == last + 1
-    assert found["switches"] == expected.switches and found["outside"] == expected.outside
-    np.testing.assert_array_equal(found["t"], expected.times[: last + 1])
-    np.testing.assert_array_equal(found["symbols"], expected.symbols[:last])
-    controls = np.reshape(found["u"], (-1, policy.alphabet.m))
+    assert trajectory["ended"] == expected.ended
+    assert len(trajectory["t"]) == last + 1
+    assert trajectory["switches"] == expected.switches and trajectory["outside"] == expected.outside
+    np.testing.assert_array_equal(trajectory["t"], expected.times[: last + 1])
+    np.testing.assert_array_equal(trajectory["symbols"], expected.symbols[:last])
+    controls = np.reshape(trajectory["u"], (-1, policy.alphabet.m))
     np.testing.assert_array_equal(controls, expected.controls[:last])
-    states = np.reshape(np.array(found["x"], dtype=float), (-1, n))
+    states = np.reshape(np.array(trajectory["x"], dtype=float), (-1, n))
     close = dict(rtol=rtol, atol=rtol)
     np.testing.assert_allclose(states, expected.states[: last + 1], **close)
-    np.testing.assert_allclose(found["cost"], expected.costs[: last + 1], **close)
-    np.testing.assert_allclose(found["terminalCost"], expected.terminal_cost, **close)
-    np.testing.assert_allclose(found["totalCost"], expected.cost, **close)
-    arrived = np.nan if found["arrived"] is None else found["arrived"]
+    np.testing.assert_allclose(trajectory["cost"], expected.costs[: last + 1], **close)
+    np.testing.assert_allclose(trajectory["terminalCost"], expected.terminal_cost, **close)
+    np.testing.assert_allclose(trajectory["totalCost"], expected.cost, **close)
+    arrived = np.nan if trajectory["arrived"] is None else trajectory["arrived"]
     np.testing.assert_equal(arrived, expected.arrived)
     return expected
 
@@ -127,10 +127,10 @@ def compare(policy, found, rtol=1e-9, **options):
 def assert_runs_agree(directory, policy, runs):
     """Run options in JavaScript's names, and compare each; return the trajectories of Python."""
     names = {"minDwell": "min_dwell", "stopAtTarget": "stop_at_target"}
-    found = node(directory, RUN, policy, runs=runs)
+    trajectories = node(directory, RUN, policy, runs=runs)
     return [
         compare(policy, trajectory, **{names.get(key, key): value for key, value in run.items()})
-        for run, trajectory in zip(runs, found)
+        for run, trajectory in zip(runs, trajectories)
     ]
 
 
@@ -203,10 +203,10 @@ def escaping():
 def test_an_escape_ends_where_it_ends_in_python(tmp_path):
     policy = escaping()
     run = {"x0": [1.5], "duration": 3.0, "rate": 100.0, "substeps": 2}
-    found = node(tmp_path, RUN, policy, runs=[run])[0]
+    trajectory = node(tmp_path, RUN, policy, runs=[run])[0]
     expected = simulate(policy, **run)
-    assert found["ended"] == expected.ended == "not finite"
-    assert len(found["t"]) == expected.last + 1
+    assert trajectory["ended"] == expected.ended == "not finite"
+    assert len(trajectory["t"]) == expected.last + 1
 
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a", "cart-pole"])
@@ -214,18 +214,18 @@ def test_steps_are_chosen_as_in_python(name, tmp_path):
     policy = built_in(name)
     plant = plant_of(policy)
     rates = [10000.0, 1000.0, 480.0, 100.0, 30.0, 10.0, 5.0]
-    found = node(tmp_path, LOOP + "print(input.rates.map(loop.substeps));", policy, rates=rates)
-    for rate, steps in zip(rates, found):
+    chosen = node(tmp_path, LOOP + "print(input.rates.map(loop.substeps));", policy, rates=rates)
+    for rate, steps in zip(rates, chosen):
         assert_steps(plant, policy, rate, steps)
-    assert len({steps["steps"] for steps in found}) > 1 or name == "double-tank-a"
+    assert len({steps["steps"] for steps in chosen}) > 1 or name == "double-tank-a"
 
 
-def assert_steps(plant, policy, rate, found):
+def assert_steps(plant, policy, rate, steps):
     """Compare with `choose_substeps`, which warns where the steps do not resolve the dynamics."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CapsynWarning)
         expected = choose_substeps(plant, policy.controls, np.zeros((0, 1)), 1 / rate)
-    assert found == {"steps": expected, "resolved": not caught}
+    assert steps == {"steps": expected, "resolved": not caught}
 
 
 def test_noise_is_seeded_and_of_the_asked_deviation(tmp_path):
@@ -245,11 +245,11 @@ def test_noise_is_seeded_and_of_the_asked_deviation(tmp_path):
       print({ runs, seen });
     """
     )
-    found = node(tmp_path, code, policy)
-    one, again, other = found["runs"]
+    answer = node(tmp_path, code, policy)
+    one, again, other = answer["runs"]
     assert one == again and one["x"] != other["x"]
     states = np.reshape(one["x"], (-1, 2))[:-1]
-    noise = np.array(found["seen"][: len(states)]) - states
+    noise = np.array(answer["seen"][: len(states)]) - states
     np.testing.assert_allclose(noise.std(axis=0), [0.01, 0.2], rtol=0.03)
     assert (abs(noise.mean(axis=0)) < 4 * np.array([0.01, 0.2]) / np.sqrt(len(noise))).all()
     assert abs(np.corrcoef(noise.T)[0, 1]) < 0.03

@@ -131,10 +131,10 @@ def compare(program):
             continue
         expected = values[list(program.results[:2])]
         try:
-            found = read_back(lines, len(expected), dict(zip("xyw", x)))
+            read = read_back(lines, len(expected), dict(zip("xyw", x)))
         except (ZeroDivisionError, OverflowError):
             continue  # what is left out of a product with 0, or in the other case
-        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * (1 + abs(values).max()))
+        np.testing.assert_allclose(read, expected, rtol=1e-5, atol=1e-5 * (1 + abs(values).max()))
         Read.count += 1
 
 
@@ -171,8 +171,8 @@ def plain(line):
             return f"root{inner[1]}({inner[0]})"
         return (element.text or "") + "".join(inner)
 
-    found = text(ElementTree.fromstring(line))
-    return found.replace("\u2062", " ").replace("\u2061", " ").replace("\u02d9", "'")
+    words = text(ElementTree.fromstring(line))
+    return words.replace("\u2062", " ").replace("\u2061", " ").replace("\u02d9", "'")
 
 
 def model_only(problem):
@@ -212,8 +212,8 @@ BUILT_IN = {
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_built_in_problems_look_as_in_a_text(name):
-    found = formulas(model_only(problems.get(name)))
-    assert {topic: [plain(line) for line in lines] for topic, lines in found.items()} == (
+    shown = formulas(model_only(problems.get(name)))
+    assert {topic: [plain(line) for line in lines] for topic, lines in shown.items()} == (
         BUILT_IN[name]
     )
 

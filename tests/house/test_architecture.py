@@ -220,6 +220,44 @@ def test_javascript_functions_are_short():
         assert not long, path.name
 
 
+PAGE = """
+policy dom loop state map series automaton drawing controls panels main
+"""
+"""Folders of the explorer's page in order: each imports only from those before it."""
+
+
+def page_imports():
+    """Return what each JavaScript module of the explorer's page imports, by their places."""
+    page = ROOT / "explorer" / "page"
+    return {
+        path.relative_to(page): [
+            (path.parent / text).resolve().relative_to(page)
+            for text in javascript.imports(path.read_text())
+            if (path.parent / text).resolve().is_relative_to(page)
+        ]
+        for path in sorted(page.rglob("*.js"))
+    }
+
+
+def test_javascript_imports_go_one_way():
+    graph, places = page_imports(), PAGE.split()
+    assert {path.parts[0].removesuffix(".js") for path in graph} == set(places)
+    for path, targets in graph.items():
+        own = places.index(path.parts[0].removesuffix(".js"))
+        for target in targets:
+            assert target in graph, f"{path} imports {target}"
+            assert places.index(target.parts[0]) <= own, f"{path} imports {target}"
+
+
+def test_javascript_modules_do_not_import_each_other_in_a_circle():
+    graph = page_imports()
+    assert sum(map(len, graph.values())) > len(graph)
+    while graph:
+        free = [path for path, targets in graph.items() if not set(targets) & set(graph)]
+        assert free, f"in or above a circle: {sorted(map(str, graph))}"
+        graph = {path: targets for path, targets in graph.items() if path not in free}
+
+
 def loaded_after(code):
     """Return the top-level packages that a fresh process has loaded after some code."""
     code += "\nimport sys; print(*{name.partition('.')[0] for name in sys.modules})"

@@ -28,8 +28,8 @@ def policy_of(symbols=2, level=2, default=False, n=2):
 
 
 def axes(count=1):
-    found = Figure().subplots(1, count, squeeze=False)[0]
-    return found if count > 1 else found[0]
+    axes = Figure().subplots(1, count, squeeze=False)[0]
+    return axes if count > 1 else axes[0]
 
 
 def texts(ax):
@@ -51,14 +51,14 @@ def test_layers_show_what_is_labelled_so_far_and_white_where_cells_are_divided()
     drawn = paper_figures.draw_layers(policy, axes(3))
     cells = [leaves.level for leaves in tree.leaves() for _ in leaves.places]
     for level, ax in enumerate(drawn):
-        found = list(polygons(ax))
-        assert sum(area for _, area, _ in found) == pytest.approx(4.0)
-        colored = [(center, color) for center, _, color in found if color != "#FFFFFF"]
+        shapes = list(polygons(ax))
+        assert sum(area for _, area, _ in shapes) == pytest.approx(4.0)
+        colored = [(center, color) for center, _, color in shapes if color != "#FFFFFF"]
         assert len(colored) == sum(k <= level for k in cells)
         centers = np.array([center for center, _ in colored])
         assert [color for _, color in colored] == [PALETTE[k] for k in policy(centers)]
         assert ax.get_title() == f"layer {level}" and ax.get_xlabel() == "a [m]"
-    assert len(found) == tree.leaf_count
+    assert len(shapes) == tree.leaf_count
     assert drawn[0].get_ylabel() == "b" and not drawn[1].get_ylabel()
 
 

@@ -131,9 +131,9 @@ def test_a_picture_of_a_trajectory_is_the_same_bytes_each_time(tmp_path):
 def test_gaps_beside_oblique_surfaces_have_the_colour_of_the_default():
     box = capsyn.Box([-1, -1], [1, 1])
     options = {"leaves": "affine", "max_level": 1, "partitions": 4}
-    made = capsyn.subdivide(lambda x: np.where(x[:, 0] < x[:, 1], 0, -1), box, 1, **options)
+    filled = capsyn.subdivide(lambda x: np.where(x[:, 0] < x[:, 1], 0, -1), box, 1, **options)
     images = []
-    for policy in (made, dataclasses.replace(made, gaps=True)):
+    for policy in (filled, dataclasses.replace(filled, gaps=True)):
         assert policy.has_planes
         images.append(plot_policy(policy, ax=Figure().add_subplot()).images[0].get_array())
     assert np.array_equal(*images) and len(np.unique(images[0].reshape(-1, 3), axis=0)) == 2

@@ -28,8 +28,8 @@ def texts(states):
     return [[SPECIAL.get(repr(v), repr(v)) for v in row] for row in states.tolist()]
 
 
-def node(directory, code, policy, **given):
-    """Return what a script prints of ``input``: a policy's data and what else is given."""
+def node(directory, code, policy, **inputs):
+    """Return what a script prints of ``input``: a policy's data and more."""
     if not NODE:
         pytest.skip("needs node: apt-get install nodejs")
     for path in [*HOME.rglob("explorer/page/**/*.js"), *HOME.rglob("exports/**/*.js")]:
@@ -39,7 +39,7 @@ def node(directory, code, policy, **given):
     (directory / "model.js").write_text(model_javascript(policy))
     (directory / "package.json").write_text('{"type": "module"}')
     (directory / "run.js").write_text(code)
-    (directory / "input.json").write_text(json.dumps({"policy": policy_data(policy), **given}))
+    (directory / "input.json").write_text(json.dumps({"policy": policy_data(policy), **inputs}))
     command = [NODE, directory / "run.js", directory / "input.json"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, run.stderr

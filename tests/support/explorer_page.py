@@ -18,7 +18,7 @@ QUIET = {"reduced_motion": "reduce"}
 
 
 @functools.cache
-def made(name, **changes):
+def synthesized(name, **changes):
     """Return the policy of a built-in problem."""
     return synthesize(problems.get(name), **changes)
 
@@ -79,8 +79,8 @@ class Shown:
     @property
     def active(self):
         """The active trajectory."""
-        (found,) = [track for track in self.state["tracks"] if track["active"]]
-        return found
+        (active,) = [track for track in self.state["tracks"] if track["active"]]
+        return active
 
     def text(self, selector):
         """Return the text of an element as it is shown."""

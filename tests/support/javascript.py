@@ -26,6 +26,15 @@ def nodes(node):
         yield from nodes(child)
 
 
+def imports(text):
+    """Yield the places that a module imports from, as they are written."""
+    for node in nodes(parse(text)):
+        if node.type in ("import_statement", "export_statement"):
+            source = node.child_by_field_name("source")
+            if source is not None:
+                yield source.text.decode().strip("\"'")
+
+
 def functions(text):
     """Yield the name of each function, or its place, and its number of code lines."""
     root = parse(text)

@@ -77,7 +77,7 @@ def page(policy: Policy, drawing: str | None = None) -> str:
         "SCRIPT": script,
     }
     # one pass: what is put in is never looked at again
-    return re.sub(r"\{\{([A-Z]+)\}\}", lambda found: parts[found[1]], _resource("page/page.html"))
+    return re.sub(r"\{\{([A-Z]+)\}\}", lambda mark: parts[mark[1]], _resource("page/page.html"))
 
 
 def _formulas(policy: Policy) -> str:

@@ -48,13 +48,13 @@ def formulas(policy: Policy) -> dict[str, list[str]]:
         return {}
     states, inputs, model = policy.domain.names, policy.alphabet.inputs, policy.model
     rates = [_rate(name) for name in states]
-    found = {
+    topics = {
         "dynamics": _equations(model.dynamics, rates, (*states, *inputs)),
         "cost": _cost(model.running_cost, model.terminal_cost, states),
     }
     if isinstance(policy.target, Program):
-        found["target"] = _equations(policy.target, [""], states)
-    return {topic: lines for topic, lines in found.items() if lines}
+        topics["target"] = _equations(policy.target, [""], states)
+    return {topic: lines for topic, lines in topics.items() if lines}
 
 
 def name_mathml(name: str) -> str:
@@ -67,8 +67,8 @@ def name_mathml(name: str) -> str:
 
 
 def _split(name: str) -> tuple[str, str]:
-    found = re.fullmatch(r"([^\W\d_]+)_?(\d+)|([^\W_]+)_([^\W_]+)", name)
-    return (found[1] or found[3], found[2] or found[4]) if found else (name, "")
+    parts = re.fullmatch(r"([^\W\d_]+)_?(\d+)|([^\W_]+)_([^\W_]+)", name)
+    return (parts[1] or parts[3], parts[2] or parts[4]) if parts else (name, "")
 
 
 def _letter(name: str) -> str:

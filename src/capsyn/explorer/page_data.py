@@ -14,6 +14,7 @@ from capsyn.explorer.facts import facts
 from capsyn.explorer.policy_data import policy_data
 from capsyn.modelling.domain import Ball
 from capsyn.modelling.targets import describe_target, target_axes
+from capsyn.policies.colors import PALETTE
 from capsyn.policies.policy import Policy
 from capsyn.policies.report import report
 
@@ -25,6 +26,8 @@ DRAWINGS = {
 """Drawings that the page has, and the states that they are of."""
 DRAWN_INPUTS = {"pendulum": 1, "cart-pole": 1, "double-tank": 3}
 """How many inputs they show."""
+DRAWN_LENGTH = {"pendulum": 2.0, "cart-pole": 2.0, "double-tank": 0.5}
+"""How long their poles are, and how high the upper tank is above the lower [m]."""
 DRAWN = {
     "cart-pendulum": "pendulum",
     "cart-pendulum-4": "pendulum",
@@ -50,11 +53,13 @@ def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
     ProblemError
         A drawing of other states, or none of that name.
     """
-    figures = report(policy)
+    figures, drawn = report(policy), _drawing(policy, drawing)
     return policy_data(policy) | {
         "target": _target(policy),
         "automaton": _automaton(policy),
-        "drawing": _drawing(policy, drawing),
+        "drawing": drawn,
+        "drawn_length": None if drawn is None else DRAWN_LENGTH[drawn],
+        "palette": list(PALETTE),
         "shares": policy.volume_shares.tolist(),
         "loops": policy.model is not None,
         "facts": facts(figures),
@@ -66,11 +71,11 @@ def _target(policy: Policy) -> dict[str, Any] | None:
     target, domain = policy.target, policy.domain
     if target is None:
         return None
-    told: dict[str, Any] = {"text": describe_target(target, domain)}
+    description: dict[str, Any] = {"text": describe_target(target, domain)}
     if isinstance(target, Ball):
-        told["ball"] = {"center": target.center.tolist(), "radius": target.radius}
-        told["axes"] = target_axes(target, domain)
-    return told
+        description["ball"] = {"center": target.center.tolist(), "radius": target.radius}
+        description["axes"] = target_axes(target, domain)
+    return description
 
 
 def _automaton(policy: Policy) -> dict[str, Any]:
@@ -97,9 +102,9 @@ def _drawing(policy: Policy, wanted: str | None) -> str | None:
     if wanted == "none":
         return None
     if wanted is None:
-        found = DRAWN.get(policy.name)
-        fits = found is not None and policy.domain.names == DRAWINGS[found]
-        return found if fits else None
+        usual = DRAWN.get(policy.name)
+        fits = usual is not None and policy.domain.names == DRAWINGS[usual]
+        return usual if fits else None
     if wanted not in DRAWINGS:
         raise ProblemError(
             f"`drawing` must be one of {', '.join(DRAWINGS)} or none; got '{wanted}'"

@@ -11,8 +11,9 @@ from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.packing import smallest_type
 from capsyn.policies.file import arrays_of, content_of
 from capsyn.policies.policy import Policy
-from capsyn.programs.step_doubling import UNRESOLVED
-from capsyn.simulation.plant import ACCURACY, MOST_SUBSTEPS, SAMPLES
+from capsyn.programs.step_doubling import FALLING, STALLS, UNRESOLVED
+from capsyn.simulation.closed_loop import SLACK
+from capsyn.simulation.plant import ACCURACY, LADDER, PERCENTILE, SAMPLES
 
 RATE = 1000.0
 """Sample rate of closed loops [1 / s] where a policy has no settings."""
@@ -31,6 +32,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
     - ``tree``: arrays of a decision tree, else None;
     - ``rate``: sample rate [1 / s] of closed loops for which none is given;
+    - ``slack``: samples by which a time that should be a whole number of them may be off;
     - ``sampled``: what the steps of closed loops are chosen by, see `choose_substeps`; None where
       there is no model.
 
@@ -54,14 +56,21 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         "cells": structure | packed if is_cells else None,
         "tree": None if is_cells else packed,
         "rate": RATE if settings is None else 1 / settings.sample_time,
-        "sampled": None
-        if model is None
-        else {
-            "states": packed_array(policy.domain.sample(SAMPLES, 0)),
-            "accuracy": ACCURACY,
-            "most": MOST_SUBSTEPS,
-            "unresolved": UNRESOLVED,
-        },
+        "slack": SLACK,
+        "sampled": None if model is None else _sampled(policy),
+    }
+
+
+def _sampled(policy: Policy) -> dict[str, Any]:
+    """Return what `choose_substeps` and `fewest_steps` choose by."""
+    return {
+        "states": packed_array(policy.domain.sample(SAMPLES, 0)),
+        "accuracy": ACCURACY,
+        "percentile": PERCENTILE,
+        "ladder": list(LADDER),
+        "falling": FALLING,
+        "stalls": STALLS,
+        "unresolved": UNRESOLVED,
     }
 
 

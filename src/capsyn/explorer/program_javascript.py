@@ -107,5 +107,5 @@ def model_javascript(policy: Policy) -> str:
     helpers = "".join(
         f"  const m_{name} = {text};\n" for name, text in HELPERS.items() if f"m_{name}(" in body
     )
-    made = ", ".join(programs)
-    return f"export const model = (() => {{\n{helpers}{body}  return {{ {made} }};\n}})();\n"
+    names = ", ".join(programs)
+    return f"export const model = (() => {{\n{helpers}{body}  return {{ {names} }};\n}})();\n"

@@ -51,14 +51,14 @@ def figure_4a(policy: Policy) -> Figure:
 
 def compare_with_law(policy: Policy) -> list[Row]:
     """Return how the two-symbol policy compares with the bang-bang law."""
-    found = agreement(policy, 200_000, controller=_bang_bang)
+    agreed = agreement(policy, 200_000, controller=_bang_bang)
     return [
         Row(
             "two-symbol policy against the bang-bang law of [20]",
             "structurally identical",
-            f"{found.share:.2%} of random states, 100 % above the finest level"
-            if (found.level_agreeing[:-1] == found.level_states[:-1]).all()
-            else f"{found.share:.2%} of random states",
+            f"{agreed.share:.2%} of random states, 100 % above the finest level"
+            if (agreed.level_agreeing[:-1] == agreed.level_states[:-1]).all()
+            else f"{agreed.share:.2%} of random states",
             "u = -5 sign(E omega cos theta); the footnote's plus sign belongs to a model with the "
             "opposite input sign",
         )

@@ -79,12 +79,11 @@ def reproduce(
         keep_figure("figure-3", paper_pendulum.figure_3(pendulums[0]))
         keep_figure("figure-4a", paper_pendulum.figure_4a(pendulums[1]))
         rows += paper_pendulum.compare_with_law(pendulums[0])
-        figure, found = paper_pendulum.prove(pendulums)
+        figure, proofs = paper_pendulum.prove(pendulums)
         keep_figure("figure-4b", figure)
-        rows += found
-        figure, found = paper_pendulum.swing_up(pendulums, trials, threads)
+        figure, swings = paper_pendulum.swing_up(pendulums, trials, threads)
         keep_figure("dwell-time", figure)
-        rows += found
+        rows += proofs + swings
         tell("tanks: figures 5 and 6, Monte Carlo")
         keep_figure("figure-5", paper_tanks.figure_5())
         for letter, readings in paper_tanks.READINGS.items():

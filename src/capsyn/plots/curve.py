@@ -44,8 +44,8 @@ def plot_curve(points: Sequence[CurvePoint], ax: Axes) -> Axes:
         linewidth=1,
         zorder=1,
     )
-    told = {(point.bytes, point.agreement): point for point in reversed(best)}  # once at a place
-    for point in told.values():
+    places = {(point.bytes, point.agreement): point for point in reversed(best)}
+    for point in places.values():  # once at a place
         level = "" if point.level is None else f", level {point.level}"
         ax.annotate(
             f"{point.nodes}{level}",

@@ -28,6 +28,10 @@ ACCURACY = 1e-9
 """Error of the integration, in widths of the domain per second, that `choose_substeps` allows."""
 MOST_SUBSTEPS = 4096
 """Most Runge-Kutta steps per sample."""
+LADDER = tuple(1 << k for k in range(MOST_SUBSTEPS.bit_length() - 1))
+"""Steps that `choose_substeps` tries; it compares each with twice as many."""
+PERCENTILE = 95
+"""Percentile, over the states, of the error that counts there."""
 
 
 @dataclass(frozen=True)
@@ -219,10 +223,9 @@ def choose_substeps(
             finite = np.isfinite(errors)
             errors[~finite] = np.inf
             errors = errors[finite | np.isfinite(fine).all(axis=0)]
-            return float(np.percentile(errors, 95)) if errors.size else np.inf
+            return float(np.percentile(errors, PERCENTILE)) if errors.size else np.inf
 
-    ladder = [1 << k for k in range(MOST_SUBSTEPS.bit_length() - 1)]
-    best, least = fewest_steps(ladder, error_of, ACCURACY * period)
+    best, least = fewest_steps(LADDER, error_of, ACCURACY * period)
     if least <= ACCURACY * period:
         return best
     warn(

@@ -1,0 +1,124 @@
+import { byId, element } from "../dom/elements.js";
+import { whole } from "../dom/text.js";
+import { progress, symbolAt } from "../state/tracks.js";
+import { placed } from "./places.js";
+import { edgeShape, emptyShape, vertexShape } from "./shapes.js";
+import { makeTaken } from "./taken.js";
+import { makeWords } from "./words.js";
+
+/** Up to so many symbols, arrows that are proved impossible are drawn. */
+const MOST_OFF = 10;
+
+/**
+ * @typedef {object} Graph  The picture of the automaton. Labels are symbols, the default's last.
+ * @property {App} app  see `../state/app.js`
+ * @property {HTMLElement} root
+ * @property {HTMLElement} caption  what is told below
+ * @property {object} layout  see `placed`
+ * @property {object} words  see `makeWords`
+ * @property {object} taken  see `makeTaken`
+ * @property {function} symbolOf  the symbol of a label
+ * @property {object[]} circles  see `vertexShape`
+ * @property {object[]} arrows  see `edgeShape`; `count` is how often it has been taken so far
+ * @property {?number} shown  the label whose edges alone are shown
+ */
+
+/**
+ * Return the graph of the finite state machine: {draw, sweep, taken}. An edge shows the cells of
+ * the region that is its guard, and how often the active trajectory has taken it so far; where
+ * there is no room, cells and stays stand beside the symbol. A symbol that is pointed at, or has
+ * the focus, shows its edges alone, and tells them in words.
+ */
+export function makeAutomaton(app) {
+  const { data } = app, last = data.controls.length - 1, words = makeWords(data);
+  const graph = {
+    app, words, root: byId("automaton"),
+    caption: element("p", { class: "caption", "aria-live": "polite" }),
+    layout: placed(data.automaton.vertices.map(({ symbol }) => words.name(symbol))),
+    taken: makeTaken(last), symbolOf: label => (label === last ? -1 : label),
+    circles: [], arrows: [], shown: null,
+  };
+  return { draw: () => draw(graph), sweep: () => sweep(graph), taken: graph.taken.all };
+}
+
+function draw(graph) {
+  const { app, layout, words, symbolOf } = graph, { vertices, edges } = app.data.automaton;
+  const index = new Map(vertices.map(({ symbol }, k) => [symbol, k]));
+  graph.circles = vertices.map(({ symbol }, k) =>
+    vertexShape({ layout, words, symbolOf, theme: app.theme }, symbol, layout.places[k]));
+  graph.arrows = edges.filter(({ possible, source, target }) =>
+    vertices.length <= MOST_OFF || possible !== false || source === target,
+  ).map(edge => {
+    const ends = [edge.source, edge.target].map(label => index.get(label));
+    const { stays } = graph.circles[ends[0]];
+    return edgeShape(edge, layout, ends.map(k => layout.places[k]), stays);
+  });
+  for (const circle of graph.circles) listen(graph, circle);
+  const svg = emptyShape(layout.kind);
+  svg.append(...graph.arrows.map(edge => edge.node), ...graph.circles.map(circle => circle.node),
+    ...graph.arrows.map(edge => edge.text).filter(Boolean));
+  graph.root.replaceChildren(svg, graph.caption);
+  sweep(graph);
+}
+
+function listen(graph, { label, node }) {
+  const shown = { focus: label, pointerenter: label, blur: null, pointerleave: null };
+  for (const event of Object.keys(shown)) {
+    node.addEventListener(event, () => show(graph, shown[event]));
+  }
+}
+
+/** Show the edges of a label alone, and tell them; all for null. */
+function show(graph, label) {
+  graph.shown = label;
+  graph.root.firstChild.classList.toggle("told", label !== null);
+  for (const { source, target, node, text } of graph.arrows) {
+    const own = label === source || label === target;
+    for (const part of [node, text]) part?.classList.toggle("own", own);
+  }
+  describe(graph);
+}
+
+function describe({ arrows, shown, words, caption }) {
+  const own = arrows.filter(edge => edge.source === shown);
+  own.sort((a, b) => (b.count ?? 0) - (a.count ?? 0));
+  const text = own.map(words.edge).join("; ");
+  if (caption.textContent !== text) caption.textContent = text;
+}
+
+function sweep(graph) {
+  const { app, taken, circles, arrows, symbolOf } = graph, track = app.active;
+  const now = track ? progress(app, track) : 0, active = track && symbolAt(track, now);
+  taken.follow(track, now);
+  for (const { label, node } of circles) node.classList.toggle("lit", symbolOf(label) === active);
+  for (const edge of arrows) {
+    const count = taken.count(edge.source, edge.target);
+    if (edge.count !== count) write(graph, edge, count);
+  }
+  for (const circle of circles) name(graph, circle);
+  if (graph.shown !== null) describe(graph);
+}
+
+/** Name a vertex by its edges: anew only where it has the focus. */
+function name({ arrows, words }, { label, node }) {
+  if (document.activeElement !== node && node.hasAttribute("aria-label")) return;
+  const own = arrows.filter(edge => edge.source === label);
+  node.setAttribute("aria-label", own.map(words.edge).join("; "));
+}
+
+/** Show how often an edge has been taken. */
+function write({ app, words, layout }, edge, count) {
+  const off = edge.possible === false && !count, times = app.data.loops ? `${whole(count)}×` : "";
+  edge.count = count;
+  edge.node.classList.toggle("taken", count > 0);
+  edge.node.classList.toggle("off", off);
+  edge.node.dataset.taken = count;
+  edge.title.textContent = words.edge(edge);
+  if (edge.beside) edge.beside.span.textContent = `${edge.beside.before}${times && `↻ ${times}`}`;
+  if (!edge.path) return;
+  edge.text.classList.toggle("taken", count > 0);
+  edge.path.setAttribute("marker-end", `url(#tip${count ? "-taken" : off ? "-off" : ""})`);
+  const full = layout.kind === "pair" || edge.source === edge.target;
+  edge.lines[0].textContent = full ? words.cells(edge.target) : count ? times : "";
+  edge.lines[1].textContent = full ? times : "";
+}

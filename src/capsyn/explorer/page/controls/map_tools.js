@@ -1,0 +1,92 @@
+import { byId, element } from "../dom/elements.js";
+import { changed, outline, showAll, zoom } from "../state/changes.js";
+import { labelled } from "./fields.js";
+import { makeSlices } from "./slices.js";
+
+/** Time between the levels of a replay [ms]. */
+const PAUSE = 800;
+
+/**
+ * Return the tools over the map: {sync, show, follows}. `show` goes to a level of Algorithm 1,
+ * `follows` tells whether the plane goes with the active trajectory.
+ */
+export function makeMapTools(app) {
+  const { view, lookup } = app, several = view.n > 1, replays = lookup.levels > 0;
+  const axes = makeAxes(app), levels = makeLevels(app), slices = makeSlices(app);
+  const outlines = element("input", {
+    id: "outlines", type: "checkbox", checked: view.outlines,
+    onchange: () => outline(app, outlines.checked),
+  });
+  byId("map-tools").append(...[
+    several && labelled("across", axes.pickers[0]),
+    several && labelled("up", axes.pickers[1]),
+    replays && labelled("level", levels.slider, levels.text),
+    replays && levels.replay,
+    labelled("outlines", outlines),
+  ].filter(Boolean));
+  byId("zoom").append(
+    button("+", "Zoom in", () => zoom(app, 0.7)),
+    button("−", "Zoom out", () => zoom(app, 1 / 0.7)),
+    button("⤢", "Show all", () => showAll(app)),
+  );
+
+  function sync() {
+    axes.sync();
+    levels.sync();
+    outlines.checked = view.outlines;
+    slices.sync();
+  }
+
+  return { sync, show: levels.show, follows: slices.follows };
+}
+
+function button(text, title, onclick) {
+  const attributes = { type: "button", class: "square", title, "aria-label": title, onclick };
+  return element("button", attributes, text);
+}
+
+/** Pickers of the states that span the plane. */
+function makeAxes(app) {
+  const { data, view } = app;
+  const picker = side => element("select", {
+    id: ["axis-x", "axis-y"][side],
+    onchange: event => {
+      view.choose(side, Number(event.target.value));
+      changed(app);
+    },
+  }, data.domain.names.map((name, i) => element("option", { value: i }, name)));
+  const pickers = [picker(0), picker(1)];
+  const sync = () => pickers.forEach((select, side) => (select.value = String(view.axes[side])));
+  return { pickers, sync };
+}
+
+/** The level of Algorithm 1: a slider, and a button that goes through all. */
+function makeLevels(app) {
+  const { view, lookup } = app;
+  const slider = element("input", {
+    id: "level", type: "range", min: 0, max: lookup.levels, step: 1, value: view.level,
+    oninput: () => show(Number(slider.value)),
+  });
+  const text = element("output", { for: "level" });
+  const replay = element("button", { id: "replay", type: "button", onclick: () => play(0),
+    title: "Algorithm 1, level by level" }, "Replay");
+  let timer = null;
+
+  function show(value) {
+    clearTimeout(timer);
+    view.level = Math.min(Math.max(value, 0), lookup.levels);
+    changed(app);
+  }
+
+  function play(value) {
+    show(value);
+    if (value < lookup.levels) timer = setTimeout(() => play(value + 1), PAUSE);
+  }
+
+  function sync() {
+    slider.value = String(view.level);
+    text.textContent = `${view.level} of ${lookup.levels}`;
+  }
+
+  return { slider, text, replay, show, sync };
+}

@@ -1,0 +1,124 @@
+import { byId, element } from "../dom/elements.js";
+import { short, whole } from "../dom/text.js";
+import { rerun } from "../state/trajectories.js";
+import { labelled } from "./fields.js";
+import { usualDuration } from "./pace.js";
+
+const MOST_SAMPLES = 400_000, MOST_STEPS = 10_000_000;
+/** Numbers: their name, unit, and what they are. */
+const FIELDS = {
+  duration: ["duration", "s", "How long each trajectory is"],
+  rate: ["sample rate", "1/s", "How often the policy is asked"],
+  noise: ["noise", "%", "Standard deviation of the measured states, in % of their widths"],
+  delay: ["delay", "ms", "From a sample until its control acts"],
+  dwell: ["least dwell", "s", "Least time between switches"],
+};
+/** Those that must be above 0. */
+const POSITIVE = ["duration", "rate"];
+
+/**
+ * Return the settings of the closed loop: {options, summary, keeps}. `options()` are those of `run`
+ * of `makeLoop`, or text that says what is wrong; `summary(options)` says what is unusual about
+ * them; `keeps()` tells whether earlier trajectories stay.
+ */
+export function makeSettings(app) {
+  const { data } = app, form = {
+    app, fields: {}, problem: element("p", { id: "problem", role: "alert" }),
+    outside: makeOutside(app),
+    stop: element("input", { id: "set-stop", type: "checkbox", onchange: () => rerun(app) }),
+    keep: element("input", { id: "keep", type: "checkbox" }),
+  };
+  const { rate, min_dwell: dwell } = data;
+  const values = { duration: usualDuration(data), rate, noise: 0, delay: 0, dwell };
+  byId("settings").append(...[
+    ...Object.keys(FIELDS).map(name => makeField(form, name, values[name])),
+    labelled("outside", form.outside),
+    data.target && labelled("stop at target", form.stop),
+    labelled("keep earlier", form.keep),
+    form.problem,
+  ].filter(Boolean));
+  return {
+    options: () => optionsOf(form),
+    summary: options => summary(options, data),
+    keeps: () => form.keep.checked,
+  };
+}
+
+function makeField(form, name, value) {
+  const [text, unit, title] = FIELDS[name];
+  const input = form.fields[name] = element("input", {
+    id: `set-${name}`, type: "number", value, min: 0, step: "any", required: true, title,
+    oninput: () => optionsOf(form), onchange: () => rerun(form.app), "data-name": text,
+    "aria-describedby": "problem",
+  });
+  return labelled(text, input, element("span", { class: "unit" }, unit));
+}
+
+/** A picker of the rule outside the domain. */
+function makeOutside(app) {
+  const { symbols, outside } = app.data;
+  const rules = Object.entries({ error: "stop there", nearest: "nearest cell" });
+  const picker = element("select", { id: "set-outside", onchange: () => rerun(app) },
+    rules.map(([value, text]) => element("option", { value }, text)),
+    symbols.map((name, k) =>
+      element("option", { value: k < symbols.length - 1 ? k : -1 }, `symbol ${name}`)));
+  picker.value = String(outside);
+  return picker;
+}
+
+/** Mark the fields that are wrong, and say why; return the text. */
+function complain({ fields, problem }, text, ...wrong) {
+  for (const [name, input] of Object.entries(fields)) {
+    if (wrong.includes(name)) input.setAttribute("aria-invalid", "true");
+    else input.removeAttribute("aria-invalid");
+  }
+  problem.textContent = text;
+  document.body.classList.toggle("invalid", Boolean(text));
+  return text;
+}
+
+function optionsOf(form) {
+  const { app, fields, outside, stop } = form, { lower, upper } = app.data.domain, values = {};
+  for (const [name, input] of Object.entries(fields)) {
+    const value = input.valueAsNumber, positive = POSITIVE.includes(name);
+    if (!(positive ? value > 0 : value >= 0) || !Number.isFinite(value)) {
+      const text = `must be a number ${positive ? "above 0" : "from 0"}`;
+      return complain(form, `${input.dataset.name} ${text}`, name);
+    }
+    values[name] = value;
+  }
+  const { duration, rate, noise, delay, dwell } = values, samples = duration * rate;
+  if (samples < 1 || samples > MOST_SAMPLES) {
+    const text = `duration × sample rate must be 1 to ${whole(MOST_SAMPLES)} samples`;
+    return complain(form, text, ...POSITIVE);
+  }
+  const { steps } = app.loop.substeps(rate);
+  if (samples * steps > MOST_STEPS) {
+    const size = `${whole(Math.round(samples))} samples of ${steps} integration steps`;
+    return complain(form, `${size} would take too long`, ...POSITIVE);
+  }
+  complain(form, "");
+  const rule = outside.value;
+  return {
+    duration,
+    rate,
+    noise: lower.map((low, i) => (noise / 100) * (upper[i] - low)),
+    delay: delay / 1000,
+    minDwell: dwell,
+    outside: rule === "error" || rule === "nearest" ? rule : Number(rule),
+    stopAtTarget: stop.checked,
+  };
+}
+
+function summary({ rate, noise, delay, minDwell, outside }, data) {
+  const { lower, upper } = data.domain;
+  const rule = typeof outside === "string" ? outside : data.symbols.at(outside);
+  const share = noise.length ? noise[0] / (upper[0] - lower[0]) : 0;
+  return [
+    rate !== data.rate && `${short(rate)} Hz`,
+    share > 0 && `noise ${short(100 * share)} %`,
+    delay > 0 && `delay ${short(delay * 1000)} ms`,
+    minDwell !== data.min_dwell && `dwell ${short(minDwell)} s`,
+    outside !== data.outside && `outside ${rule}`,
+  ].filter(Boolean).join(", ");
+}

@@ -1,0 +1,148 @@
+import { INSIDE, NONE, NOT_FINITE } from "../policy/symbols.js";
+import { gaussian } from "./noise.js";
+import { makeAdvance } from "./runge_kutta.js";
+import { makeSubsteps } from "./substeps.js";
+
+const MOST_SAMPLES = 1e7;
+
+/**
+ * Return the closed loop of a policy with its model: {rate, run, substeps}.
+ *
+ * `data` is that of `policy_data`, `lookup` that of `makeLookup`, `model` that of
+ * `model_javascript`. What happens at a sample is told in `capsyn.simulation.closed_loop`.
+ *
+ * run(x0, {duration, rate, noise, seed, delay, minDwell, outside, substeps, stopAtTarget}): the
+ * trajectory from a state, all of it at once. Defaults are the policy's own, with no noise (a
+ * standard deviation [state units], or one per state) and no delay [s], for 5 s. It is
+ * {t (K+1), x (K+1, n), u (K, m), symbols (K), cost (K+1), terminalCost, totalCost, ended, arrived,
+ * switches, outside, rate, substeps}: K samples until it ended, matrices row by row; `ended` is
+ * "time", "target", "left the domain" or "not finite"; `arrived` [s] is NaN if it did not.
+ *
+ * substeps(rate): see `makeSubsteps`.
+ */
+export function makeLoop(data, lookup, model) {
+  const widths = data.domain.lower.map((low, i) => data.domain.upper[i] - low);
+  const advance = makeAdvance(model, lookup.n), substeps = makeSubsteps(data, widths, advance);
+  const system = { data, lookup, model, widths, advance, substeps };
+  return { rate: data.rate, run: (x0, options) => run(system, x0, options), substeps };
+}
+
+function run(system, x0, options = {}) {
+  const settings = settled(system, x0, options), course = begun(system, x0, settings);
+  for (let k = 0; ; k++) {
+    record(course, settings, k);
+    course.ended = arrival(system, course, settings, k) ?? decide(system, course, settings, k);
+    if (course.ended) return result(system, course, settings, k);
+    act(system, course, settings, k);
+  }
+}
+
+/** The options of a run, whole numbers of samples where they are to be. */
+function settled({ data, lookup: { n }, widths, substeps: choose }, x0, {
+  duration = 5, rate = data.rate, noise = 0, seed = 0, delay = 0, minDwell = data.min_dwell,
+  outside = data.outside, substeps = null, stopAtTarget = false,
+}) {
+  const samples = roundEven(duration * rate), period = 1 / rate, { slack } = data;
+  if (!(samples >= 1 && samples <= MOST_SAMPLES)) {
+    throw new RangeError(`duration times rate must be 1 to ${MOST_SAMPLES}; got ${samples}`);
+  }
+  if (x0.length !== n) throw new RangeError(`a state is ${n} numbers; got ${x0.length}`);
+  const late = Math.min(delay, samples * period), whole = Math.floor(late / period + slack);
+  const left = late - whole * period, rest = left < slack * period ? 0 : left, now = period - rest;
+  const deviations = widths.map((_, i) => (typeof noise === "number" ? noise : noise[i]));
+  return {
+    samples, rate, outside, stopAtTarget, deviations,
+    steps: substeps ?? choose(rate).steps,
+    dwell: Math.ceil(Math.min(minDwell * rate - slack, samples)),
+    /** Samples that a control is late by, and from a sample the time until it acts and after it. */
+    whole, rest, before: period - now, now,
+    normal: deviations.some(d => d !== 0) ? gaussian(seed) : null,
+  };
+}
+
+/** A trajectory at its start: what is recorded of it, and where it is. */
+function begun({ data, lookup: { n } }, x0, { samples }) {
+  return {
+    t: new Float64Array(samples + 1), cost: new Float64Array(samples + 1),
+    states: new Float64Array((samples + 1) * n), symbols: new Int16Array(samples),
+    u: new Float64Array(samples * data.controls[0].length),
+    x: Float64Array.from(x0), gathered: new Float64Array(1), measured: new Float64Array(n),
+    inside: new Float64Array(1), symbol: NONE, held: 0, switches: 0, away: 0,
+    arrived: NaN, ended: null,
+  };
+}
+
+function record({ t, states, cost, x, gathered }, { rate }, k) {
+  t[k] = k / rate;
+  states.set(x, k * x.length);
+  cost[k] = gathered[0];
+}
+
+/** Look where a trajectory is at sample k; return why it ends there, or null. */
+function arrival({ model }, course, { samples, rate, stopAtTarget }, k) {
+  const { x, inside } = course;
+  if (!x.every(Number.isFinite)) return "not finite";
+  model.inside(x, inside);
+  if (inside[0] !== 0 && Number.isFinite(inside[0])) {
+    if (Number.isNaN(course.arrived)) course.arrived = k / rate;
+    if (stopAtTarget) return "target";
+  }
+  return k === samples ? "time" : null;
+}
+
+/** Measure the state at sample k, ask the policy; return why the trajectory ends there, or null. */
+function decide({ data, lookup }, course, { outside, deviations, normal, dwell }, k) {
+  const { x, measured } = course;
+  for (let i = 0; i < x.length; i++) measured[i] = x[i] + (normal ? deviations[i] * normal() : 0);
+  const seen = lookup.symbol(measured, outside);
+  if (seen.status !== INSIDE) course.away += 1;
+  if (seen.symbol === NONE) return seen.status === NOT_FINITE ? "not finite" : "left the domain";
+  const first = course.symbol === NONE;
+  const changes = first || differ(controlOf(data, seen.symbol), controlOf(data, course.symbol));
+  if (first || (changes && course.held >= dwell)) {
+    if (!first) course.switches += 1;
+    course.held = 0;
+  }
+  if (course.held === 0 || !changes) course.symbol = seen.symbol;
+  course.held += 1;
+  course.symbols[k] = course.symbol;
+  const control = controlOf(data, course.symbol);
+  course.u.set(control, k * control.length);
+  return null;
+}
+
+/** Go on to the next sample under the controls that act: decided before, or the default. */
+function act({ data, advance }, { x, gathered, symbols }, { whole, rest, before, now, steps }, k) {
+  const acting = sample => controlOf(data, sample < 0 ? -1 : symbols[sample]);
+  if (rest > 0) advance(x, gathered, acting(k - whole - 1), before, steps);
+  advance(x, gathered, acting(k - whole), now, steps);
+}
+
+function result({ data, model }, course, { rate, steps }, k) {
+  const { t, x, states, u, symbols, cost, gathered, ended, arrived, switches, away } = course;
+  const terminal = new Float64Array(1);
+  model.terminalCost(x, terminal, new Float64Array(x.length));
+  return {
+    t: t.slice(0, k + 1),
+    x: states.slice(0, (k + 1) * x.length),
+    u: u.slice(0, k * data.controls[0].length),
+    symbols: symbols.slice(0, k),
+    cost: cost.slice(0, k + 1),
+    terminalCost: terminal[0],
+    totalCost: gathered[0] + terminal[0],
+    ended, arrived, switches, outside: away, rate, substeps: steps,
+  };
+}
+
+function controlOf({ controls }, symbol) {
+  return controls[symbol < 0 ? controls.length - 1 : symbol];
+}
+
+function differ(u, v) {
+  return u.some((value, i) => value !== v[i]);
+}
+
+function roundEven(x) {
+  const nearest = Math.round(x);
+  return x % 1 === 0.5 && nearest % 2 ? nearest - 1 : nearest;
+}

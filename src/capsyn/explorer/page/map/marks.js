@@ -1,0 +1,86 @@
+import { readable } from "../dom/colors.js";
+import { progress, symbolAt } from "../state/tracks.js";
+import { toPixels, within } from "./frame.js";
+
+/** The target: hatched, within a dashed line. */
+export function drawTarget(context, { edge, hatch }, theme) {
+  context.lineCap = "butt";
+  context.lineWidth = 1;
+  context.strokeStyle = theme.hatch;
+  context.stroke(hatch);
+  context.strokeStyle = theme.halo;
+  context.lineWidth = 3;
+  context.stroke(edge);
+  context.setLineDash([5, 4]);
+  context.strokeStyle = theme.ink;
+  context.lineWidth = 1.6;
+  context.stroke(edge);
+  context.setLineDash([]);
+}
+
+/** A line in a colour, with a halo that sets it off. */
+function drawLine(context, line, { halo }, color, width, alpha = 1) {
+  context.globalAlpha = alpha;
+  context.lineJoin = "round";
+  context.lineCap = "round";
+  for (const [paint, wide] of [[halo, width + 2.5], [color, width]]) {
+    context.strokeStyle = paint;
+    context.lineWidth = wide;
+    context.stroke(line);
+  }
+  context.globalAlpha = 1;
+}
+
+/** The line of a track, faint where it has still to go. */
+export function drawTrack(context, { app, frame, lines }, track) {
+  const { theme, view } = app, color = theme.track(track.color), now = progress(app, track);
+  const strong = track === app.active, going = now < track.states.length - 1;
+  const whole = lines.whole(track, view, frame);
+  drawLine(context, whole, theme, color, strong ? 1.6 : 1.2, going ? 0.32 : strong ? 1 : 0.75);
+  if (!going) return;
+  drawLine(context, lines.until(track, now, view, frame), theme, color, strong ? 2.2 : 1.6);
+}
+
+/** Where a track starts, with its number, and where it is, in the colour of its symbol. */
+export function drawEnds(context, { app, frame }, track) {
+  const { theme, view } = app, color = theme.track(track.color), now = progress(app, track);
+  const start = toPixels(frame, view.place(track.states[0]));
+  if (within(frame, start)) {
+    drawDisc(context, start, 8.5, color, theme.halo, 2);
+    context.fillStyle = readable(color);
+    context.font = "600 11px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.fillText(String(track.number), start[0], start[1] + 0.5);
+  }
+  const here = toPixels(frame, view.place(track.states[now]));
+  if (now === 0 || !within(frame, here)) return;
+  drawDisc(context, here, 6, theme.color(symbolAt(track, now)), color, 2.5);
+}
+
+function drawDisc(context, [x, y], radius, color, edge, width) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fillStyle = color;
+  context.fill();
+  context.strokeStyle = edge;
+  context.lineWidth = width;
+  context.stroke();
+}
+
+/** The state that is pointed at, and its cell. */
+export function drawPointer(context, { app, frame }) {
+  const { theme, view, pointed } = app;
+  if (!pointed) return;
+  const { cell, state } = pointed, [x, y] = toPixels(frame, view.place(state));
+  if (cell && cell.lower) {
+    const [[left, bottom], [right, top]] =
+      [cell.lower, cell.upper].map(corner => toPixels(frame, view.unturned(corner)));
+    const box = new Path2D();
+    if (view.n > 1) box.rect(left, top, right - left, bottom - top);
+    else box.rect(left, frame.y, right - left, frame.height);
+    drawLine(context, box, theme, theme.ink, 1.5);
+  }
+  const cross = new Path2D(`M${x - 7} ${y}H${x + 7}M${x} ${y - 7}V${y + 7}`);
+  drawLine(context, cross, theme, theme.ink, 1.2);
+}

@@ -1,0 +1,109 @@
+import { unpack } from "./packed.js";
+import { fill } from "./raster.js";
+
+/** A decision tree; see `capsyn.cells.split_tree.SplitTree` for the arrays. */
+export class SplitTree {
+  constructor(packed, n) {
+    const names = ["split", "threshold", "second", "planes"];
+    for (const name of names) this[name] = Int32Array.from(unpack(packed[name]));
+    this.n = n;
+    /** There is nothing to replay. */
+    this.levels = 0;
+  }
+
+  /** What a node compares with its threshold. */
+  compared(node, z) {
+    const { split, planes, n } = this;
+    if (split[node] < n) return z[split[node]];
+    const row = (split[node] - n) * n;
+    let sum = 0;
+    for (let i = 0; i < n; i++) sum += planes[row + i] * z[i];
+    return sum;
+  }
+
+  /** The leaf with lattice steps z. */
+  find(z) {
+    const { split, threshold, second } = this;
+    let node = 0;
+    while (split[node] >= 0) {
+      node = this.compared(node, z) >= threshold[node] ? second[node] : node + 1;
+    }
+    return node;
+  }
+
+  label(node) {
+    return this.threshold[node];
+  }
+
+  allowed(node) {
+    return [this.threshold[node]];
+  }
+
+  /** The leaf with lattice steps z: {place, level, low, high}, in steps. */
+  cell(z, counts) {
+    const { split, threshold, second } = this, low = z.map(() => 0), high = Array.from(counts);
+    let node = 0, level = 0, oblique = false;
+    for (; split[node] >= 0; level++) {
+      const axis = split[node], beyond = this.compared(node, z) >= threshold[node];
+      if (axis >= this.n) oblique = true;
+      else if (beyond) low[axis] = Math.max(low[axis], threshold[node]);
+      else high[axis] = Math.min(high[axis], threshold[node]);
+      node = beyond ? second[node] : node + 1;
+    }
+    return { place: node, level, low: oblique ? null : low, high: oblique ? null : high };
+  }
+
+  /** Return `value(node, true)` of the leaves of a plane; see `CellTree`. */
+  section({ z, i, j, columns, rows, value }) {
+    const { split, threshold, second } = this;
+    const across = columns.length, grid = new Int32Array(across * rows.length);
+    const origin = z.map((k, axis) => (axis === i || axis === j ? 0 : k));
+
+    /** Fill the part [a0, a1) x [b0, b1) of the grid from a node. */
+    const go = (node, a0, a1, b0, b1) => {
+      while (a0 < a1 && b0 < b1) {
+        const axis = split[node], cut = threshold[node];
+        if (axis < 0) return fill(grid, across, value(node, true), a0, a1, b0, b1);
+        let beyond = true;
+        if (axis === i) {
+          const middle = before(columns, a0, a1, cut);
+          go(node + 1, a0, middle, b0, b1);
+          a0 = middle;
+        } else if (axis === j) {
+          const middle = before(rows, b0, b1, cut);
+          go(node + 1, a0, a1, b0, middle);
+          b0 = middle;
+        } else if (axis < this.n) beyond = origin[axis] >= cut;
+        else {
+          const ends = [[columns[a0], columns[a1 - 1]], [rows[b0], rows[b1 - 1]]];
+          const [least, most] = this.range(node, origin, [i, j], ends);
+          if (most < cut) beyond = false;
+          else if (least < cut) {
+            const wide = a1 - a0 > b1 - b0, a = (a0 + a1) >> 1, b = (b0 + b1) >> 1;
+            go(node, a0, wide ? a : a1, b0, wide ? b1 : b);
+            if (wide) a0 = a;
+            else b0 = b;
+            continue;
+          }
+        }
+        node = beyond ? second[node] : node + 1;
+      }
+    };
+    go(0, 0, across, 0, rows.length);
+    return grid;
+  }
+
+  /** The least and the most that an oblique split compares where two axes have ranges of steps. */
+  range(node, origin, axes, ends) {
+    const row = (this.split[node] - this.n) * this.n, base = this.compared(node, origin);
+    const products = ends.map((pair, k) => pair.map(step => this.planes[row + axes[k]] * step));
+    const total = end => products.reduce((sum, pair) => sum + end(...pair), base);
+    return [total(Math.min), total(Math.max)];
+  }
+}
+
+/** The first of ascending steps [from, to) that is not before a cut; `to` if all are. */
+function before(steps, from, to, cut) {
+  while (from < to && steps[from] < cut) from += 1;
+  return from;
+}

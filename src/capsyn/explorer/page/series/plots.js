@@ -1,0 +1,74 @@
+import uPlot from "../../vendor/uPlot.esm.js";
+import { tickText } from "../dom/text.js";
+import { longest, ordered } from "../state/tracks.js";
+import { extremes } from "./pieces.js";
+
+const HEIGHTS = { state: 96, input: 68, cost: 82 };
+const STRIP = 14, FOOT = 24, LEFT = 58, RIGHT = 20;
+const FONT = "11px system-ui, sans-serif";
+/** Pieces of a curve whose least and greatest samples are drawn. */
+const PIECES = 600;
+/** Most values of an input that are all ticks. */
+const FEW = 3;
+
+/** Return the data of a row's plot for uPlot: the times, and what each track has there. */
+export function plotData(row, app) {
+  if (row.paint) return [[0, longest(app.tracks)], ...app.tracks.map(() => [0, 0])];
+  return uPlot.join(ordered(app).map(track => {
+    const value = k => row.value(track, k), kept = extremes(track.t.length, value, PIECES);
+    const shown = kept.map(value);
+    return [kept.map(k => track.t[k]), shown.map(v => (Number.isFinite(v) ? v : null))];
+  }));
+}
+
+/** Return the options of a row's plot for uPlot; the last has the times under it. */
+export function plotOptions(row, app, key, width, last) {
+  const strip = row.kind === "symbols";
+  const height = strip ? 10 + STRIP * app.tracks.length : HEIGHTS[row.kind];
+  const times = () => [0, longest(app.tracks) || 1];
+  return {
+    width, height: height + (last ? FOOT : 0), padding: [strip ? 6 : 17, RIGHT, strip ? 2 : 0, 0],
+    legend: { show: false },
+    cursor: { sync: { key, scales: ["x", null] }, drag: { x: false, y: false }, y: false,
+      points: { show: false } },
+    scales: { x: { time: false, range: times }, y: { range: rangeOf(row) } },
+    axes: axesOf(row, app.theme, last),
+    series: [{}, ...ordered(app).map(track => ({
+      stroke: app.theme.track(track.color), width: track === app.active ? 1.8 : 1.2,
+      points: { show: false }, spanGaps: true,
+      ...(row.paint ? { paths: () => null } : {}),
+    }))],
+    hooks: { draw: row.paint ? [row.paint] : [] },
+  };
+}
+
+function axesOf(row, theme, last) {
+  const common = {
+    stroke: theme.quiet, font: FONT,
+    grid: { stroke: theme.faint, width: 1 }, ticks: { stroke: theme.faint, width: 1, size: 4 },
+  };
+  const across = {
+    ...common, show: true, size: last ? FOOT : 4, space: 70, gap: 3,
+    values: last ? (_, ticks) => ticks.map(v => `${tickText(ticks)(v)} s`) : () => [],
+  };
+  if (row.kind === "symbols") {
+    const none = { show: false };
+    return [across, { show: true, size: LEFT, grid: none, ticks: none, values: () => [] }];
+  }
+  const { values } = row;
+  const few = values && (values.length <= FEW ? values : [values[0], values.at(-1)]);
+  return [across, {
+    ...common, size: LEFT, space: 22, gap: 4, values: (_, ticks) => ticks.map(tickText(ticks)),
+    ...(few ? { splits: () => few } : {}),
+  }];
+}
+
+function rangeOf(row) {
+  if (row.kind === "symbols") return () => [0, 1];
+  return (_, low, high) => {
+    if (row.all) [low, high] = [Math.min(...row.all), Math.max(...row.all)];
+    if (low === null) return [0, 1];
+    const pad = (high - low || Math.abs(high) || 1) * (row.all ? 0.25 : 0.08);
+    return [low - pad, high + pad];
+  };
+}

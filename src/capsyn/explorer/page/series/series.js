@@ -1,0 +1,112 @@
+import uPlot from "../../vendor/uPlot.esm.js";
+import { byId, element } from "../dom/elements.js";
+import { longest, ordered } from "../state/tracks.js";
+import { plotData, plotOptions } from "./plots.js";
+import { rowsOf } from "./rows.js";
+import { makeStrips } from "./strips.js";
+
+/**
+ * @typedef {object} Series  The time series of the tracks.
+ * @property {App} app  see `../state/app.js`
+ * @property {HTMLElement} root
+ * @property {object} strips  see `makeStrips`
+ * @property {Row[]} rows  see `rows.js`
+ * @property {object} sync  what the plots' cursors share
+ * @property {uPlot[]} plots  with {row, now, note}: its row, the line of the present, a text
+ * @property {string} built  what they were built for
+ * @property {number} width  of the root [CSS pixels]
+ */
+
+/**
+ * Return the time series of the tracks: {show, sweep, shown}. `show` takes the tracks and the theme
+ * as they are now, `sweep` moves the line of the present, `shown` tells what is drawn.
+ */
+export function makeSeries(app) {
+  const root = byId("series"), strips = makeStrips(app), rows = rowsOf(app.data, strips);
+  const sync = uPlot.sync("time");
+  const series = { app, root, strips, rows, sync, plots: [], built: "", width: 0 };
+  new ResizeObserver(() => resize(series)).observe(root);
+  return { show: () => show(series), sweep: () => sweep(series), shown: () => shown(series) };
+}
+
+function show(series) {
+  const { app, root, rows, strips } = series, { tracks, theme } = app;
+  root.classList.toggle("empty", !tracks.length);
+  const costly = tracks.some(track => track.cost.at(-1) !== 0);
+  const visible = tracks.length ? rows.filter(row => row.kind !== "cost" || costly) : [];
+  const colors = list => list.map(track => track.color);
+  const wanted = JSON.stringify([visible.length, theme.mode, colors(ordered(app)), colors(tracks)]);
+  if (wanted !== series.built) build(series, visible);
+  else for (const plot of series.plots) plot.setData(plotData(plot.row, app));
+  series.built = wanted;
+  for (const plot of series.plots) {
+    const { row, note } = plot;
+    const chatters = row.of && tracks.some(track => strips.pieces(track, plot).some(
+      ({ changes, shares }) => changes > 1 && new Set([...shares.keys()].map(row.of)).size > 1));
+    note.textContent = chatters ? "chatters: mean and range" : "";
+  }
+  sweep(series);
+}
+
+function build(series, visible) {
+  const { app, root, sync } = series;
+  for (const plot of series.plots) plot.destroy();
+  root.replaceChildren();
+  const width = root.clientWidth;
+  series.plots = visible.map((row, k) => {
+    const note = element("span", { class: "aside" }), now = element("div", { class: "now" });
+    const holder = element("div", { class: `plot ${row.kind}` },
+      element("span", { class: "title" }, row.name), note);
+    root.append(holder);
+    const options = plotOptions(row, app, sync.key, width, k === visible.length - 1);
+    const plot = new uPlot(options, plotData(row, app), holder);
+    Object.assign(plot, { now, row, note });
+    plot.over.append(now);
+    listen(app, plot);
+    return plot;
+  });
+}
+
+/** Go to the time that is pressed. */
+function listen(app, plot) {
+  const { over } = plot;
+  let held = false;
+  const seek = event => {
+    const box = over.getBoundingClientRect();
+    app.player.pause();
+    app.player.seek(plot.posToVal(event.clientX - box.left, "x"));
+  };
+  over.addEventListener("pointerdown", event => {
+    held = true;
+    over.setPointerCapture(event.pointerId);
+    seek(event);
+  });
+  over.addEventListener("pointermove", event => held && seek(event));
+  for (const end of ["pointerup", "pointercancel"]) {
+    over.addEventListener(end, () => (held = false));
+  }
+}
+
+function sweep({ app, plots }) {
+  const share = app.player.time / (longest(app.tracks) || 1);
+  for (const plot of plots) plot.now.style.left = `${100 * share}%`;
+}
+
+function resize(series) {
+  const { root, plots } = series;
+  if (Math.abs(root.clientWidth - series.width) < 1) return;
+  series.width = root.clientWidth;
+  plots.forEach(plot => plot.setSize({ width: series.width, height: plot.height }));
+  sweep(series);
+}
+
+/** What is drawn: of curves the points, of inputs and symbols the shares in pieces of time. */
+function shown({ app, plots, strips }) {
+  return plots.map(plot => ({
+    name: plot.row.name,
+    kind: plot.row.kind,
+    points: plot.row.paint ? null : [plot.data[0], plot.data.at(-1)],
+    shares: plot.row.paint && app.active
+      ? strips.pieces(app.active, plot).map(({ shares }) => Object.fromEntries(shares)) : null,
+  }));
+}

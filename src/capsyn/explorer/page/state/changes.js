@@ -1,0 +1,77 @@
+import { byId } from "../dom/elements.js";
+import { paintSwatches } from "./swatches.js";
+import { reread } from "./pointing.js";
+import { progress } from "./tracks.js";
+
+/** Show everything anew: the plane, the level or the outlines have changed. */
+export function changed(app) {
+  const { view, lookup, parts } = app;
+  parts.tools.sync();
+  document.body.classList.toggle("whole", view.level >= lookup.levels);
+  reread(app);
+  drawSoon(app);
+}
+
+/** Draw the map before the next frame. */
+export function drawSoon({ soon, parts }) {
+  soon("map", () => parts.map.draw());
+}
+
+/** Show the present: time has gone on, or another track is the active one. */
+export function moved(app) {
+  const { view, active, parts } = app;
+  parts.bar?.sync();
+  if (parts.tools.follows() && active) {
+    const state = active.states[progress(app, active)];
+    view.fixed = Array.from(state, (value, axis) => view.held(value, axis));
+    parts.tools.sync();
+    reread(app);
+    parts.map.draw();
+  } else parts.map.sweep();
+  parts.series?.sweep();
+  parts.automaton.sweep();
+  parts.drawing.draw();
+  parts.chips.sweep();
+}
+
+/** Show the tracks: there are others, or others are the active one. */
+export function showTracks({ parts }) {
+  parts.chips.draw();
+  parts.series?.show();
+  parts.bar?.sync();
+}
+
+/** Show everything in the colours of the theme. */
+export function restyle(app) {
+  const { theme, parts } = app;
+  byId("theme").textContent = theme.mode === "dark" ? "Light" : "Dark";
+  parts.map.draw();
+  parts.automaton.draw();
+  parts.drawing.draw();
+  showTracks(app);
+  paintSwatches(theme);
+}
+
+/** Zoom by a factor about a state: what is pointed at, or the middle, unless given. */
+export function zoom(app, factor, state = app.pointed?.state ?? app.view.state(0.5, 0.5)) {
+  app.view.zoom(factor, state);
+  changed(app);
+}
+
+/** Fade all symbols but one on the map; none for null. */
+export function showOnly(app, symbol) {
+  app.view.only = symbol;
+  drawSoon(app);
+}
+
+/** Outline the cells on the map, or not. */
+export function outline(app, wanted) {
+  app.view.outlines = wanted;
+  changed(app);
+}
+
+/** Show all of the plane. */
+export function showAll(app) {
+  app.view.reset();
+  changed(app);
+}

@@ -1,0 +1,86 @@
+import { byId } from "../dom/elements.js";
+import { moved, showTracks } from "./changes.js";
+import { longest } from "./tracks.js";
+
+const MOST_TRACKS = 6;
+
+/** Start a trajectory at a state, beside the others or in their place. */
+export function start(app, x0) {
+  if (!app.loop) return;
+  const run = compute(app, x0);
+  if (!run) return;
+  const keeps = app.parts.settings.keeps();
+  const dropped = keeps && app.tracks.length === MOST_TRACKS ? app.tracks[0].number : null;
+  app.tracks = keeps ? app.tracks.slice(-(MOST_TRACKS - 1)) : [];
+  if (!app.tracks.length) app.started = 0;
+  const used = new Set(app.tracks.map(track => track.color));
+  const color = [...Array(MOST_TRACKS).keys()].find(k => !used.has(k));
+  app.started += 1;
+  app.active = { ...run, number: app.started, color };
+  app.tracks.push(app.active);
+  showTracks(app);
+  if (dropped) byId("status").textContent += ` · trajectory ${dropped} made room`;
+  const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  app.player.pause();
+  app.player.time = still ? longest(app.tracks) : 0;
+  moved(app);
+  if (!still) app.player.play();
+}
+
+/** Move where the active trajectory starts to another place in the plane. */
+export function move(app, x0) {
+  app.soon("move", () => {
+    if (!app.active) return;
+    const state = Array.from(app.active.start);
+    app.view.axes.forEach(axis => (state[axis] = x0[axis]));
+    again(app, state);
+  });
+}
+
+/** Compute the active trajectory under other settings, beside it or in its place. */
+export function rerun(app) {
+  if (!app.active) return;
+  if (app.parts.settings.keeps()) start(app, app.active.start);
+  else again(app, app.active.start);
+}
+
+/** Make a track the active one. */
+export function choose(app, track) {
+  app.active = track;
+  showTracks(app);
+  moved(app);
+}
+
+/** Remove a track. */
+export function drop(app, track) {
+  app.tracks = app.tracks.filter(other => other !== track);
+  if (app.active === track) app.active = app.tracks.at(-1) ?? null;
+  if (!app.tracks.length) app.player.pause();
+  showTracks(app);
+  app.player.seek(app.player.time);
+}
+
+/** Compute the active trajectory anew, from another state or under other settings. */
+function again(app, x0) {
+  const run = compute(app, x0);
+  if (!run) return;
+  const next = { ...run, number: app.active.number, color: app.active.color };
+  app.tracks = app.tracks.map(track => (track === app.active ? next : track));
+  app.active = next;
+  showTracks(app);
+  app.player.time = Math.min(app.player.time, longest(app.tracks));
+  moved(app);
+}
+
+/** Return the trajectory from a state under the settings; where they are wrong say so: null. */
+function compute({ loop, lookup: { n }, note, parts: { settings } }, x0) {
+  const options = settings.options();
+  if (typeof options === "string") {
+    byId("status").textContent = `Not computed: ${options}.`;
+    note(`No trajectory: ${options}`);
+    return null;
+  }
+  const run = loop.run(x0, options);
+  const states = Array.from(run.t, (_, k) => run.x.subarray(k * n, (k + 1) * n));
+  return { ...run, states, options, start: Array.from(x0), words: settings.summary(options) };
+}
