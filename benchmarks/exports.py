@@ -17,7 +17,7 @@ import numpy as np
 
 from capsyn import compress, problems, synthesize
 from capsyn.exports.c.sizes import sizes
-from capsyn.exports.c.target import files
+from capsyn.exports.c.target import TARGET
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 
@@ -139,7 +139,7 @@ def measure(name, level, mode):
         for style, arithmetic in CODES:
             options, kind = ARITHMETICS[arithmetic]
             plan = counted if arithmetic == "counts" else plain
-            written = files(plan, golden, style=style, **options).files
+            written = TARGET.files(plan, golden, style=style, **options).files
             what = f"export c: {name} level {level} {mode}, {style} {arithmetic}"
             processors, limits = measured_on((name, level, mode), (style, arithmetic))
             if processors:

@@ -24,7 +24,7 @@ STYLES = ("nested", "table")
 
 
 def source(plan, **options):
-    (text,) = target.files(plan, golden_vectors(plan), **options).files.values()
+    (text,) = target.TARGET.files(plan, golden_vectors(plan), **options).files.values()
     return text
 
 

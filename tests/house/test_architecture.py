@@ -39,9 +39,10 @@ integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden made identifiers long_lines
+exports: plan constants golden target targets identifiers long_lines
 exports.c: language styles.table styles.nested styles.grid readings.single readings.quantiser
-    readings.lines readings.places readings.counts notes dwell cmake target sizes
+    readings.lines readings.places readings.counts notes dwell code header source project sizes
+    target
 exports.structured_text: lines target
 exports.verilog: ports words tree bench target
 exports.javascript: target
@@ -62,7 +63,7 @@ IMPORT_BY_NAME = {
     "capsyn",  # the public names
     "problems",  # the built-in problems
     "cli.problem_finder",  # the user's own
-    "exports.export",  # the targets
+    "exports.targets",  # each of them
     "cli.doctor",  # what capsyn needs
 }
 

@@ -38,7 +38,7 @@ def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
     return found
 
 
-def told(
+def remarks(
     counts: tuple[int, ...], faces: list[np.ndarray] | None, axes: list[CountAxis]
 ) -> tuple[str, ...]:
     """Return what a user is told as the export is made."""

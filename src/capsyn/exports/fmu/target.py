@@ -15,6 +15,7 @@ import tempfile
 import textwrap
 import zipfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,8 @@ from capsyn.errors import KernelBuildError, ProblemError, warn
 from capsyn.exports.c.language import KEYWORDS
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.made import Made
 from capsyn.exports.plan import Files, Plan
+from capsyn.exports.target import Exported, Target
 from capsyn.native.build import find_compiler
 from capsyn.policies.file import content_hash
 from capsyn.validation import describe
@@ -40,10 +41,9 @@ OWN = ("symbol", "status", "min_dwell", "time")
 """Variables beside states and inputs, and the independent one."""
 
 
-def files(
-    plan: Plan, golden: Golden, *, name: str | None = None, sources_only: bool = False
-) -> Made:
-    """Return the unit, ``NAME.fmu``.
+@dataclass(frozen=True)
+class Options:
+    """Options of target ``fmu``.
 
     Parameters
     ----------
@@ -53,19 +53,31 @@ def files(
         Whether to leave out the binary; the unit then runs where its importer can build sources.
         So it is, with a warning, where there is no compiler or no name for the platform.
     """
-    if not isinstance(sources_only, bool):
-        raise ProblemError(f"`sources_only` must be true or false; got {describe(sources_only)}")
-    name = file_name(name, plan.policy.name, KEYWORDS)
+
+    name: str | None = None
+    sources_only: bool = False
+
+
+def export(plan: Plan, golden: Golden, options: Options) -> Exported:
+    """Return the unit, ``NAME.fmu``."""
+    if not isinstance(options.sources_only, bool):
+        raise ProblemError(
+            f"`sources_only` must be true or false; got {describe(options.sources_only)}"
+        )
+    name = file_name(options.name, plan.policy.name, KEYWORDS)
     guid = "{" + _guid(plan) + "}"
     source = _source(plan, guid)
     content = {
         "modelDescription.xml": _description(plan, name, guid).encode(),
         f"sources/{name}.c": source,
     }
-    if not sources_only:
+    if not options.sources_only:
         content |= _binary(name, source)
-    given = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
-    return Made({f"{name}.fmu": _zip(content)}, renamed(given, _variables(plan)))
+    names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
+    return Exported({f"{name}.fmu": _zip(content)}, renamed(names, _variables(plan)))
+
+
+TARGET = Target(export, Options)
 
 
 def _guid(plan: Plan) -> str:

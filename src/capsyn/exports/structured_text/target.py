@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,9 +12,9 @@ from capsyn.cells.split_tree import LEAF
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
 from capsyn.exports.long_lines import WIDTH, broken
-from capsyn.exports.made import Made
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Files, Plan
 from capsyn.exports.structured_text.lines import KEYWORDS, comment, condition, declared, real
+from capsyn.exports.target import Exported, Target
 from capsyn.validation import one_of
 
 NESTING = 8
@@ -30,12 +31,9 @@ LOCAL = ("z", "wanted", "started", "elapsed", "node", "value", "axis", "i")
 TABLES = ("splits", "thresholds", "seconds", "planes")
 
 
-def files(plan: Plan, golden: Golden, *, style: str = "nested", name: str | None = None) -> Made:
-    """Return a function block and the functions that it calls, as one file.
-
-    The inputs are readings in LREAL, the outputs the symbol, the status (0 in the domain, 1
-    outside, 2 not finite) and the controls. With a minimum dwell time there is one more input
-    ``cycle``, the seconds since the call before.
+@dataclass(frozen=True)
+class Options:
+    """Options of target ``structured-text``.
 
     Parameters
     ----------
@@ -44,9 +42,24 @@ def files(plan: Plan, golden: Golden, *, style: str = "nested", name: str | None
     name : str, optional
         Name of the block. Default: that of the policy.
     """
-    one_of("style", style, ["nested", "table"])
-    block = _Block(plan, style, name)
-    return Made(block.files(), block.renamed, block.notes)
+
+    style: str = "nested"
+    name: str | None = None
+
+
+def export(plan: Plan, golden: Golden, options: Options) -> Exported:
+    """Return a function block and the functions that it calls, as one file.
+
+    The inputs are readings in LREAL, the outputs the symbol, the status (0 in the domain, 1
+    outside, 2 not finite) and the controls. With a minimum dwell time there is one more input
+    ``cycle``, the seconds since the call before.
+    """
+    one_of("style", options.style, ["nested", "table"])
+    block = _Block(plan, options.style, options.name)
+    return Exported(block.files(), block.renamed, block.notes)
+
+
+TARGET = Target(export, Options)
 
 
 class _Block:

@@ -6,14 +6,15 @@ import functools
 import math
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, identifiers, renamed
 from capsyn.exports.long_lines import broken
-from capsyn.exports.made import Made
 from capsyn.exports.plan import Plan
+from capsyn.exports.target import Exported, Target
 from capsyn.exports.verilog.bench import Interface, bench
 from capsyn.exports.verilog.ports import Port, changed_share, fixed_ports, fold, width_of
 from capsyn.exports.verilog.tree import TreeCircuit
@@ -35,18 +36,9 @@ FIXED = frozenset(
 """Names that are the module's own."""
 
 
-def files(
-    plan: Plan,
-    golden: Golden,
-    *,
-    inputs: str = "lattice",
-    pipeline: bool | int = False,
-    bits: int | Sequence[int | None] | None = None,
-    fraction: int | Sequence[int | None] | None = None,
-    clock_hz: float = 50e6,
-    name: str | None = None,
-) -> Made:
-    """Return a module, its test bench and the golden vectors that this reads.
+@dataclass(frozen=True)
+class Options:
+    """Options of target ``verilog``.
 
     Parameters
     ----------
@@ -64,30 +56,48 @@ def files(
     name : str, optional
         Name of the module. Default: that of the policy.
     """
-    one_of("inputs", inputs, ["lattice", "fixed"])
-    ports = None
-    if inputs == "fixed":
-        given = [_per_state("bits", bits, plan.n, 2), _per_state("fraction", fraction, plan.n, 0)]
-        ports = fixed_ports(plan, *given)
-    elif bits is not None or fraction is not None:
-        raise ProblemError("`bits` and `fraction` must be given for inputs fixed only")
-    clock = math.ceil(finite_number("clock_hz", clock_hz, above=0.0))
-    module = _Module(plan, ports, pipeline, clock, name)
-    made, vectors, about, at_ports = bench(module.interface, golden)
+
+    inputs: str = "lattice"
+    pipeline: bool | int = False
+    bits: int | Sequence[int | None] | None = None
+    fraction: int | Sequence[int | None] | None = None
+    clock_hz: float = 50e6
+    name: str | None = None
+
+    def ports(self, plan: Plan) -> tuple[Port, ...] | None:
+        """Return the fixed-point ports; None for inputs lattice."""
+        if self.inputs == "fixed":
+            bits = _per_state("bits", self.bits, plan.n, 2)
+            return fixed_ports(plan, bits, _per_state("fraction", self.fraction, plan.n, 0))
+        if self.bits is not None or self.fraction is not None:
+            raise ProblemError("`bits` and `fraction` must be given for inputs fixed only")
+        return None
+
+
+def _per_state(name: str, value: object, n: int, least: int) -> tuple[int | None, ...]:
+    values = list(value) if isinstance(value, (list, tuple)) else [value] * n
+    if len(values) != n:
+        raise ProblemError(f"`{name}` must be one number or {n}; got {describe(value)}")
+    return tuple(None if v is None else whole_number(name, v, least=least, most=64) for v in values)
+
+
+def export(plan: Plan, golden: Golden, options: Options) -> Exported:
+    """Return a module, its test bench and the golden vectors that this reads."""
+    one_of("inputs", options.inputs, ["lattice", "fixed"])
+    ports = options.ports(plan)
+    clock = math.ceil(finite_number("clock_hz", options.clock_hz, above=0.0))
+    module = _Module(plan, ports, options.pipeline, clock, options.name)
+    test_bench, vectors, about, at_ports = bench(module.interface, golden)
     text = "\n".join(module.lines(about)) + "\n"
-    written = {
+    files = {
         f"{module.name}.v": text.encode("ascii"),
-        f"{module.name}_tb.v": made,
+        f"{module.name}_tb.v": test_bench,
         f"{module.name}.mem": vectors,
     }
-    return Made(written, module.renamed, changed=module.changed, golden=at_ports)
+    return Exported(files, module.renamed, changed=module.changed, golden=at_ports)
 
 
-def _per_state(name: str, given: object, n: int, least: int) -> tuple[int | None, ...]:
-    values = list(given) if isinstance(given, (list, tuple)) else [given] * n
-    if len(values) != n:
-        raise ProblemError(f"`{name}` must be one number or {n}; got {describe(given)}")
-    return tuple(None if v is None else whole_number(name, v, least=least, most=64) for v in values)
+TARGET = Target(export, Options)
 
 
 class _Module:

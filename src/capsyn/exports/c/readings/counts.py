@@ -117,8 +117,18 @@ def count_axes(plan: Plan, readings: str, numbers: Sequence[int] | None = None) 
         The integers do not reach the first and the last step of an axis, a count is wider than an
         axis, or a turn of a periodic axis is no whole number of counts.
     """
-    bits = int(readings.removeprefix("int"))
+    bits = _bits(readings)
     return [_axis(plan, i, bits) for i in (range(plan.n) if numbers is None else numbers)]
+
+
+def _bits(readings: str) -> int:
+    """Return the width of counts."""
+    return int(readings.removeprefix("int"))
+
+
+def _limit(readings: str) -> int:
+    """Return how many counts there are from 0 on."""
+    return 1 << (_bits(readings) - 1)
 
 
 def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
@@ -203,7 +213,7 @@ def _least(
 
 def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
     """Return golden vectors of counts: inside, around changes and bounds, anywhere, at limits."""
-    limit = 1 << (int(readings.removeprefix("int")) - 1)
+    limit = _limit(readings)
     rng = stream(0, GOLDEN)
     given, near = [], []
     for axis in axes:
@@ -229,10 +239,12 @@ def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
     return dataclasses.replace(found, readings=np.column_stack(given))
 
 
-def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis]) -> Part:
+def counts_quantiser(
+    plan: Plan, prefix: str, opening: str, axes: list[CountAxis], readings: str
+) -> Part:
     """Return the function ``opening(x, z)``, x being counts, with what it needs."""
     integer = z_type(plan.tree.cells.counts)
-    limit = 1 << (15 if "const int16_t x[" in opening else 31)
+    limit = _limit(readings)
     tables = {name: table for i, axis in enumerate(axes) for name, table in _tables(i, axis)}
     wide = any(not -(1 << 15) <= entry < 1 << 15 for table in tables.values() for entry in table)
     kind = "INT32" if wide else "INT16"
