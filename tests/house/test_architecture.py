@@ -47,7 +47,7 @@ exports.structured_text: lines target
 exports.verilog: ports words tree bench target
 exports.javascript: target
 exports.policy_json: target
-exports.fmu: target
+exports.fmu: description target
 exports: python_module dot certificate export
 explorer: policy_data program_javascript expression formulas facts page_data explore
 paper: cases figures pendulum tanks reproduction

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from capsyn.errors import KernelBuildError, ProblemError, warn
 from capsyn.exports.c.language import KEYWORDS
+from capsyn.exports.fmu.description import description, variable_names
 from capsyn.exports.golden import Golden
-from capsyn.exports.identifiers import file_name, identifiers, renamed
+from capsyn.exports.identifiers import file_name, renamed
 from capsyn.exports.plan import Files, Plan
 from capsyn.exports.target import Exported, Target
 from capsyn.native.build import find_compiler
@@ -37,8 +37,6 @@ from capsyn.version import __version__
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
 BUILD_SECONDS = 120
 """Longest that the compiler may take."""
-OWN = ("symbol", "status", "min_dwell", "time")
-"""Variables beside states and inputs, and the independent one."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +66,13 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     guid = "{" + _guid(plan) + "}"
     source = _source(plan, guid)
     content = {
-        "modelDescription.xml": _description(plan, name, guid).encode(),
+        "modelDescription.xml": description(plan, name, guid),
         f"sources/{name}.c": source,
     }
     if not options.sources_only:
         content |= _binary(name, source)
     names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
-    return Exported({f"{name}.fmu": _zip(content)}, renamed(names, _variables(plan)))
+    return Exported({f"{name}.fmu": _zip(content)}, renamed(names, variable_names(plan)))
 
 
 TARGET = Target(export, Options)
@@ -133,96 +131,6 @@ def _binary(name: str, source: bytes) -> Files:
 
 def _warn(reason: str) -> None:
     warn(f"the FMU has no binary, only sources: {reason}")
-
-
-def _variables(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the variables of states and inputs."""
-    policy = plan.policy
-    return identifiers([*policy.domain.names, *policy.alphabet.inputs], [*KEYWORDS, *OWN])
-
-
-def _description(plan: Plan, name: str, guid: str) -> str:
-    policy = plan.policy
-    domain, alphabet = policy.domain, policy.alphabet
-    n, m = domain.n, alphabet.m
-    own = _variables(plan)
-    variables, units = [], set()
-
-    def variable(
-        called: str, reference: int, causality: str, variability: str, kind: str, about: str
-    ) -> None:
-        given = dict(name=called, valueReference=reference, description=about)
-        given |= dict(causality=causality, variability=variability)
-        variables.append(f"<ScalarVariable {_attributes(given)}>{kind}</ScalarVariable>")
-
-    def real(unit: str, **given: Any) -> str:
-        if unit:
-            units.add(unit)
-            given["unit"] = unit
-        return f"<Real {_attributes(given)}/>"
-
-    for i in range(n):
-        about = f"State {domain.names[i]}"
-        unit = domain.units[i]
-        if plan.folded:
-            about = (
-                f"Reading of which state {domain.names[i]} [{unit}] is "
-                f"reading * {float(plan.scale[i])!r} + {float(plan.offset[i])!r}"
-            )
-            unit = ""
-        variable(own[i], i, "input", "continuous", real(unit, start="0"), about)
-    for j in range(m):
-        about = f"Control {alphabet.inputs[j]}"
-        variable(own[n + j], n + j, "output", "discrete", real(alphabet.units[j]), about)
-    symbols = ", ".join(f"{k}: {text}" for k, text in enumerate(plan.symbol_names))
-    variable("symbol", 0, "output", "discrete", "<Integer/>", f"Symbol; {symbols}")
-    about = "0: the state is in the domain, 1: outside, 2: a component is NaN or infinite"
-    variable("status", 1, "output", "discrete", "<Integer/>", about)
-    about = "Least time between switches of the control"
-    kind = real("s", start=repr(plan.dwell), min="0")
-    variable("min_dwell", n + m, "parameter", "fixed", kind, about)
-
-    inputs = " ".join(str(i + 1) for i in range(n))
-    unknowns = "".join(
-        f'<Unknown index="{k + 1}" dependencies="{inputs}"/>' for k in range(n, n + m + 2)
-    )
-    given = dict(
-        fmiVersion="2.0",
-        modelName=policy.name or name,
-        guid=guid,
-        description=" ".join(plan.header),
-        version=content_hash(policy)[:16],
-        generationTool=f"capsyn {__version__}",
-        variableNamingConvention="flat",
-    )
-    can = dict(
-        modelIdentifier=name,
-        canHandleVariableCommunicationStepSize="true",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-    )
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        f"<fmiModelDescription {_attributes(given)}>",
-        f"<CoSimulation {_attributes(can)}>",
-        f"<SourceFiles><File {_attributes(dict(name=f'{name}.c'))}/></SourceFiles>",
-        "</CoSimulation>",
-        "<UnitDefinitions>",
-        *(f"<Unit {_attributes(dict(name=unit))}/>" for unit in sorted(units)),
-        "</UnitDefinitions>",
-        "<ModelVariables>",
-        *variables,
-        "</ModelVariables>",
-        f"<ModelStructure><Outputs>{unknowns}</Outputs>"
-        f"<InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>",
-        "</fmiModelDescription>",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _attributes(given: dict[str, Any]) -> str:
-    return " ".join(f"{key}={quoteattr(str(value))}" for key, value in given.items())
 
 
 def _source(plan: Plan, guid: str) -> bytes:
