@@ -39,12 +39,12 @@ integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target targets identifiers long_lines
+exports: plan constants golden target targets identifiers long_lines sums crossings
 exports.c: language styles.table styles.nested styles.grid readings.single readings.quantiser
     readings.lines readings.places readings.counts notes dwell code header source project sizes
     target
 exports.structured_text: lines target
-exports.verilog: ports words tree bench target
+exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
 exports.fmu: description target

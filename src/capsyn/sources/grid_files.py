@@ -183,12 +183,12 @@ def _masks(
     path: str, symbols: list[str], lines: list[int], alphabet: Alphabet | None
 ) -> tuple[np.ndarray, Alphabet]:
     """Return the masks (B,) of symbols as text, and the alphabet."""
-    told: dict[str, list[str]] = {}
+    parts_of: dict[str, list[str]] = {}
     where: dict[str, int] = {}
     for text, line in zip(symbols, lines):
-        if text not in told:
-            told[text] = [part.strip() for part in text.split("|")] if text else []
-            for part in told[text]:
+        if text not in parts_of:
+            parts_of[text] = [part.strip() for part in text.split("|")] if text else []
+            for part in parts_of[text]:
                 where.setdefault(part, line)
     if not where:
         raise ProblemError(f"'{path}' must have a symbol in some row; all of its points are gaps")
@@ -203,7 +203,7 @@ def _masks(
         known = {part: values.index(value) for part, value in numbers.items()}
     else:
         known = _names_or_indices(path, where, alphabet)
-    masks = {text: sum(1 << k for k in {known[p] for p in some}) for text, some in told.items()}
+    masks = {text: sum(1 << k for k in {known[p] for p in some}) for text, some in parts_of.items()}
     return np.array([masks[text] for text in symbols], dtype=np.uint64), alphabet
 
 

@@ -47,8 +47,8 @@ def read_bytes(path: str) -> bytes:
 
 def fail(path: str, line: int, wanted: str, got: str | None) -> NoReturn:
     """Raise the error of a line that is not what was expected; None where the file ends."""
-    found = "the file ends" if got is None else f"got {describe(got)}"
-    raise ProblemError(f"'{path}', line {line}: expected {wanted}; {found}")
+    instead = "the file ends" if got is None else f"got {describe(got)}"
+    raise ProblemError(f"'{path}', line {line}: expected {wanted}; {instead}")
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ from capsyn.exports.c.language import (
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
 from capsyn.exports.c.readings.quantiser import ranked
 from capsyn.exports.c.readings.single import check_single_precision, share_changed
-from capsyn.exports.identifiers import file_name, identifiers, renamed
+from capsyn.exports.identifiers import file_name, identifiers, renamed, wanted_name
 from capsyn.exports.plan import Plan
 
 
@@ -59,7 +59,7 @@ class Code:
         plan: Plan, style: str, arithmetic: str, readings: str, name: str | None, tick: float
     ) -> Code:
         """Return the code of a plan, its tree over faces where floats are looked up in tables."""
-        wanted = plan.policy.name if name is None else name
+        wanted = wanted_name(name, plan.policy.name)
         prefix = file_name(name, wanted)[:LONGEST_PREFIX]
         (prefix,) = identifiers([prefix], RESERVED, fold=True)
         tree, faces = plan.tree.cells, None

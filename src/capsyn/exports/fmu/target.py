@@ -84,8 +84,8 @@ def _guid(plan: Plan) -> str:
 
     parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.scale.tolist()]
     parts += [plan.offset.tolist(), __version__]
-    found = hashlib.sha256(repr(parts).encode()).hexdigest()
-    return "-".join([found[:8], found[8:12], found[12:16], found[16:20], found[20:32]])
+    digits = hashlib.sha256(repr(parts).encode()).hexdigest()
+    return "-".join([digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32]])
 
 
 def _zip(content: dict[str, bytes]) -> bytes:

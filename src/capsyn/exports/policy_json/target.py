@@ -49,8 +49,8 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     return Exported({file: (text + "\n").encode(), SCHEMA: schema})
 
 
-def _line(found: re.Match[str]) -> str:
-    return "[" + re.sub(r"\s+", " ", found[1]) + "]"
+def _line(match: re.Match[str]) -> str:
+    return "[" + re.sub(r"\s+", " ", match[1]) + "]"
 
 
 def document(plan: Plan) -> dict[str, Any]:
@@ -84,7 +84,7 @@ def document(plan: Plan) -> dict[str, Any]:
             {"name": name, "control": control}
             for name, control in zip(plan.symbol_names, policy.controls.tolist())
         ],
-        "default": plan.labels - 1,
+        "default": plan.default,
         "outside": {"rule": "nearest" if plan.nearest else "safe", "safe": plan.safe}
         | ({"gap": plan.gap} if plan.policy.gaps else {}),
         "min_dwell": plan.dwell,

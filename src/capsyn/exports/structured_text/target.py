@@ -10,10 +10,11 @@ import numpy as np
 
 from capsyn.cells.split_tree import LEAF
 from capsyn.exports.golden import Golden
-from capsyn.exports.identifiers import file_name, identifiers, renamed
+from capsyn.exports.identifiers import identifiers, renamed, wanted_name
 from capsyn.exports.long_lines import WIDTH, broken
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Files, Plan
 from capsyn.exports.structured_text.lines import KEYWORDS, comment, condition, declared, real
+from capsyn.exports.sums import signed_sum
 from capsyn.exports.target import Exported, Target
 from capsyn.validation import one_of
 
@@ -66,9 +67,8 @@ class _Block:
     def __init__(self, plan: Plan, style: str, name: str | None) -> None:
         self.plan, self.table = plan, style == "table"
         domain, alphabet = plan.policy.domain, plan.policy.alphabet
-        file_name(name, plan.policy.name)
-        given = plan.policy.name if name is None else name
-        self.name = identifiers([given[:LONGEST_NAME]], KEYWORDS, fold=True)[0]
+        wanted = wanted_name(name, plan.policy.name)
+        self.name = identifiers([wanted[:LONGEST_NAME]], KEYWORDS, fold=True)[0]
         n = plan.n
         self.steps = [f"z{i}" for i in range(n)]
         self.calls = {part: f"{self.name}_{part}" for part in ("wrap", "step", "tree")}
@@ -76,10 +76,10 @@ class _Block:
         kept = {*KEYWORDS, *FIXED, *LOCAL, *TABLES, *self.steps, self.name, *self.calls.values()}
         kept.update(more)
         names = [*domain.names, *alphabet.inputs]
-        found = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
-        self.readings, self.controls = found[:n], found[n:]
-        self.states = identifiers([f"state_{i}" for i in range(n)], {*kept, *found}, fold=True)
-        self.renamed = renamed([given, *names], [self.name, *found])
+        own_names = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
+        self.readings, self.controls = own_names[:n], own_names[n:]
+        self.states = identifiers([f"state_{i}" for i in range(n)], {*kept, *own_names}, fold=True)
+        self.renamed = renamed([wanted, *names], [self.name, *own_names])
 
     def files(self) -> Files:
         lines = list(comment(self.plan.header))
@@ -208,12 +208,9 @@ END_FUNCTION""".splitlines()
         split, threshold = int(tree.split[node]), int(tree.threshold[node])
         if split < tree.n:
             return f"{self.steps[split]} >= {threshold}"
-        terms = ""
-        for step, factor in zip(self.steps, tree.planes[split - tree.n].tolist()):
-            if factor:
-                sign = "- " if factor < 0 else "+ " if terms else ""
-                terms += f"{' ' * bool(terms)}{sign}{abs(factor)} * {step}"
-        return f"{terms.replace('- ', '-', 1) if terms[:1] == '-' else terms or '0'} >= {threshold}"
+        plane = tree.planes[split - tree.n].tolist()
+        products = (f"{abs(factor)} * {step}" for factor, step in zip(plane, self.steps))
+        return f"{signed_sum(plane, products) or '0'} >= {threshold}"
 
     def _declarations(self) -> list[str]:
         plan, domain = self.plan, self.plan.policy.domain
@@ -229,7 +226,7 @@ END_FUNCTION""".splitlines()
         if plan.dwell > 0:
             lines += declared("cycle : LREAL;", "time since the call before [s]")
         lines += ["END_VAR", "VAR_OUTPUT"]
-        lines += declared("symbol : INT;", f"0 to {plan.labels - 1}, see the head of the file")
+        lines += declared("symbol : INT;", f"0 to {plan.default}, see the head of the file")
         lines += declared("status : INT;", "0 in the domain, 1 outside, 2 not finite")
         for k, control in enumerate(self.controls):
             unit = f" [{alphabet.units[k]}]" if alphabet.units[k] else ""
@@ -356,12 +353,12 @@ END_FUNCTION""".splitlines()
         if not self.plan.policy.gaps:
             return []
         test = f"IF wanted = {self.plan.gap} THEN"
-        found = [f"    wanted := {self.plan.safe};", f"    status := {OUTSIDE};"]
-        return [test, *found, "END_IF;"]
+        outside = [f"    wanted := {self.plan.safe};", f"    status := {OUTSIDE};"]
+        return [test, *outside, "END_IF;"]
 
     def _dwelling(self) -> list[str]:
         """Return the rule of the closed loop for the minimum dwell time."""
-        plan, default = self.plan, self.plan.labels - 1
+        plan = self.plan
         lines = [
             f"(* A control is held for {plan.dwell!r} s at least, rounded up to whole calls, *)",
             "(* whatever the status; a millionth of a call is forgiven for rounding. *)",
@@ -374,11 +371,10 @@ END_FUNCTION""".splitlines()
             "        elapsed := elapsed + cycle;",
             "    END_IF;",
         ]
-        for k in plan.like_default:  # no switch between the two
-            lines.append("    IF")
-            lines.append(f"        ((wanted = {k}) AND (symbol = {default}))")
-            lines.append(f"        OR ((wanted = {default}) AND (symbol = {k}))")
-            lines += ["    THEN", "        symbol := wanted;", "    END_IF;"]
+        if plan.same_control:
+            pairs = (f"((wanted = {k}) AND (symbol = {j}))" for k, j in plan.same_control)
+            lines += condition("    IF", pairs, "THEN", "OR")
+            lines += ["        symbol := wanted;", "    END_IF;"]
         limit = f"{real(plan.dwell)} - 1.0E-6 * cycle"
         lines.append(f"    IF (wanted <> symbol) AND (elapsed >= {limit}) THEN")
         return [

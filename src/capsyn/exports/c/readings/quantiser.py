@@ -16,7 +16,15 @@ import numpy as np
 
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
-from capsyn.exports.c.language import Part, double_literal, float_literal, round_up, rows, z_type
+from capsyn.exports.c.language import (
+    Part,
+    double_literal,
+    float_literal,
+    round_up,
+    rows,
+    search,
+    z_type,
+)
 from capsyn.exports.plan import Plan
 from capsyn.modelling.domain import Box
 
@@ -308,16 +316,7 @@ def _rank(prefix: str, count: int) -> str:
 /* Return how many faces x has reached. */
 static {integer} {prefix}_axis_step(float x, const float faces[], {integer} count)
 {{
-    {integer} low = 0;
-    {integer} high = count;
-    while ((high - low) > 1) {{
-        const {integer} middle = ({integer})(low + ((high - low) / 2));
-        if (x >= CAPSYN_FLOAT(&faces[middle - 1])) {{
-            low = middle;
-        }} else {{
-            high = middle;
-        }}
-    }}
+{search(integer, "count", "x >= CAPSYN_FLOAT(&faces[middle - 1])")}
     return low;
 }}
 """
