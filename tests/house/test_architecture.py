@@ -43,7 +43,7 @@ exports: plan constants golden target targets identifiers long_lines sums crossi
 exports.c: language styles.table styles.nested styles.grid readings.single readings.quantiser
     readings.lines readings.places readings.counts notes dwell code header source project sizes
     target
-exports.structured_text: lines target
+exports.structured_text: lines block functions source target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
