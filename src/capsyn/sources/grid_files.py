@@ -23,7 +23,7 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import LARGEST
 from capsyn.sources.table import MOST_POINTS, Table, check_points, check_symbols
-from capsyn.sources.text import check_alphabet, fail, naming, path_text, read_bytes
+from capsyn.sources.text import check_alphabet, fail, first_repeat, naming, path_text, read_bytes
 from capsyn.validation import one_line, one_of
 
 OFF_GRID = 0.1
@@ -71,13 +71,10 @@ def read_csv(
     with naming(path):
         check_points(counts)
     flat = np.ravel_multi_index(tuple(places.T), counts)
-    order = np.argsort(flat, kind="stable")
-    twice = order[1:][np.diff(flat[order]) == 0]
-    if len(twice):
-        again = int(twice.min())
-        before = lines[int(np.flatnonzero(flat == flat[again])[0])]
-        state = ",".join(rows[again])
-        fail(path, lines[again], f"a state that has no row yet (line {before} has it)", state)
+    if repeat := first_repeat(flat):
+        again, first_row = repeat
+        wanted = f"a state that has no row yet (line {lines[first_row]} has it)"
+        fail(path, lines[again], wanted, ",".join(rows[again]))
     total = int(np.prod(counts))
     if len(flat) < total and missing == "error":
         absent = np.ones(total, dtype=bool)
