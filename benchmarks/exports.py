@@ -17,7 +17,7 @@ import numpy as np
 
 from capsyn import compress, problems, synthesize
 from capsyn.exports.c.sizes import sizes
-from capsyn.exports.c.target import files
+from capsyn.exports.c.target import TARGET
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 
@@ -101,14 +101,14 @@ def bytes_of(written, what, processors, limits):
     rows = []
     measured = sizes(written, prefix_of(written))
     for processor in processors:
-        found = measured.get(processor, {})
+        here = measured.get(processor, {})
         row = {"what": f"{what}, {processor}", "unit": "bytes"}
         most = limits.get(processor)
-        if "decision" in found:
-            rows.append({**row, "value": found["decision"], "wanted": most and f"<= {most}"})
-        if "quantiser" in found:
+        if "decision" in here:
+            rows.append({**row, "value": here["decision"], "wanted": most and f"<= {most}"})
+        if "quantiser" in here:
             more = {**row, "what": f"{row['what']}, and its quantiser"}
-            rows.append({**more, "value": found["quantiser"]})
+            rows.append({**more, "value": here["quantiser"]})
     return rows
 
 
@@ -135,22 +135,22 @@ def measure(name, level, mode):
         "int16_t": ((states - domain.lower) / domain.widths * COUNTS).astype(np.int16),
     }
     labels = tree.cells.labels(domain.locate(states, tree.cells.counts))
-    with tempfile.TemporaryDirectory() as made:
+    with tempfile.TemporaryDirectory() as directory:
         for style, arithmetic in CODES:
             options, kind = ARITHMETICS[arithmetic]
             plan = counted if arithmetic == "counts" else plain
-            written = files(plan, golden, style=style, **options).files
+            written = TARGET.files(plan, golden, style=style, **options).files
             what = f"export c: {name} level {level} {mode}, {style} {arithmetic}"
             processors, limits = measured_on((name, level, mode), (style, arithmetic))
             if processors:
                 rows += bytes_of(written, what, processors, limits)
             for compiler in ("gcc", "clang")[: 1 + ((style, arithmetic) == ("grid", "double"))]:
                 if shutil.which(compiler):
-                    place = Path(made, f"{style}-{arithmetic}-{compiler}")
+                    place = Path(directory, f"{style}-{arithmetic}-{compiler}")
                     loop = compiled(written, plan.n, compiler, kind, place)
                     loops[style, arithmetic, compiler] = loop
-        found = nanoseconds(loops, readings, labels)
-    for (style, arithmetic, compiler), value in found.items():
+        times = nanoseconds(loops, readings, labels)
+    for (style, arithmetic, compiler), value in times.items():
         what = f"export c: {name} level {level} {mode}, {style} {arithmetic}, {compiler} -O2"
         wanted = "<= 30" if (style, arithmetic) == ("grid", "double") else ""
         rows.append({"what": f"{what}, a decision", "value": value, "unit": "ns", "wanted": wanted})
@@ -160,13 +160,13 @@ def measure(name, level, mode):
 def command():
     """Return the row of the command that exports to all targets, with its start."""
     seconds = []
-    with tempfile.TemporaryDirectory() as made:
-        file = Path(made, "p.cap")
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory, "p.cap")
         synthesize(problems.get("cart-pendulum")).save(file)
         for k in range(3):
             run = [sys.executable, "-m", "capsyn", "export", file, "--to", "all"]
             started = time.perf_counter()
-            subprocess.run([*run, "-o", Path(made, str(k))], check=True, capture_output=True)
+            subprocess.run([*run, "-o", Path(directory, str(k))], check=True, capture_output=True)
             seconds.append(time.perf_counter() - started)
     what = "export: all targets of cart-pendulum, whole command"
     return {"what": what, "value": sorted(seconds)[1], "unit": "s", "wanted": "<= 3"}

@@ -14,7 +14,7 @@ import numpy as np
 import capsyn
 from capsyn import Alphabet, problems
 from capsyn.exports.c.sizes import sizes
-from capsyn.exports.c.target import files
+from capsyn.exports.c.target import TARGET
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import OUTSIDE, Plan
 from capsyn.sources.finite_control_set import finite_control_set
@@ -70,7 +70,7 @@ def measure_table(path):
     row(f"{name}: scikit-learn CART, outside a class", cart, "nodes")
     plan = Plan.of(tree)
     golden = golden_vectors(plan)
-    made = files(plan, golden).files
+    made = TARGET.files(plan, golden).files
     flash = sizes(made, path.stem).get("host")
     if flash:
         share = 100 * (flash["decision"] + flash["quantiser"]) / size

@@ -24,7 +24,7 @@ from capsyn.compression.complexity import complexity
 from capsyn.compression.curve import size_curve
 from capsyn.compression.proof import prove
 from capsyn.errors import ProblemError
-from capsyn.exports.c.target import files
+from capsyn.exports.c.target import TARGET
 from capsyn.exports.export import TARGETS, all_targets
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
@@ -92,7 +92,7 @@ def test_exported_c_gives_the_same_symbols_without_overflow(name, level, tmp_pat
     plan = Plan.of(synthesize(problems.get(name), leaves="affine", max_level=level))
     golden = golden_vectors(plan)
     options = ["-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover"]
-    library = Library(files(plan, golden).files, tmp_path, plan.n, "gcc", options)
+    library = Library(TARGET.files(plan, golden).files, tmp_path, plan.n, "gcc", options)
     assert_golden(library, golden, True)
 
 

@@ -15,13 +15,13 @@ from capsyn import problems
 from capsyn.cells.split_tree import LEAF, SplitTree, _second_children
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.exports.c import sizes as c_sizes
-from capsyn.exports.c import target as c
 from capsyn.exports.c.language import comment, round_up
 from capsyn.exports.c.readings import counts as c_counts
 from capsyn.exports.c.readings.lines import Line, exact_line, line_of, near_line
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
 from capsyn.exports.c.styles import table as c_table
+from capsyn.exports.c.target import TARGET as c
 from capsyn.exports.export import export
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import NOT_FINITE, OK, Plan

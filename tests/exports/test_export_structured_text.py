@@ -10,7 +10,8 @@ from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
-from capsyn.exports.structured_text import target as target
+from capsyn.exports.structured_text.functions import NESTING
+from capsyn.exports.structured_text.target import TARGET as target
 from support.exported import PROBLEMS, built_in
 from support.trees import GRIDS, random_policy, random_tree
 
@@ -113,7 +114,7 @@ def test_deep_trees_are_cut_into_functions():
             for line in source(plan).decode().splitlines()
         ]
     )
-    assert depths.max() <= target.NESTING
+    assert depths.max() <= NESTING
 
 
 def test_dwell_time_is_that_of_the_closed_loop():

@@ -13,7 +13,7 @@ from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
-from capsyn.exports.verilog import target as target
+from capsyn.exports.verilog.target import TARGET as target
 from support.exported import PROBLEMS, built_in
 from support.trees import GRIDS, random_policy, random_tree
 

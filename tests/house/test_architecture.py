@@ -39,14 +39,15 @@ integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden made identifiers long_lines
+exports: plan constants golden target targets identifiers long_lines sums crossings
 exports.c: language styles.table styles.nested styles.grid readings.single readings.quantiser
-    readings.lines readings.places readings.counts notes dwell cmake target sizes
-exports.structured_text: lines target
-exports.verilog: ports words tree bench target
+    readings.lines readings.places readings.counts notes dwell code header source project sizes
+    target
+exports.structured_text: lines block functions source target
+exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
-exports.fmu: target
+exports.fmu: description target
 exports: python_module dot certificate export
 explorer: policy_data program_javascript expression formulas facts page_data explore
 paper: cases figures pendulum tanks reproduction
@@ -62,7 +63,7 @@ IMPORT_BY_NAME = {
     "capsyn",  # the public names
     "problems",  # the built-in problems
     "cli.problem_finder",  # the user's own
-    "exports.export",  # the targets
+    "exports.targets",  # each of them
     "cli.doctor",  # what capsyn needs
 }
 

@@ -10,7 +10,7 @@ import pytest
 from capsyn import Alphabet, Box, Problem, SsacSettings, problems, simulate
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
 from capsyn.sources.callables import problem_policy
-from capsyn.sources.finite_control_set import MOST_DEPTH, TIE, finite_control_set
+from capsyn.sources.finite_control_set import COST_TIE, MOST_DEPTH, finite_control_set
 
 BACKENDS = ("c", "numpy")
 
@@ -69,7 +69,7 @@ def test_equal_to_brute_force(backend, depth, blocks, steps, weight):
     assert control.backend == backend
     np.testing.assert_allclose(control.costs(states), wanted, rtol=1e-11)
     least = wanted.min(axis=1, keepdims=True)
-    tied = wanted <= least * (1 + TIE)
+    tied = wanted <= least * (1 + COST_TIE)
     np.testing.assert_array_equal(control(states), tied.argmax(axis=1))  # the lowest of ties
     masks = (tied << np.arange(3)).sum(axis=1).astype(np.uint64)
     np.testing.assert_array_equal(control.masks(states), masks)

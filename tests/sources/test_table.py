@@ -15,7 +15,7 @@ import capsyn
 from capsyn import Alphabet, Policy, compress, problems
 from capsyn.compression.proof import prove
 from capsyn.errors import OutsideDomainError, PolicyFormatError, ProblemError
-from capsyn.exports.c.target import files
+from capsyn.exports.c.target import TARGET
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
 from capsyn.modelling.transcription import transcribe
@@ -203,7 +203,7 @@ def test_golden_vectors_tell_gaps(safe):
 def test_c_gives_the_status_in_gaps(style, arithmetic, tmp_path):
     plan = Plan.of(random_table((13, 9), seed=2).policy(outside=1))
     golden = golden_vectors(plan)
-    made = files(plan, golden, style=style, arithmetic=arithmetic).files
+    made = TARGET.files(plan, golden, style=style, arithmetic=arithmetic).files
     library = Library(made, tmp_path, plan.n)
     with np.errstate(over="ignore"):
         states = golden.states.astype(library.real).astype(float)

@@ -8,12 +8,14 @@ from typing import Any
 
 from capsyn.cells.packing import packed_bytes
 from capsyn.compression.complexity import mean_depth
-from capsyn.exports.made import Made
 from capsyn.exports.plan import Plan
+from capsyn.exports.target import Exported
 from capsyn.policies.file import content_hash
 
 
-def certificate(plan: Plan, made: Made, target: str, options: Mapping[str, Any]) -> dict[str, Any]:
+def certificate(
+    plan: Plan, exported: Exported, target: str, options: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return what a decision takes at most, as plain data.
 
     ``comparisons`` is exact, from the tree; the mean is over the volume, and None where splits are
@@ -35,10 +37,10 @@ def certificate(plan: Plan, made: Made, target: str, options: Mapping[str, Any])
         "tree_bytes": packed_bytes(tree.cells),
         "files": {
             name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-            for name, content in sorted(made.files.items())
+            for name, content in sorted(exported.files.items())
         },
         "guarantee": tree.guarantee.text,
-        "changed_by_rounding": made.changed,
-        "renamed": dict(made.renamed),
-        "notes": list(made.notes),
+        "changed_by_rounding": exported.changed,
+        "renamed": dict(exported.renamed),
+        "notes": list(exported.notes),
     }

@@ -24,7 +24,7 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
         ("INPUT_UNITS", alphabet.units, "Their units."),
         ("SYMBOLS", plan.symbol_names, "Names of the symbols, the default control last."),
         ("CONTROLS", policy.controls.tolist(), "Their control vectors."),
-        ("DEFAULT", plan.labels - 1, "The symbol of the default control."),
+        ("DEFAULT", plan.default, "The symbol of the default control."),
         ("SAFE", plan.safe, "The symbol of states that have no other."),
         ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
         ("GAP", plan.gap, "The label of steps that are outside; -1: none."),

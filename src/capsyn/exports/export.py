@@ -4,43 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib
-import inspect
 import json
 import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from capsyn.errors import ProblemError
-from capsyn.exports.c.sizes import sizes
 from capsyn.exports.certificate import certificate
-from capsyn.exports.golden import golden_vectors
+from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import Files, Plan
+from capsyn.exports.targets import TARGETS, load
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
-TARGETS = {
-    "c": "c.target",
-    "structured-text": "structured_text.target",
-    "verilog": "verilog.target",
-    "fmu": "fmu.target",
-    "python": "python_module",
-    "javascript": "javascript.target",
-    "dot": "dot",
-    "json": "policy_json.target",
-}
-"""Targets and their modules, each with ``files(plan, golden, **options) -> Made``."""
-
 GOLDEN, CERTIFICATE, MEASURED = "golden.csv", "certificate.json", "measured.json"
-"""Files beside those of a target: vectors, costs, and what compilers here make of C."""
+"""Files beside those of a target: vectors, costs, and what is measured here, of C."""
 
 
 def all_targets(policy: Policy) -> tuple[str, ...]:
-    """Return the targets that a policy can be exported to: ``dot`` draws no oblique splits."""
-    return tuple(target for target in TARGETS if target != "dot" or not policy.has_planes)
+    """Return the targets that a policy can be exported to; not all take oblique splits."""
+    return tuple(name for name in TARGETS if not policy.has_planes or load(name).planes)
 
 
 def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
@@ -51,17 +36,13 @@ def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
             raise ProblemError(
                 f"`to` must be one of {', '.join(TARGETS)}, or several; got {describe(target)}"
             )
-        known = list(inspect.signature(_module(target).files).parameters)[2:]
+        known = load(target).option_names
         for name in names:
             if name not in known:
                 raise ProblemError(
                     f"`{name}` is no option of target {target}, which has {', '.join(known)}"
                 )
     return targets
-
-
-def _module(target: str) -> ModuleType:
-    return importlib.import_module(f"capsyn.exports.{TARGETS[target]}")
 
 
 def export(
@@ -94,7 +75,7 @@ def export(
     scale, offset : float or (n,), optional
         A state is ``reading * scale + offset``. Default: readings are states.
     options
-        Those of the target, see its module.
+        Those of the target, see the `Target` in its module.
 
     Returns
     -------
@@ -112,21 +93,27 @@ def export(
     plan = Plan.of(policy, safe=safe, dwell=dwell, scale=scale, offset=offset)
     golden = golden_vectors(plan)
     files: Files = {}
-    for target in targets:
-        found = inspect.signature(_module(target).files).parameters.values()
-        chosen = {p.name: options.get(p.name, p.default) for p in list(found)[2:]}
-        made = _module(target).files(plan, golden, **chosen)
-        for name in {GOLDEN, CERTIFICATE, MEASURED} & set(made.files):
-            raise ProblemError(f"`name` must be another: the export has a {name} of its own")
-        vectors = (made.golden or golden).to_csv(plan)
-        made = dataclasses.replace(made, files=made.files | {GOLDEN: vectors})
-        written = made.files | {CERTIFICATE: _json(certificate(plan, made, target, chosen))}
-        if target == "c":
-            (header,) = (name for name in made.files if name.endswith(".h"))
-            written[MEASURED] = _json(sizes(made.files, header.removesuffix(".h")))
-        folder = "" if isinstance(to, str) else f"{target}/"
-        files |= {folder + name: content for name, content in written.items()}
+    for name in targets:
+        folder = "" if isinstance(to, str) else f"{name}/"
+        written = _files_of(name, plan, golden, options)
+        files |= {folder + file: content for file, content in written.items()}
     return _write(files, Path(directory))
+
+
+def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) -> Files:
+    """Return all files of one target, with vectors, costs and what is measured."""
+    target = load(name)
+    chosen = target.options(**options)
+    exported = target.export(plan, golden, chosen)
+    for file in {GOLDEN, CERTIFICATE, MEASURED} & set(exported.files):
+        raise ProblemError(f"`name` must be another: the export has a {file} of its own")
+    vectors = (exported.golden or golden).to_csv(plan)
+    exported = dataclasses.replace(exported, files=exported.files | {GOLDEN: vectors})
+    costs = certificate(plan, exported, name, vars(chosen))
+    files = exported.files | {CERTIFICATE: _json(costs)}
+    if target.measure is not None:
+        files[MEASURED] = _json(target.measure(exported.files))
+    return files
 
 
 def _json(data: dict[str, Any]) -> bytes:

@@ -36,7 +36,7 @@ def identifiers(
         return text.lower() if fold else text
 
     taken = {key(word) for word in keywords}
-    found = []
+    chosen: list[str] = []
     for name in names:
         plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
         plain = re.sub(r"(?<![A-Za-z0-9])-(?=[0-9.])", "minus_", plain)
@@ -44,19 +44,24 @@ def identifiers(
         plain = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9_]", "_", plain)).strip("_")
         if not plain or plain[0].isdigit():
             plain = f"n{plain}"
-        chosen, k = plain, 2
-        while key(chosen) in taken:
-            chosen, k = f"{plain}_{k}", k + 1
-        taken.add(key(chosen))
-        found.append(chosen)
-    return tuple(found)
+        free, k = plain, 2
+        while key(free) in taken:
+            free, k = f"{plain}_{k}", k + 1
+        taken.add(key(free))
+        chosen.append(free)
+    return tuple(chosen)
+
+
+def wanted_name(name: str | None, policy: str) -> str:
+    """Return a name that is asked for, or else a policy's."""
+    if name is not None and not (isinstance(name, str) and name and name.isprintable()):
+        raise ProblemError(f"`name` must be a printable text; got {describe(name)}")
+    return policy if name is None else name
 
 
 def file_name(name: str | None, policy: str, keywords: Collection[str] = ()) -> str:
     """Return an identifier of a name that is asked for, or else of a policy's."""
-    if name is not None and not (isinstance(name, str) and name and name.isprintable()):
-        raise ProblemError(f"`name` must be a printable text; got {describe(name)}")
-    return identifiers([(policy if name is None else name)[:LONGEST_FILE_NAME]], keywords)[0]
+    return identifiers([wanted_name(name, policy)[:LONGEST_FILE_NAME]], keywords)[0]
 
 
 def renamed(names: Sequence[str], chosen: Sequence[str]) -> dict[str, str]:

@@ -86,8 +86,8 @@ class Plan:
         chosen = own if safe is None else _symbol(safe, policy.alphabet)
         n = policy.domain.n
         factors = [
-            np.full(n, default) if given is None else _per_state(name, given, n)
-            for name, given, default in (("scale", scale, 1.0), ("offset", offset, 0.0))
+            np.full(n, default) if value is None else _per_state(name, value, n)
+            for name, value, default in (("scale", scale, 1.0), ("offset", offset, 0.0))
         ]
         if (factors[0] == 0).any():
             raise ProblemError(f"`scale` must not be 0; got {describe(scale)}")
@@ -114,15 +114,24 @@ class Plan:
         return len(self.policy.alphabet) + 1
 
     @property
-    def gap(self) -> int:
-        """Label of cells whose states are outside and get the safe symbol; -1 for none."""
-        return self.labels - 1 if self.policy.gaps else -1
+    def default(self) -> int:
+        """Label of the default control."""
+        return self.labels - 1
 
     @property
-    def like_default(self) -> list[int]:
-        """Symbols whose control is the default one: between them and the default is no switch."""
+    def gap(self) -> int:
+        """Label of cells whose states are outside and get the safe symbol; -1 for none."""
+        return self.default if self.policy.gaps else -1
+
+    @property
+    def same_control(self) -> list[tuple[int, int]]:
+        """Pairs of symbols, both ways, that have the same control: between them is no switch.
+
+        Symbols of an alphabet differ, so that one may be like the default control, and no other.
+        """
         controls = self.policy.controls
-        return np.flatnonzero((controls[:-1] == controls[-1]).all(axis=1)).tolist()
+        like = np.flatnonzero((controls[:-1] == controls[-1]).all(axis=1)).tolist()
+        return [pair for k in like for pair in ((k, self.default), (self.default, k))]
 
     @property
     def symbol_names(self) -> tuple[str, ...]:
@@ -229,8 +238,8 @@ def _symbol(safe: object, alphabet: Alphabet) -> int:
     return chosen
 
 
-def _per_state(name: str, given: object, n: int) -> np.ndarray:
-    values = finite_array(name, given, 1 if numbers(name, given).ndim else 0).reshape(-1)
+def _per_state(name: str, value: object, n: int) -> np.ndarray:
+    values = finite_array(name, value, 1 if numbers(name, value).ndim else 0).reshape(-1)
     if len(values) not in (1, n):
-        raise ProblemError(f"`{name}` must be one number or {n}; got {describe(given)}")
+        raise ProblemError(f"`{name}` must be one number or {n}; got {describe(value)}")
     return np.array(np.broadcast_to(values, n))

@@ -11,8 +11,8 @@ from typing import Any
 from capsyn.exports.constants import constants, tables
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.made import Made
 from capsyn.exports.plan import Plan
+from capsyn.exports.target import Exported, NameOption, Target
 
 KEYWORDS = {*keyword.kwlist, *keyword.softkwlist, *sys.stdlib_module_names}
 """Names that the module cannot have, or that would hide another."""
@@ -102,14 +102,8 @@ class Controller:
 '''
 
 
-def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
-    """Return a module of Python 3.8 or later.
-
-    Parameters
-    ----------
-    name : str, optional
-        What it is called, made an identifier. Default: the policy's name.
-    """
+def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
+    """Return a module of Python 3.8 or later."""
     lines = ["# -*- coding: utf-8 -*-", *(f"# {line}" for line in plan.header)]
     title = f"Control alphabet policy {plan.policy.name}: states to symbols."
     lines += [repr(title), "", "import math", ""]
@@ -117,8 +111,8 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
         lines += [f"# {note}"] * bool(note)
         whole = isinstance(value, (list, tuple))
         lines.append(_tuple(constant, value) if whole else f"{constant} = {value!r}")
-    file = f"{file_name(name, plan.policy.name, KEYWORDS)}.py"
-    return Made({file: ("\n".join(lines) + CODE).encode()})
+    file = f"{file_name(options.name, plan.policy.name, KEYWORDS)}.py"
+    return Exported({file: ("\n".join(lines) + CODE).encode()})
 
 
 def _tuple(name: str, values: Sequence[Any]) -> str:
@@ -131,3 +125,6 @@ def _tuple(name: str, values: Sequence[Any]) -> str:
         items = textwrap.wrap(", ".join(items), 95)
         return "\n    ".join([f"{name} = (", *items]) + ",\n)"
     return "\n    ".join([f"{name} = (", *(f"{item}," for item in items)]) + "\n)"
+
+
+TARGET = Target(export)

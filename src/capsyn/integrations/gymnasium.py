@@ -188,8 +188,8 @@ def _actions(policy: Policy, space: Any) -> list[Any]:
                 f"`actions` must be given: controls have {policy.alphabet.m} components, actions "
                 f"the shape {space.shape}"
             )
-        made = [row.reshape(space.shape).astype(space.dtype) for row in policy.controls]
-        return made if space.contains(made[-1]) else made[:-1]
+        actions = [row.reshape(space.shape).astype(space.dtype) for row in policy.controls]
+        return actions if space.contains(actions[-1]) else actions[:-1]
     raise ProblemError(f"`env` must have Discrete or Box actions; got {space}")
 
 
@@ -225,18 +225,18 @@ def evaluate(
     """
     episodes = whole_number("episodes", episodes, least=1, most=10_000_000)
     seed = whole_number("seed", seed, least=0)
-    made = None
+    own = None
     if isinstance(env, str):
         with foreign(f"`env` must be a registered environment; got {describe(env)}"):
-            env = made = gymnasium.make(env)
+            env = own = gymnasium.make(env)
     try:
         act = player(policy, env, observation=observation, actions=actions)
         played = [
             _episode(act, env, derived_seed(seed, PLAYING, k) % 2**31) for k in range(episodes)
         ]
     finally:
-        if made is not None:
-            made.close()
+        if own is not None:
+            own.close()
     returns, lengths, terminated = zip(*played)
     return Evaluation(np.array(returns), np.array(lengths), np.array(terminated))
 
@@ -290,11 +290,11 @@ class Environment(gymnasium.Env):
         """
         super().reset(seed=seed)
         domain = self.problem.domain
-        given = (options or {}).get("state")
-        if given is None:
+        start = (options or {}).get("state")
+        if start is None:
             self._state = domain.lower + self.np_random.random(domain.n) * domain.widths
         else:
-            state = finite_array("state", given, 1)
+            state = finite_array("state", start, 1)
             if state.shape != (domain.n,):
                 raise ProblemError(f"`state` must have shape ({domain.n},); got {state.shape}")
             self._state = np.array(state)

@@ -72,9 +72,9 @@ def labels_of(
 
     def act(observed: Any, states: np.ndarray) -> np.ndarray:
         with foreign(f"`controller` failed at {_at(states)}"):
-            found = ask(observed, **fixed)
+            answer = ask(observed, **fixed)
             return np.asarray(
-                found[0] if predicts and isinstance(found, tuple) and found else found
+                answer[0] if predicts and isinstance(answer, tuple) and answer else answer
             )
 
     def label(states: np.ndarray) -> np.ndarray:
@@ -93,9 +93,9 @@ def labels_of(
         if batched:
             array = act(observed, states)
         else:
-            found = [act(one, states[k : k + 1]) for k, one in enumerate(observed)]
-            same = len({one.shape for one in found}) < 2
-            array = np.asarray(found) if same else np.zeros(0, dtype=object)
+            answers = [act(one, states[k : k + 1]) for k, one in enumerate(observed)]
+            same = len({one.shape for one in answers}) < 2
+            array = np.asarray(answers) if same else np.zeros(0, dtype=object)
         size = 1 if actions == "symbols" else alphabet.m
         shapes = [(len(states), size)] + [(len(states),)] * (size == 1)
         if array.dtype.kind not in "iuf" or array.shape not in shapes:
@@ -148,8 +148,8 @@ def _takes(function: Callable[..., Any], name: str) -> bool:
         return False
 
 
-def _symbols(found: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.ndarray:
-    values = found[:, 0]
+def _symbols(actions: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.ndarray:
+    values = actions[:, 0]
     good = (values >= -1) & (values < len(alphabet)) & (values == np.floor(values))
     if not good.all():
         i = int(np.flatnonzero(~good)[0])
@@ -160,20 +160,20 @@ def _symbols(found: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.nd
     return values.astype(np.int64)
 
 
-def _symbols_of_controls(found: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.ndarray:
-    symbols, finite = np.full(len(found), -1), np.isfinite(found).all(axis=1)
+def _symbols_of_controls(actions: np.ndarray, states: np.ndarray, alphabet: Alphabet) -> np.ndarray:
+    symbols, finite = np.full(len(actions), -1), np.isfinite(actions).all(axis=1)
     for symbol in range(len(alphabet) - 1, -1, -1):
         value = alphabet.values[symbol]
-        if found.dtype.kind == "f":  # as a float32 agent writes it
+        if actions.dtype.kind == "f":  # as a float32 agent writes it
             with np.errstate(over="ignore"):
-                value = value.astype(found.dtype)
-        symbols[finite & (found == value).all(axis=1)] = symbol
+                value = value.astype(actions.dtype)
+        symbols[finite & (actions == value).all(axis=1)] = symbol
     lost = np.flatnonzero(symbols < 0)
     if len(lost):
         i = int(lost[0])
         raise ProblemError(
             f"`controller` must return controls of the alphabet ({', '.join(alphabet.names)}); got "
-            f"{found[i].tolist()} at state {states[i].tolist()}"
+            f"{actions[i].tolist()} at state {states[i].tolist()}"
         )
     return symbols
 

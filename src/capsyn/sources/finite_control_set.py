@@ -29,16 +29,16 @@ from capsyn.native.source import LANES, declarations, hand_written
 from capsyn.programs.program import Program
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number, whole_numbers
 
-TIE = 1e-9
+COST_TIE = 1e-9
 """Share of the least cost by which another symbol's may be larger and still tie with it."""
 MOST_SEQUENCES = 1_000_000
 """Most sequences of symbols that are tried at a state."""
 MOST_DEPTH = 200
 """Most moves of a sequence, which only a single symbol comes near."""
-BLOCK = 4096
+BATCH = 4096
 """States that NumPy handles at once, and least that a thread gets."""
 
-Solver = Callable[[np.ndarray], np.ndarray]
+Costs = Callable[[np.ndarray], np.ndarray]
 """``states (B, n) -> costs (B, N)``, safe to call from threads."""
 
 
@@ -61,7 +61,7 @@ class FiniteControlSet:
         Threads that solve; the result does not depend on it.
     """
 
-    solver: Solver
+    solver: Costs
     backend: str
     states: int
     symbols: int
@@ -80,7 +80,7 @@ class FiniteControlSet:
         states = np.ascontiguousarray(states, dtype=float)
         if states.ndim != 2 or states.shape[1] != self.states:
             raise ProblemError(f"`states` must be of shape (B, {self.states}); got {states.shape}")
-        size = max(BLOCK, -(-len(states) // self.threads))
+        size = max(BATCH, -(-len(states) // self.threads))
         parts = [states[k : k + size] for k in range(0, len(states), size)]
         if len(parts) < 2:
             return self.solver(states)
@@ -90,13 +90,13 @@ class FiniteControlSet:
     def masks(self, states: np.ndarray) -> np.ndarray:
         """Return the symbols whose cost ties with the least, as bit masks (B,), of states (B, n).
 
-        A mask is 0 where no sequence has a finite cost. Costs within `TIE` of the least, relative
-        to its size, tie.
+        A mask is 0 where no sequence has a finite cost. Costs within `COST_TIE` of the least,
+        relative to its size, tie.
         """
         costs = self.costs(states)
         least = costs.min(axis=1, keepdims=True)
         with np.errstate(invalid="ignore"):
-            good = (costs <= least + TIE * np.abs(least)) & np.isfinite(costs)
+            good = (costs <= least + COST_TIE * np.abs(least)) & np.isfinite(costs)
         return masks_of_members(good)
 
     def __call__(self, states: np.ndarray) -> np.ndarray:
@@ -173,51 +173,69 @@ def finite_control_set(
     model = transcribe(problem)
     end = model.terminal_cost
     end = Program(end.name, end.inputs, end.outputs[:1], end.instructions, end.results[:1])
-    plan = (values, efforts, np.full(depth, period / steps), held * steps)
+    moves = _Moves(values, efforts, np.full(depth, period / steps), held * steps)
     kernel = compiled(
-        lambda: FiniteControlSetKernel.build(model.step, end, count, depth), backend, "predicting"
+        lambda: FiniteControlSetKernel.build(model.step, end, moves), backend, "predicting"
     )
-    if kernel is None:
-        solver: Solver = _NumpySolver(model.step, end, *plan)
-    else:
-        solver = lambda states: kernel(states, *plan)  # noqa: E731
-    used = "numpy" if kernel is None else "c"
+    solver: Costs = kernel or _NumpyCosts(model.step, end, moves)
+    used = "c" if kernel else "numpy"
     return FiniteControlSet(solver, used, problem.domain.n, count, processors(threads))
 
 
 @dataclass(frozen=True, eq=False)
-class _NumpySolver:
-    """The same computation as the compiled kernel, by NumPy on blocks of states."""
+class _Moves:
+    """What the moves of all sequences are made of.
 
-    step: Program
-    end: Program
+    Parameters
+    ----------
+    controls : (N, m)
+        Control of each symbol [input units].
+    efforts : (N,)
+        What it costs [cost / s].
+    dt : (D,)
+        Integration step of each move [s].
+    steps : (D,) ints
+        Integration steps of each move.
+    """
+
     controls: np.ndarray
     efforts: np.ndarray
     dt: np.ndarray
     steps: np.ndarray
 
+
+@dataclass(frozen=True, eq=False)
+class _NumpyCosts:
+    """The same computation as the compiled kernel, by NumPy on blocks of states."""
+
+    step: Program
+    end: Program
+    moves: _Moves
+
     def __call__(self, states: np.ndarray) -> np.ndarray:
-        costs = np.empty((len(states), len(self.controls)))
+        count = len(self.moves.controls)
+        costs = np.empty((len(states), count))
         with np.errstate(all="ignore"):
-            for k in range(0, len(states), BLOCK):
-                x = np.ascontiguousarray(states[k : k + BLOCK].T)
-                for symbol in range(len(self.controls)):
-                    costs[k : k + BLOCK, symbol] = self._least(x, np.zeros(x.shape[1]), 0, [symbol])
+            for k in range(0, len(states), BATCH):
+                x = np.ascontiguousarray(states[k : k + BATCH].T)
+                for symbol in range(count):
+                    costs[k : k + BATCH, symbol] = self._least(x, np.zeros(x.shape[1]), 0, [symbol])
         return costs
 
     def _least(self, x: np.ndarray, total: np.ndarray, depth: int, symbols: Any) -> np.ndarray:
         """Return the least cost (B,) of going on from states (n, B) with one of some symbols."""
-        if depth == len(self.dt):
+        moves = self.moves
+        if depth == len(moves.dt):
             cost = total + self.end.evaluate(x)[0][0]
             return np.where(np.isnan(cost), np.inf, cost)
-        dt, steps = self.dt[depth], int(self.steps[depth])
+        dt, steps = moves.dt[depth], int(moves.steps[depth])
         best = np.full(x.shape[1], np.inf)
         for symbol in symbols:
-            effort, y, cost = self.efforts[symbol] * (dt * steps), x, total
+            effort, y, cost = moves.efforts[symbol] * (dt * steps), x, total
             for k in range(steps):
-                y, part = self.step.evaluate(y, self.controls[symbol], [dt])
+                y, part = self.step.evaluate(y, moves.controls[symbol], [dt])
                 cost = cost + effort + part[0] if k == 0 else cost + part[0]
-            least = self._least(y, cost, depth + 1, range(len(self.controls)))
+            least = self._least(y, cost, depth + 1, range(len(moves.controls)))
             best = np.minimum(best, least)
         return best
 
@@ -228,17 +246,15 @@ class PredictionArguments(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in "controls efforts dt steps".split()]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FiniteControlSetKernel:
     """Least costs of sequences by their first symbol, compiled. Safe to call from threads."""
 
     function: Any
-    symbols: int
+    moves: _Moves
 
     @staticmethod
-    def build(
-        step: Program, terminal_cost: Program, symbols: int, depth: int
-    ) -> FiniteControlSetKernel:
+    def build(step: Program, terminal_cost: Program, moves: _Moves) -> FiniteControlSetKernel:
         """Return the kernel of two programs of a model; `KernelBuildError` if it fails.
 
         ``terminal_cost`` has one output, the cost.
@@ -248,7 +264,7 @@ class FiniteControlSetKernel:
             [
                 declarations([step, terminal_cost], "double", LANES),
                 f"#define STATES {sizes['x']}\n#define INPUTS {sizes['u']}",
-                f"#define SYMBOLS {symbols}\n#define DEPTH {depth}",
+                f"#define SYMBOLS {len(moves.controls)}\n#define DEPTH {len(moves.dt)}",
                 step.to_c("step", uniform=["u", "dt"]),
                 terminal_cost.to_c("terminal_cost"),
                 hand_written("sources/finite_control_set.c"),
@@ -258,24 +274,17 @@ class FiniteControlSetKernel:
         function.restype = None
         p = ctypes.c_void_p
         function.argtypes = [ctypes.c_int64, p, p, p]
-        return FiniteControlSetKernel(function, symbols)
+        return FiniteControlSetKernel(function, moves)
 
-    def __call__(
-        self,
-        states: np.ndarray,
-        controls: np.ndarray,
-        efforts: np.ndarray,
-        dt: np.ndarray,
-        steps: np.ndarray,
-    ) -> np.ndarray:
-        """Return costs (B, N) of states (B, n); controls (N, m), efforts (N,), dt, steps (D,)."""
+    def __call__(self, states: np.ndarray) -> np.ndarray:
+        """Return costs (B, N) of states (B, n)."""
         states = np.ascontiguousarray(states, dtype=np.float64)
-        costs = np.empty((len(states), self.symbols))
+        costs = np.empty((len(states), len(self.moves.controls)))
         arrays = [
-            np.ascontiguousarray(controls, dtype=np.float64),
-            np.ascontiguousarray(efforts, dtype=np.float64),
-            np.ascontiguousarray(dt, dtype=np.float64),
-            np.ascontiguousarray(steps, dtype=np.int64),
+            np.ascontiguousarray(self.moves.controls, dtype=np.float64),
+            np.ascontiguousarray(self.moves.efforts, dtype=np.float64),
+            np.ascontiguousarray(self.moves.dt, dtype=np.float64),
+            np.ascontiguousarray(self.moves.steps, dtype=np.int64),
         ]
         plan = PredictionArguments(*(array.ctypes.data for array in arrays))
         self.function(len(states), states.ctypes.data, ctypes.addressof(plan), costs.ctypes.data)

@@ -23,7 +23,7 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import LARGEST
 from capsyn.sources.table import MOST_POINTS, Table, check_points, check_symbols
-from capsyn.sources.text import check_alphabet, fail, naming, path_text, read_bytes
+from capsyn.sources.text import check_alphabet, fail, first_repeat, naming, path_text, read_bytes
 from capsyn.validation import one_line, one_of
 
 OFF_GRID = 0.1
@@ -71,13 +71,10 @@ def read_csv(
     with naming(path):
         check_points(counts)
     flat = np.ravel_multi_index(tuple(places.T), counts)
-    order = np.argsort(flat, kind="stable")
-    twice = order[1:][np.diff(flat[order]) == 0]
-    if len(twice):
-        again = int(twice.min())
-        before = lines[int(np.flatnonzero(flat == flat[again])[0])]
-        state = ",".join(rows[again])
-        fail(path, lines[again], f"a state that has no row yet (line {before} has it)", state)
+    if repeat := first_repeat(flat):
+        again, first_row = repeat
+        wanted = f"a state that has no row yet (line {lines[first_row]} has it)"
+        fail(path, lines[again], wanted, ",".join(rows[again]))
     total = int(np.prod(counts))
     if len(flat) < total and missing == "error":
         absent = np.ones(total, dtype=bool)
@@ -183,12 +180,12 @@ def _masks(
     path: str, symbols: list[str], lines: list[int], alphabet: Alphabet | None
 ) -> tuple[np.ndarray, Alphabet]:
     """Return the masks (B,) of symbols as text, and the alphabet."""
-    told: dict[str, list[str]] = {}
+    parts_of: dict[str, list[str]] = {}
     where: dict[str, int] = {}
     for text, line in zip(symbols, lines):
-        if text not in told:
-            told[text] = [part.strip() for part in text.split("|")] if text else []
-            for part in told[text]:
+        if text not in parts_of:
+            parts_of[text] = [part.strip() for part in text.split("|")] if text else []
+            for part in parts_of[text]:
                 where.setdefault(part, line)
     if not where:
         raise ProblemError(f"'{path}' must have a symbol in some row; all of its points are gaps")
@@ -203,7 +200,7 @@ def _masks(
         known = {part: values.index(value) for part, value in numbers.items()}
     else:
         known = _names_or_indices(path, where, alphabet)
-    masks = {text: sum(1 << k for k in {known[p] for p in some}) for text, some in told.items()}
+    masks = {text: sum(1 << k for k in {known[p] for p in some}) for text, some in parts_of.items()}
     return np.array([masks[text] for text in symbols], dtype=np.uint64), alphabet
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import MAX_SYMBOLS, Alphabet
 from capsyn.sources.table import MOST_AXES, Table, check_points
-from capsyn.sources.text import check_alphabet, fail, naming, path_text, read_bytes
+from capsyn.sources.text import check_alphabet, fail, first_repeat, naming, path_text, read_bytes
 
 MOST_INPUTS = 1 << 53
 """Most points of an input grid; an index of more does not fit a float exactly."""
@@ -220,11 +220,8 @@ def _pairs(
     beyond = np.flatnonzero(~new & (values >= inputs))
     if len(beyond):
         fail_at(int(starts[beyond[0]]), f"inputs of the grid, 0 to {inputs - 1}")
-    order = np.argsort(state, kind="stable")
-    twice = order[1:][np.diff(state[order]) == 0]
-    if len(twice):
-        again = int(twice.min())
-        first = int(np.flatnonzero(state == state[again])[0])
+    if repeat := first_repeat(state):
+        again, first = repeat
         before = line + int(np.searchsorted(breaks, heads[first]))
         fail_at(int(heads[again]), f"a state that has no row yet (line {before} has it)")
     return state[owner][~new], values[~new]

@@ -7,6 +7,8 @@ import os
 from collections.abc import Iterator
 from typing import Any, NoReturn
 
+import numpy as np
+
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.validation import describe
@@ -47,8 +49,18 @@ def read_bytes(path: str) -> bytes:
 
 def fail(path: str, line: int, wanted: str, got: str | None) -> NoReturn:
     """Raise the error of a line that is not what was expected; None where the file ends."""
-    found = "the file ends" if got is None else f"got {describe(got)}"
-    raise ProblemError(f"'{path}', line {line}: expected {wanted}; {found}")
+    instead = "the file ends" if got is None else f"got {describe(got)}"
+    raise ProblemError(f"'{path}', line {line}: expected {wanted}; {instead}")
+
+
+def first_repeat(values: np.ndarray) -> tuple[int, int] | None:
+    """Return the first place of (K,) values whose value stands before, and where; None for none."""
+    order = np.argsort(values, kind="stable")
+    again = order[1:][np.diff(values[order]) == 0]
+    if not len(again):
+        return None
+    place = int(again.min())
+    return place, int(np.flatnonzero(values == values[place])[0])
 
 
 @contextlib.contextmanager

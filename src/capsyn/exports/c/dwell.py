@@ -45,9 +45,9 @@ int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now);
 def functions(plan: Plan, prefix: str) -> Part:
     """Return ``_init`` and ``_hold``."""
     classes = list(range(plan.labels))
-    classes[-1] = (plan.like_default or classes)[-1]
     same, table, reads = "symbol == state->symbol", "", set()
-    if plan.like_default:
+    if plan.same_control:
+        classes[plan.default] = min(plan.same_control[0])
         kind, integer = ("BYTE", "uint8_t") if plan.labels <= 256 else ("INT16", "int16_t")
         entries = rows([f"{k}u" if kind == "BYTE" else str(k) for k in classes])
         table = (

@@ -62,9 +62,9 @@ def comment(lines: Iterable[str]) -> str:
     safe = []
     for line in lines:
         line = line.replace("\\", "/")
-        for told in ("*/", "/*", "//", "??"):
-            while told in line:
-                line = line.replace(told, f"{told[0]} {told[1]}")
+        for mark in ("*/", "/*", "//", "??"):
+            while mark in line:
+                line = line.replace(mark, f"{mark[0]} {mark[1]}")
         safe += textwrap.wrap(line, WIDTH - 6, subsequent_indent="  ") or [""]
     return "\n".join(["/*", *(f" * {line}".rstrip() for line in safe), " */"])
 
@@ -118,3 +118,21 @@ def byte_rows(data: bytes) -> str:
 def z_type(counts: Sequence[int]) -> str:
     """Return the integer type of lattice steps."""
     return "int16_t" if max(counts) <= 32767 else "int32_t"
+
+
+def search(integer: str, high: str, reached: str) -> str:
+    """Return statements that leave the last of 0 .. high - 1 that is reached, else 0, in ``low``.
+
+    `reached` is the condition at ``middle``.
+    """
+    return f"""\
+    {integer} low = 0;
+    {integer} high = {high};
+    while ((high - low) > 1) {{
+        const {integer} middle = ({integer})(low + ((high - low) / 2));
+        if ({reached}) {{
+            low = middle;
+        }} else {{
+            high = middle;
+        }}
+    }}"""

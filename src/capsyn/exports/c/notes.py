@@ -23,7 +23,7 @@ TOLD_FACES = 4096
 
 def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
     """Return each axis of counts with a line about it."""
-    found = []
+    lines = []
     for i, axis in enumerate(axes):
         line = f"Readings are counts r; the step of axis {i} is {axis.text}."
         if axis.table_bytes:
@@ -34,21 +34,21 @@ def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
             line += (
                 f" Counts are coarse: {axis.missed} of {len(axis.changes) + 1} steps never occur."
             )
-        found.append((axis, line))
-    return found
+        lines.append((axis, line))
+    return lines
 
 
-def told(
+def remarks(
     counts: tuple[int, ...], faces: list[np.ndarray] | None, axes: list[CountAxis]
 ) -> tuple[str, ...]:
     """Return what a user is told as the export is made."""
-    found = [line for _, line in count_lines(axes)]
+    lines = [line for _, line in count_lines(axes)]
     size = 4 * sum(map(len, faces or []))
     if size > TOLD_FACES:
-        found.append(f"tables of the faces take {size:,} bytes; arithmetic lattice has none")
+        lines.append(f"tables of the faces take {size:,} bytes; arithmetic lattice has none")
     if z_type(counts) != "int16_t":
-        found.append(f"lattice steps are of 32 bits: an axis has {max(counts):,}, beyond 16 bits")
-    return tuple(found)
+        lines.append(f"lattice steps are of 32 bits: an axis has {max(counts):,}, beyond 16 bits")
+    return tuple(lines)
 
 
 def heavy_tables(plan: Plan, axes: list[CountAxis], readings: str, function: str) -> str | None:
@@ -63,16 +63,16 @@ def heavy_tables(plan: Plan, axes: list[CountAxis], readings: str, function: str
     i = int(np.argmax(sizes))
     name = plan.policy.domain.names[i]
     why = "counts fall on faces of its lattice" if axes[i].line else "no line gives its steps"
-    found = f"tables of `readings` {readings} take {sizes[i]:,} bytes for axis '{name}'"
-    found += f" (the tree: {tree:,}), since {why}: "
+    warning = f"tables of `readings` {readings} take {sizes[i]:,} bytes for axis '{name}'"
+    warning += f" (the tree: {tree:,}), since {why}: "
     offset = plan.offset.copy()
     step = plan.policy.domain.widths[i] / plan.tree.cells.counts[i]
     offset[i] += min(abs(plan.scale[i]), step) / 2  # between faces
     with contextlib.suppress(ProblemError):  # counts may no more reach every step
         (moved,) = count_axes(dataclasses.replace(plan, offset=offset), readings, [i])
         if moved.table_bytes <= sizes[i] / 2:
-            found += f"an `offset` of {float(offset[i])!r} takes {moved.table_bytes:,}; "
-    return f"{found}otherwise take another `scale`, or give lattice steps to {function}(z)"
+            warning += f"an `offset` of {float(offset[i])!r} takes {moved.table_bytes:,}; "
+    return f"{warning}otherwise take another `scale`, or give lattice steps to {function}(z)"
 
 
 def notes(
@@ -122,8 +122,8 @@ def notes(
         "Status: OUTSIDE of the domain, or NOT_FINITE, or OK. Symbols outside are those above."
     )
     if plan.policy.gaps:
-        told = f"Symbol {plan.gap} of steps: no symbol, the state is OUTSIDE."
-        lines.append(told if arithmetic == "lattice" else "Gaps are OUTSIDE, too.")
+        gap = f"Symbol {plan.gap} of steps: no symbol, the state is OUTSIDE."
+        lines.append(gap if arithmetic == "lattice" else "Gaps are OUTSIDE, too.")
     lines.append(
         "MISRA C:2012: deviations, of the category advisory only: 2.4 (symbols are for "
         "callers), 8.7 (callers may call every function of this file)."

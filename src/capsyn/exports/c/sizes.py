@@ -48,19 +48,23 @@ def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
         compiler is missing, fails or has not its linker.
     """
     with ThreadPoolExecutor(len(COMPILERS)) as pool:
-        found = pool.map(lambda command: _of_compiler(command, files, prefix), COMPILERS.values())
-        return {name: measured for name, measured in zip(COMPILERS, found) if measured}
+        by_compiler = pool.map(
+            lambda command: _of_compiler(command, files, prefix), COMPILERS.values()
+        )
+        return {name: measured for name, measured in zip(COMPILERS, by_compiler) if measured}
 
 
 def _of_compiler(command: list[str], files: Files, prefix: str) -> dict[str, int | str]:
     """Return the sizes for one compiler; none where it is missing or the code is not for it."""
     if not shutil.which(command[0]):
         return {}
-    with tempfile.TemporaryDirectory() as made:
+    with tempfile.TemporaryDirectory() as directory:
         for name in (f"{prefix}.h", f"{prefix}.c"):
-            Path(made, name).write_bytes(files[name])
-        measured = _measure(command, Path(made), prefix)
-        version = (_run([command[0], "-dumpfullversion", "-dumpversion"], Path(made)) or "").strip()
+            Path(directory, name).write_bytes(files[name])
+        measured = _measure(command, Path(directory), prefix)
+        version = (
+            _run([command[0], "-dumpfullversion", "-dumpversion"], Path(directory)) or ""
+        ).strip()
     return {"compiler": f"{command[0]} {version}".strip(), **measured} if measured else {}
 
 
@@ -75,13 +79,13 @@ def _run(command: list[str], directory: Path) -> str | None:
         return None
     with process:
         try:
-            told, _ = process.communicate(timeout=SECONDS)
+            output, _ = process.communicate(timeout=SECONDS)
         except BaseException as error:
             os.killpg(process.pid, signal.SIGKILL)  # the driver and the compiler that it started
             if isinstance(error, subprocess.TimeoutExpired):
                 return None
             raise
-    return told if process.returncode == 0 else None
+    return output if process.returncode == 0 else None
 
 
 def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]:
@@ -150,12 +154,12 @@ def _frames(text: str) -> dict[str, int]:
 
 def _calls(source: str, prefix: str) -> dict[str, set[str]]:
     """Return which functions of the source each one names."""
-    found = {}
+    calls = {}
     for body in re.finditer(
         rf"^\S[^\n]*?\b({prefix}_\w+)\([^;]*?\)\n\{{\n(.*?)^\}}", source, re.M | re.S
     ):
-        found[body[1]] = set(re.findall(rf"\b({prefix}_\w+)\(", body[2]))
-    return found
+        calls[body[1]] = set(re.findall(rf"\b({prefix}_\w+)\(", body[2]))
+    return calls
 
 
 def _deepest(name: str, calls: dict[str, set[str]], frames: dict[str, int]) -> int:

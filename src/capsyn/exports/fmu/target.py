@@ -15,19 +15,20 @@ import tempfile
 import textwrap
 import zipfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from capsyn.errors import KernelBuildError, ProblemError, warn
 from capsyn.exports.c.language import KEYWORDS
+from capsyn.exports.fmu.description import description, variable_names
 from capsyn.exports.golden import Golden
-from capsyn.exports.identifiers import file_name, identifiers, renamed
-from capsyn.exports.made import Made
+from capsyn.exports.identifiers import file_name, renamed
 from capsyn.exports.plan import Files, Plan
+from capsyn.exports.target import Exported, Target
 from capsyn.native.build import find_compiler
 from capsyn.policies.file import content_hash
 from capsyn.validation import describe
@@ -36,14 +37,11 @@ from capsyn.version import __version__
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
 BUILD_SECONDS = 120
 """Longest that the compiler may take."""
-OWN = ("symbol", "status", "min_dwell", "time")
-"""Variables beside states and inputs, and the independent one."""
 
 
-def files(
-    plan: Plan, golden: Golden, *, name: str | None = None, sources_only: bool = False
-) -> Made:
-    """Return the unit, ``NAME.fmu``.
+@dataclass(frozen=True)
+class Options:
+    """Options of target ``fmu``.
 
     Parameters
     ----------
@@ -53,19 +51,31 @@ def files(
         Whether to leave out the binary; the unit then runs where its importer can build sources.
         So it is, with a warning, where there is no compiler or no name for the platform.
     """
-    if not isinstance(sources_only, bool):
-        raise ProblemError(f"`sources_only` must be true or false; got {describe(sources_only)}")
-    name = file_name(name, plan.policy.name, KEYWORDS)
+
+    name: str | None = None
+    sources_only: bool = False
+
+
+def export(plan: Plan, golden: Golden, options: Options) -> Exported:
+    """Return the unit, ``NAME.fmu``."""
+    if not isinstance(options.sources_only, bool):
+        raise ProblemError(
+            f"`sources_only` must be true or false; got {describe(options.sources_only)}"
+        )
+    name = file_name(options.name, plan.policy.name, KEYWORDS)
     guid = "{" + _guid(plan) + "}"
     source = _source(plan, guid)
     content = {
-        "modelDescription.xml": _description(plan, name, guid).encode(),
+        "modelDescription.xml": description(plan, name, guid),
         f"sources/{name}.c": source,
     }
-    if not sources_only:
+    if not options.sources_only:
         content |= _binary(name, source)
-    given = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
-    return Made({f"{name}.fmu": _zip(content)}, renamed(given, _variables(plan)))
+    names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
+    return Exported({f"{name}.fmu": _zip(content)}, renamed(names, variable_names(plan)))
+
+
+TARGET = Target(export, Options)
 
 
 def _guid(plan: Plan) -> str:
@@ -74,8 +84,8 @@ def _guid(plan: Plan) -> str:
 
     parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.scale.tolist()]
     parts += [plan.offset.tolist(), __version__]
-    found = hashlib.sha256(repr(parts).encode()).hexdigest()
-    return "-".join([found[:8], found[8:12], found[12:16], found[16:20], found[20:32]])
+    digits = hashlib.sha256(repr(parts).encode()).hexdigest()
+    return "-".join([digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32]])
 
 
 def _zip(content: dict[str, bytes]) -> bytes:
@@ -121,96 +131,6 @@ def _binary(name: str, source: bytes) -> Files:
 
 def _warn(reason: str) -> None:
     warn(f"the FMU has no binary, only sources: {reason}")
-
-
-def _variables(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the variables of states and inputs."""
-    policy = plan.policy
-    return identifiers([*policy.domain.names, *policy.alphabet.inputs], [*KEYWORDS, *OWN])
-
-
-def _description(plan: Plan, name: str, guid: str) -> str:
-    policy = plan.policy
-    domain, alphabet = policy.domain, policy.alphabet
-    n, m = domain.n, alphabet.m
-    own = _variables(plan)
-    variables, units = [], set()
-
-    def variable(
-        called: str, reference: int, causality: str, variability: str, kind: str, about: str
-    ) -> None:
-        given = dict(name=called, valueReference=reference, description=about)
-        given |= dict(causality=causality, variability=variability)
-        variables.append(f"<ScalarVariable {_attributes(given)}>{kind}</ScalarVariable>")
-
-    def real(unit: str, **given: Any) -> str:
-        if unit:
-            units.add(unit)
-            given["unit"] = unit
-        return f"<Real {_attributes(given)}/>"
-
-    for i in range(n):
-        about = f"State {domain.names[i]}"
-        unit = domain.units[i]
-        if plan.folded:
-            about = (
-                f"Reading of which state {domain.names[i]} [{unit}] is "
-                f"reading * {float(plan.scale[i])!r} + {float(plan.offset[i])!r}"
-            )
-            unit = ""
-        variable(own[i], i, "input", "continuous", real(unit, start="0"), about)
-    for j in range(m):
-        about = f"Control {alphabet.inputs[j]}"
-        variable(own[n + j], n + j, "output", "discrete", real(alphabet.units[j]), about)
-    symbols = ", ".join(f"{k}: {text}" for k, text in enumerate(plan.symbol_names))
-    variable("symbol", 0, "output", "discrete", "<Integer/>", f"Symbol; {symbols}")
-    about = "0: the state is in the domain, 1: outside, 2: a component is NaN or infinite"
-    variable("status", 1, "output", "discrete", "<Integer/>", about)
-    about = "Least time between switches of the control"
-    kind = real("s", start=repr(plan.dwell), min="0")
-    variable("min_dwell", n + m, "parameter", "fixed", kind, about)
-
-    inputs = " ".join(str(i + 1) for i in range(n))
-    unknowns = "".join(
-        f'<Unknown index="{k + 1}" dependencies="{inputs}"/>' for k in range(n, n + m + 2)
-    )
-    given = dict(
-        fmiVersion="2.0",
-        modelName=policy.name or name,
-        guid=guid,
-        description=" ".join(plan.header),
-        version=content_hash(policy)[:16],
-        generationTool=f"capsyn {__version__}",
-        variableNamingConvention="flat",
-    )
-    can = dict(
-        modelIdentifier=name,
-        canHandleVariableCommunicationStepSize="true",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-    )
-    lines = [
-        '<?xml version="1.0" encoding="UTF-8"?>',
-        f"<fmiModelDescription {_attributes(given)}>",
-        f"<CoSimulation {_attributes(can)}>",
-        f"<SourceFiles><File {_attributes(dict(name=f'{name}.c'))}/></SourceFiles>",
-        "</CoSimulation>",
-        "<UnitDefinitions>",
-        *(f"<Unit {_attributes(dict(name=unit))}/>" for unit in sorted(units)),
-        "</UnitDefinitions>",
-        "<ModelVariables>",
-        *variables,
-        "</ModelVariables>",
-        f"<ModelStructure><Outputs>{unknowns}</Outputs>"
-        f"<InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>",
-        "</fmiModelDescription>",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _attributes(given: dict[str, Any]) -> str:
-    return " ".join(f"{key}={quoteattr(str(value))}" for key, value in given.items())
 
 
 def _source(plan: Plan, guid: str) -> bytes:

@@ -12,8 +12,8 @@ from importlib import resources
 from capsyn.exports.constants import constants, tables
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.made import Made
 from capsyn.exports.plan import Plan
+from capsyn.exports.target import Exported, NameOption, Target
 
 CODE = """
 /** Return the lattice steps of a state of finite numbers; beyond the bounds the nearest. */
@@ -88,14 +88,8 @@ export class Controller {
 """
 
 
-def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
-    """Return an ES module, ``NAME.mjs``.
-
-    Parameters
-    ----------
-    name : str, optional
-        What it is called, made an identifier. Default: the policy's name.
-    """
+def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
+    """Return an ES module, ``NAME.mjs``."""
     lines = [*(f"// {line}" for line in plan.header), ""]
     for constant, value, note in constants(plan):
         lines += [f"// {note}"] * bool(note)
@@ -105,4 +99,7 @@ def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
     lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text()
     text = "\n".join([*lines, "", lattice]) + CODE
-    return Made({f"{file_name(name, plan.policy.name)}.mjs": text.encode()})
+    return Exported({f"{file_name(options.name, plan.policy.name)}.mjs": text.encode()})
+
+
+TARGET = Target(export)

@@ -9,8 +9,8 @@ from typing import Any
 
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
-from capsyn.exports.made import Made
 from capsyn.exports.plan import Plan
+from capsyn.exports.target import Exported, NameOption, Target
 from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
@@ -39,24 +39,18 @@ WALK = (
 )
 
 
-def files(plan: Plan, golden: Golden, *, name: str | None = None) -> Made:
-    """Return the policy, ``NAME.json``, and the schema of all such files.
-
-    Parameters
-    ----------
-    name : str, optional
-        What it is called, made an identifier. Default: the policy's name.
-    """
+def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
+    """Return the policy, ``NAME.json``, and the schema of all such files."""
     schema = resources.files("capsyn.exports.policy_json").joinpath("schema.json").read_bytes()
     text = json.dumps(document(plan), indent=2, allow_nan=False)
     # lists of numbers in one line each
     text = re.sub(r"\[\n\s+(-?\d[^\[\]{}\"]*?)\n\s+\]", _line, text)
-    file = f"{file_name(name, plan.policy.name)}.json"
-    return Made({file: (text + "\n").encode(), SCHEMA: schema})
+    file = f"{file_name(options.name, plan.policy.name)}.json"
+    return Exported({file: (text + "\n").encode(), SCHEMA: schema})
 
 
-def _line(found: re.Match[str]) -> str:
-    return "[" + re.sub(r"\s+", " ", found[1]) + "]"
+def _line(match: re.Match[str]) -> str:
+    return "[" + re.sub(r"\s+", " ", match[1]) + "]"
 
 
 def document(plan: Plan) -> dict[str, Any]:
@@ -90,7 +84,7 @@ def document(plan: Plan) -> dict[str, Any]:
             {"name": name, "control": control}
             for name, control in zip(plan.symbol_names, policy.controls.tolist())
         ],
-        "default": plan.labels - 1,
+        "default": plan.default,
         "outside": {"rule": "nearest" if plan.nearest else "safe", "safe": plan.safe}
         | ({"gap": plan.gap} if plan.policy.gaps else {}),
         "min_dwell": plan.dwell,
@@ -108,3 +102,6 @@ def document(plan: Plan) -> dict[str, Any]:
             "planes": tree.planes.tolist(),
         },
     }
+
+
+TARGET = Target(export)

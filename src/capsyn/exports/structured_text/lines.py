@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from capsyn.exports.long_lines import WIDTH
 
@@ -61,8 +61,8 @@ def declared(declaration: str, about: str) -> list[str]:
     return [*comment([text], indent=4), f"    {declaration}"]
 
 
-def condition(before: str, parts: Sequence[str], after: str) -> list[str]:
-    """Return a condition of several parts, one a line."""
+def condition(before: str, parts: Iterable[str], after: str, by: str = "AND") -> list[str]:
+    """Return a condition of several parts, one a line, that are joined by AND or OR."""
     indent = " " * (len(before) - len(before.lstrip()) + 4)
-    rows = [f"{indent}{'AND ' * (k > 0)}{part}" for k, part in enumerate(parts)]
+    rows = [f"{indent}{f'{by} ' * (k > 0)}{part}" for k, part in enumerate(parts)]
     return [before, *rows, f"{indent[4:]}{after}"]

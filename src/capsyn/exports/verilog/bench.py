@@ -2,52 +2,65 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from capsyn.exports.golden import Golden, decide
-from capsyn.exports.plan import NOT_FINITE, OK, Plan
-from capsyn.exports.verilog.ports import Port, port_numbers, quantised_readings
+from capsyn.exports.plan import NOT_FINITE, OK
+from capsyn.exports.verilog.module import Module
+from capsyn.exports.verilog.ports import port_numbers, quantised_readings
 from capsyn.exports.verilog.words import comment
 
+PLAIN = """\
+    initial begin
+        load;
+        while (sent < COUNT) begin
+            send;
+            #1 check;
+        end
+        finish;
+    end"""
+"""What runs a module without a clock."""
+CLOCKED = """\
+    initial begin
+        load;
+        clk = 1'b0;
+        rst = 1'b1;
+        valid_in = 1'b0;
+        #20 rst = 1'b0;
+        #2000000000 finish;
+    end
+    always #5 clk = ~clk;
+    always @(negedge clk) if (!rst) begin
+        if (valid_out) check;
+        valid_in = (sent < COUNT) && (sent % 8 != 7 || !valid_in); // with gaps
+        if (valid_in) send;
+        if (seen == COUNT) finish;
+    end"""
+"""What runs a module with one."""
+FRAME = """\
+    task load;
+        begin
+            $readmemh(VECTORS, vectors);
+            sent = 0;
+            seen = 0;
+            wrong = 0;
+            if (^vectors[COUNT - 1] === 1'bx) begin
+                $display("FAIL: no vectors in %0s; run where it lies", VECTORS);
+                $finish;
+            end
+        end
+    endtask
+    task finish;
+        begin
+            if (wrong == 0 && seen == COUNT) $display("PASS: %0d vectors", seen);
+            else $display("FAIL: %0d wrong of %0d, %0d seen", wrong, COUNT, seen);
+            $finish;
+        end
+    endtask"""
+"""What begins and ends every run."""
 
-@dataclass(frozen=True, eq=False)
-class Interface:
-    """What a module looks like from outside.
 
-    Parameters
-    ----------
-    plan : Plan
-        What it decides.
-    ports : n Ports, optional
-        Of fixed-point inputs.
-    name : str
-        Its name.
-    inputs, widths : n strings and ints
-        Names and bits of the inputs.
-    symbol_bits : int
-        Bits of the symbol.
-    clocked, dwell : bool
-        Whether it has a clock, and a minimum dwell time.
-    """
-
-    plan: Plan
-    ports: tuple[Port, ...] | None
-    name: str
-    inputs: tuple[str, ...]
-    widths: list[int]
-    symbol_bits: int
-    clocked: bool
-    dwell: bool
-
-    @property
-    def tells(self) -> bool:
-        """Whether it tells that a state is outside."""
-        return self.ports is not None or self.plan.policy.gaps
-
-
-def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str], Golden | None]:
+def bench(module: Module, golden: Golden) -> tuple[bytes, bytes, list[str], Golden | None]:
     """Return a test bench, its vectors in hexadecimal numbers, what to tell of these, and them.
 
     The last are the golden vectors at the readings of fixed-point ports; None for lattice steps.
@@ -90,103 +103,78 @@ def bench(module: Interface, golden: Golden) -> tuple[bytes, bytes, list[str], G
     return text.encode("ascii"), vectors.encode("ascii"), about, at_ports
 
 
-def _text(module: Interface, count: int, bits: int) -> list[str]:
-    tells, top = module.tells, module.symbol_bits - 1
+def _text(module: Module, count: int, bits: int) -> list[str]:
+    """Return the test bench for some vectors of a number of bits."""
     names = [f"in_{i}" for i in range(module.plan.n)]
-    connected = [f".{port}({name})" for port, name in zip(module.inputs, names)]
-    connected += [".symbol(symbol)"] + [".outside(outside)"] * tells
-    if module.clocked:
-        clocks = ("clk", "rst", "valid_in", "valid_out")
-        connected = [*(f".{name}({name})" for name in clocks), *connected]
-    no_dwell = " #(.DWELL_CYCLES(64'd0))" if module.dwell else ""
-    both = "{outside, symbol}" if tells else "symbol"
-    out = module.symbol_bits + tells
     return [
         f"module {module.name}_tb;",
         f'    parameter VECTORS = "{module.name}.mem";',
         f"    localparam COUNT = {count};",
         f"    reg [{bits - 1}:0] vectors [0:COUNT - 1];",
         f"    reg [{bits - 1}:0] vector;",
-        *(f"    reg [{width - 1}:0] {name};" for name, width in zip(names, module.widths)),
-        f"    wire [{top}:0] symbol;",
-        *["    wire outside;"] * tells,
-        f"    reg [{out - 1}:0] expected;",
-        *["    reg clk, rst, valid_in;", "    wire valid_out;"] * module.clocked,
-        "    integer sent, seen, wrong;",
-        f"    {module.name}{no_dwell} dut (",
-        *(f"        {text}," for text in connected[:-1]),
-        f"        {connected[-1]}",
-        "    );",
-        "    task check;",
-        "        begin",
-        "            vector = vectors[seen];",
-        f"            expected = vector[{out - 1}:0];",
-        f"            if ({both} !== expected || ^expected === 1'bx) begin",
-        "                wrong = wrong + 1;",
-        "                if (wrong <= 10)",
-        '                    $display("vector %0d (%h): got %b, expected %b",',
-        f"                        seen, vector, {both}, expected);",
-        "            end",
-        "            seen = seen + 1;",
-        "        end",
-        "    endtask",
-        "    task send;",
-        "        begin",
-        "            vector = vectors[sent];",
-        f"            {{{', '.join(names)}}} = vector[{bits - 1}:{out}];",
-        "            sent = sent + 1;",
-        "        end",
-        "    endtask",
-        *(_clocked() if module.clocked else _plain()),
-        "    task load;",
-        "        begin",
-        "            $readmemh(VECTORS, vectors);",
-        "            sent = 0;",
-        "            seen = 0;",
-        "            wrong = 0;",
-        "            if (^vectors[COUNT - 1] === 1'bx) begin",
-        '                $display("FAIL: no vectors in %0s; run where it lies", VECTORS);',
-        "                $finish;",
-        "            end",
-        "        end",
-        "    endtask",
-        "    task finish;",
-        "        begin",
-        '            if (wrong == 0 && seen == COUNT) $display("PASS: %0d vectors", seen);',
-        '            else $display("FAIL: %0d wrong of %0d, %0d seen", wrong, COUNT, seen);',
-        "            $finish;",
-        "        end",
-        "    endtask",
+        *_signals(module, names),
+        *_instance(module, names),
+        *_check(module),
+        *_send(module, names, bits),
+        *(CLOCKED if module.clocked else PLAIN).splitlines(),
+        *FRAME.splitlines(),
         "endmodule",
     ]
 
 
-def _plain() -> list[str]:
-    return """\
-    initial begin
-        load;
-        while (sent < COUNT) begin
-            send;
-            #1 check;
+def _signals(module: Module, names: list[str]) -> list[str]:
+    """Return what the module is connected to, and what its answers are compared with."""
+    return [
+        *(f"    reg [{width - 1}:0] {name};" for name, width in zip(names, module.widths)),
+        f"    wire [{module.symbol_bits - 1}:0] symbol;",
+        *["    wire outside;"] * module.tells,
+        f"    reg [{module.symbol_bits + module.tells - 1}:0] expected;",
+        *["    reg clk, rst, valid_in;", "    wire valid_out;"] * module.clocked,
+        "    integer sent, seen, wrong;",
+    ]
+
+
+def _instance(module: Module, names: list[str]) -> list[str]:
+    """Return the module under test, without a dwell time, which is no matter of one state."""
+    clocks = ("clk", "rst", "valid_in", "valid_out") * module.clocked
+    connected = [f".{name}({name})" for name in clocks]
+    connected += [f".{port}({name})" for port, name in zip(module.inputs, names)]
+    connected += [".symbol(symbol)"] + [".outside(outside)"] * module.tells
+    no_dwell = " #(.DWELL_CYCLES(64'd0))" if module.dwell else ""
+    return [
+        f"    {module.name}{no_dwell} dut (",
+        *(f"        {text}," for text in connected[:-1]),
+        f"        {connected[-1]}",
+        "    );",
+    ]
+
+
+def _check(module: Module) -> list[str]:
+    """Return the task that compares an answer with what the next vector says."""
+    answer = "{outside, symbol}" if module.tells else "symbol"
+    return f"""\
+    task check;
+        begin
+            vector = vectors[seen];
+            expected = vector[{module.symbol_bits + module.tells - 1}:0];
+            if ({answer} !== expected || ^expected === 1'bx) begin
+                wrong = wrong + 1;
+                if (wrong <= 10)
+                    $display("vector %0d (%h): got %b, expected %b",
+                        seen, vector, {answer}, expected);
+            end
+            seen = seen + 1;
         end
-        finish;
-    end""".splitlines()
+    endtask""".splitlines()
 
 
-def _clocked() -> list[str]:
-    return """\
-    initial begin
-        load;
-        clk = 1'b0;
-        rst = 1'b1;
-        valid_in = 1'b0;
-        #20 rst = 1'b0;
-        #2000000000 finish;
-    end
-    always #5 clk = ~clk;
-    always @(negedge clk) if (!rst) begin
-        if (valid_out) check;
-        valid_in = (sent < COUNT) && (sent % 8 != 7 || !valid_in); // with gaps
-        if (valid_in) send;
-        if (seen == COUNT) finish;
-    end""".splitlines()
+def _send(module: Module, names: list[str], bits: int) -> list[str]:
+    """Return the task that gives the module the inputs of the next vector."""
+    return f"""\
+    task send;
+        begin
+            vector = vectors[sent];
+            {{{", ".join(names)}}} = vector[{bits - 1}:{module.symbol_bits + module.tells}];
+            sent = sent + 1;
+        end
+    endtask""".splitlines()

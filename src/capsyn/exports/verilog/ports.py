@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.exports.crossings import least_reaching
 from capsyn.exports.plan import Plan
 from capsyn.random_streams import stream
 
@@ -93,8 +93,8 @@ class Port:
     def quantised(self, readings: np.ndarray) -> np.ndarray:
         """Return the numbers (K,) of finite readings: nearest, up at ties, saturated."""
         with np.errstate(over="ignore"):
-            found = np.floor(readings * 2.0**self.fraction + 0.5)
-        return np.clip(found, self.least, self.most).astype(np.int64)
+            numbers = np.floor(readings * 2.0**self.fraction + 0.5)
+        return np.clip(numbers, self.least, self.most).astype(np.int64)
 
     def readings(self, numbers: np.ndarray, periodic: bool) -> np.ndarray:
         """Return the readings (K,) that numbers stand for, a periodic axis within one turn."""
@@ -137,28 +137,15 @@ def _port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port
     negative, least, most = scale < 0, -(2 ** (bits - 1)), 2 ** (bits - 1) - 1
 
     def states(numbers: np.ndarray) -> np.ndarray:
-        values = (-1.0 - numbers if negative else numbers.astype(np.float64)) * 2.0**-fraction
+        values = (-1 - numbers if negative else numbers) * 2.0**-fraction
         return values * scale + offset if plan.folded else values
 
-    def first_from(reached: Callable[[np.ndarray], np.ndarray], size: int) -> np.ndarray:
-        """Return the least numbers (size,) where `reached` is true, ``most + 1`` for nowhere."""
-        below, above = np.full(size, least - 1), np.full(size, most + 1)
-        while (above - below > 1).any():
-            middle = (below + above) // 2
-            inner = above - below > 1
-            passed = reached(states(middle)) & inner
-            above = np.where(passed, middle, above)
-            below = np.where(~passed & inner, middle, below)
-        return above
-
     steps = _told_apart(plan, axis)
-    places = domain.faces(axis, steps, count)
-    faces = first_from(lambda x: x >= places, len(steps))
-    first = int(first_from(lambda x: x >= low, 1)[0])
-    end = first_from(lambda x: x >= high if periodic else x > high, 1)
-    last = int(end[0]) - 1
-    inner = np.concatenate([[first], faces, [last + 1]])
-    if (np.diff(inner) < 1).any():
+    end = high if periodic else np.nextafter(high, np.inf)
+    bounds = np.concatenate([[low], domain.faces(axis, steps, count), [end]])
+    begins = least_reaching(states, bounds, least, most)
+    first, faces, last = int(begins[0]), begins[1:-1], int(begins[-1]) - 1
+    if (np.diff(begins) < 1).any():
         narrow = fraction + max(0, math.ceil(math.log2(2.0**-fraction / step)))
         whole = 1 + max(1, math.ceil(math.log2(max(abs(end) for end in ends) * 2.0**narrow)))
         raise ProblemError(

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.exports.long_lines import broken
-from capsyn.exports.plan import Plan
-from capsyn.exports.verilog.ports import Port, width_of
+from capsyn.exports.sums import signed_sum
+from capsyn.exports.verilog.module import Module
+from capsyn.exports.verilog.ports import width_of
 from capsyn.exports.verilog.words import signed
 
 NESTING = 8
@@ -18,82 +19,57 @@ _Leaf = Callable[[int, int], str | None]
 
 @dataclass(frozen=True, eq=False)
 class TreeCircuit:
-    """Text of a tree that compares wires ``z0 .. z<n-1>``.
+    """Text of the tree of a module, which compares wires ``z0 .. z<n-1>``."""
 
-    Parameters
-    ----------
-    plan : Plan
-        Whose tree it is.
-    ports : n Ports, optional
-        Fixed-point ports.
-    direct : bool
-        Whether the wires are numbers of these ports, signed, instead of lattice steps.
-    widths : n ints
-        Bits of the wires.
-    symbol_bits : int
-        Bits of the symbol.
-    stages, levels : int
-        Stages of the pipeline, 0 for none, and the levels of the tree in each.
-    clocked : bool
-        Whether the module has a clock.
-    """
-
-    plan: Plan
-    ports: tuple[Port, ...] | None
-    direct: bool
-    widths: list[int]
-    symbol_bits: int
-    stages: int
-    levels: int
-    clocked: bool
+    module: Module
 
     @property
     def tree(self) -> SplitTree:
         """Its nodes."""
-        return self.plan.tree.cells
+        return self.module.tree
 
     def _test(self, node: int, end: str) -> str:
         """Return the comparison of a node; `end` is that of the names of a stage."""
         split, threshold = int(self.tree.split[node]), int(self.tree.threshold[node])
-        if split >= self.plan.n:
+        if split >= self.module.plan.n:
             width = self._sum_bits(node)
-            return f"s{split - self.plan.n} >= {signed(threshold, width)}"
-        if self.direct and self.ports:
-            face = self.ports[split].face(threshold)
-            return f"z{split}{end} >= {signed(face, self.widths[split])}"
-        return f"z{split}{end} >= {self.widths[split]}'d{threshold}"
+            return f"s{split - self.module.plan.n} >= {signed(threshold, width)}"
+        if self.module.direct and self.module.ports:
+            face = self.module.ports[split].face(threshold)
+            return f"z{split}{end} >= {signed(face, self.module.inner_widths[split])}"
+        return f"z{split}{end} >= {self.module.inner_widths[split]}'d{threshold}"
 
     def _sum_bits(self, node: int) -> int:
-        row = self.tree.planes[int(self.tree.split[node]) - self.plan.n].tolist()
+        row = self.tree.planes[int(self.tree.split[node]) - self.module.plan.n].tolist()
         most = sum(abs(c) * count for c, count in zip(row, self.tree.counts))
         return width_of(max(most, abs(int(self.tree.threshold[node])))) + 2
 
     def _sum(self, node: int, end: str) -> list[str]:
         """Return the wire of the sum that an oblique node compares."""
-        row = int(self.tree.split[node]) - self.plan.n
-        bits, terms = self._sum_bits(node), ""
-        for i, factor in enumerate(self.tree.planes[row].tolist()):
-            if factor:
-                wide = f"$signed({{{bits - self.widths[i]}'d0, z{i}{end}}})"
-                sign = "-" if factor < 0 else "+" if terms else ""
-                space = " " if terms else ""
-                terms += f"{space}{sign}{space}{bits}'sd{abs(factor)} * {wide}"
-        return broken(f"    wire signed [{bits - 1}:0] s{row} = {terms or signed(0, bits)};")
+        row = int(self.tree.split[node]) - self.module.plan.n
+        bits, plane = self._sum_bits(node), self.tree.planes[row].tolist()
+        wide = (
+            f"$signed({{{bits - width}'d0, z{i}{end}}})"
+            for i, width in enumerate(self.module.inner_widths)
+        )
+        products = (f"{bits}'sd{abs(factor)} * {step}" for factor, step in zip(plane, wide))
+        total = signed_sum(plane, products) or signed(0, bits)
+        return broken(f"    wire signed [{bits - 1}:0] s{row} = {total};")
 
     def combinational(self) -> list[str]:
         """Return the whole tree without registers."""
-        tree, top = self.tree, self.symbol_bits - 1
-        found = [f"    wire [{top}:0] decided;"]
-        for node in (tree.split >= self.plan.n).nonzero()[0].tolist():
-            found += self._sum(node, "")
+        tree, top = self.tree, self.module.symbol_bits - 1
+        lines = [f"    wire [{top}:0] decided;"]
+        for node in (tree.split >= self.module.plan.n).nonzero()[0].tolist():
+            lines += self._sum(node, "")
         if tree.split[0] == LEAF:
-            found.append(f"    assign decided = {self.symbol_bits}'d{tree.threshold[0]};")
+            lines.append(f"    assign decided = {self.module.symbol_bits}'d{tree.threshold[0]};")
         else:
             parts, waiting, blocks = {0: "part0"}, [0], []
 
             def leaf(node: int, depth: int) -> str | None:
                 if tree.split[node] == LEAF:
-                    return f"{self.symbol_bits}'d{tree.threshold[node]}"
+                    return f"{self.module.symbol_bits}'d{tree.threshold[node]}"
                 if depth < NESTING:
                     return None
                 parts[node] = f"part{len(parts)}"
@@ -104,10 +80,10 @@ class TreeCircuit:
                 node = waiting.pop()
                 rows = [f"    reg [{top}:0] {parts[node]};", "    always @* begin"]
                 blocks.append(rows + list(self._ifs(node, parts[node], "", leaf, 2)) + ["    end"])
-            found += [line for block in reversed(blocks) for line in block]
-            found.append("    assign decided = part0;")
-        found += ["    wire outside_end = outside_now;"] * bool(self.ports)
-        return found + ["    wire valid_end = valid_in;"] * self.clocked
+            lines += [line for block in reversed(blocks) for line in block]
+            lines.append("    assign decided = part0;")
+        lines += ["    wire outside_end = outside_now;"] * bool(self.module.ports)
+        return lines + ["    wire valid_end = valid_in;"] * self.module.clocked
 
     def _ifs(self, node: int, into: str, end: str, leaf: _Leaf, level: int) -> Iterator[str]:
         """Yield the ifs of a subtree; `leaf` gives the values of nodes where they end."""
@@ -128,17 +104,17 @@ class TreeCircuit:
 
     def pipelined(self, used: list[int]) -> list[str]:
         """Return the stages: each goes some levels down, from a label or a subtree to another."""
-        tree, labels, depths = self.tree, self.plan.labels, self.tree.depths
+        tree, labels, depths = self.tree, self.module.plan.labels, self.tree.depths
         inner = tree.split != LEAF
         heads = [
-            (inner & (depths == stage * self.levels)).nonzero()[0].tolist()
-            for stage in range(self.stages + 1)
+            (inner & (depths == stage * self.module.levels)).nonzero()[0].tolist()
+            for stage in range(self.module.stages + 1)
         ]
         bits = [width_of(labels + len(nodes) - 1) for nodes in heads]
         last = {
             i: max(
                 (
-                    int(depths[node]) // self.levels
+                    int(depths[node]) // self.module.levels
                     for node in inner.nonzero()[0]
                     if self._uses(node, i)
                 ),
@@ -146,62 +122,69 @@ class TreeCircuit:
             )
             for i in used
         }
-        sign = " signed" if self.direct else ""
-        found, clock = [], ["    always @(posedge clk) begin"]
+        sign = " signed" if self.module.direct else ""
+        lines, clock = [], ["    always @(posedge clk) begin"]
         for i in used:
             for stage in range(last[i] + 1):
-                found.append(f"    reg{sign} [{self.widths[i] - 1}:0] z{i}_{stage};")
+                lines.append(f"    reg{sign} [{self.module.inner_widths[i] - 1}:0] z{i}_{stage};")
                 clock.append(f"        z{i}_{stage} <= z{i}{f'_{stage - 1}' if stage else ''};")
         root = f"{bits[0]}'d{labels}" if inner[0] else f"{bits[0]}'d{tree.threshold[0]}"
-        found.append(f"    wire [{bits[0] - 1}:0] at_0 = {root};")
-        for stage in range(self.stages):
-            found += self._stage(stage, heads, bits)
+        lines.append(f"    wire [{bits[0] - 1}:0] at_0 = {root};")
+        for stage in range(self.module.stages):
+            lines += self._stage(stage, heads, bits)
             clock.append(f"        at_{stage + 1} <= next_{stage};")
-        delay = self.stages + 1
-        if self.ports:
-            found.append(f"    reg [{delay - 1}:0] outside_then;")
+        delay = self.module.stages + 1
+        if self.module.ports:
+            lines.append(f"    reg [{delay - 1}:0] outside_then;")
             clock.append(f"        outside_then <= {{outside_then[{delay - 2}:0], outside_now}};")
-            found.append(f"    wire outside_end = outside_then[{delay - 1}];")
-        found.append(f"    reg [{delay - 1}:0] valid_then;")
+            lines.append(f"    wire outside_end = outside_then[{delay - 1}];")
+        lines.append(f"    reg [{delay - 1}:0] valid_then;")
         clock.append(
             f"        valid_then <= rst ? {delay}'d0 : {{valid_then[{delay - 2}:0], valid_in}};"
         )
-        found.append(f"    wire valid_end = valid_then[{delay - 1}];")
-        found.append(f"    wire [{self.symbol_bits - 1}:0] decided = at_{self.stages};")
-        return [*found, *clock, "    end"]
+        lines.append(f"    wire valid_end = valid_then[{delay - 1}];")
+        lines.append(
+            f"    wire [{self.module.symbol_bits - 1}:0] decided = at_{self.module.stages};"
+        )
+        return [*lines, *clock, "    end"]
 
     def _uses(self, node: int, axis: int) -> bool:
         split = int(self.tree.split[node])
-        if split >= self.plan.n:
-            return bool(self.tree.planes[split - self.plan.n, axis])
+        if split >= self.module.plan.n:
+            return bool(self.tree.planes[split - self.module.plan.n, axis])
         return split == axis
 
     def _stage(self, stage: int, heads: list[list[int]], bits: list[int]) -> list[str]:
-        tree, labels, width, after = self.tree, self.plan.labels, bits[stage], bits[stage + 1]
+        tree, labels, width, after = (
+            self.tree,
+            self.module.plan.labels,
+            bits[stage],
+            bits[stage + 1],
+        )
         names = {node: labels + k for k, node in enumerate(heads[stage + 1])}
-        found = [f"    reg [{after - 1}:0] at_{stage + 1};"]
+        lines = [f"    reg [{after - 1}:0] at_{stage + 1};"]
         if tree.split[0] == LEAF:
-            return [*found, f"    wire [{after - 1}:0] next_{stage} = at_{stage};"]
-        here = (tree.depths // self.levels == stage) & (tree.split >= self.plan.n)
+            return [*lines, f"    wire [{after - 1}:0] next_{stage} = at_{stage};"]
+        here = (tree.depths // self.module.levels == stage) & (tree.split >= self.module.plan.n)
         for node in here.nonzero()[0].tolist():
-            found += self._sum(node, f"_{stage}")
+            lines += self._sum(node, f"_{stage}")
 
         def leaf(node: int, _: int) -> str | None:
             if tree.split[node] == LEAF:
                 return f"{after}'d{tree.threshold[node]}"
             return f"{after}'d{names[node]}" if node in names else None
 
-        found += [f"    reg [{after - 1}:0] next_{stage};", "    always @* begin"]
-        found.append(f"        case (at_{stage})")
+        lines += [f"    reg [{after - 1}:0] next_{stage};", "    always @* begin"]
+        lines.append(f"        case (at_{stage})")
         for k, node in enumerate(heads[stage]):
-            found.append(f"            {width}'d{labels + k}: begin")
-            found += self._ifs(node, f"next_{stage}", f"_{stage}", leaf, 4)
-            found.append("            end")
+            lines.append(f"            {width}'d{labels + k}: begin")
+            lines += self._ifs(node, f"next_{stage}", f"_{stage}", leaf, 4)
+            lines.append("            end")
         kept = f"at_{stage}[{after - 1}:0]"
         if after >= width:
             kept = f"{{{after - width}'d0, at_{stage}}}" if after > width else f"at_{stage}"
         return [
-            *found,
+            *lines,
             f"            default: next_{stage} = {kept};",
             "        endcase",
             "    end",

@@ -49,13 +49,13 @@ KEYWORDS = frozenset(
 
 def comment(lines: Iterable[str]) -> list[str]:
     """Return lines as comments of ASCII, broken where they are too long."""
-    found = []
+    comments = []
     for line in lines:
         plain = line.encode("ascii", "backslashreplace").decode().replace("\\", "/")
-        found += textwrap.wrap(plain, WIDTH, initial_indent="// ", subsequent_indent="//   ") or [
-            "//"
-        ]
-    return found
+        comments += textwrap.wrap(
+            plain, WIDTH, initial_indent="// ", subsequent_indent="//   "
+        ) or ["//"]
+    return comments
 
 
 def signed(value: int, bits: int) -> str:

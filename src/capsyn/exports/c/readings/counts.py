@@ -14,7 +14,7 @@ in other turns are brought into one by integer arithmetic.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,7 @@ from capsyn.exports.c.readings.places import (
     table_step,
     turned,
 )
+from capsyn.exports.crossings import least_reaching
 from capsyn.exports.golden import GOLDEN, Golden, decide
 from capsyn.exports.plan import Plan
 from capsyn.random_streams import stream
@@ -117,8 +118,18 @@ def count_axes(plan: Plan, readings: str, numbers: Sequence[int] | None = None) 
         The integers do not reach the first and the last step of an axis, a count is wider than an
         axis, or a turn of a periodic axis is no whole number of counts.
     """
-    bits = int(readings.removeprefix("int"))
+    bits = _bits(readings)
     return [_axis(plan, i, bits) for i in (range(plan.n) if numbers is None else numbers)]
+
+
+def _bits(readings: str) -> int:
+    """Return the width of counts."""
+    return int(readings.removeprefix("int"))
+
+
+def _limit(readings: str) -> int:
+    """Return how many counts there are from 0 on."""
+    return 1 << (_bits(readings) - 1)
 
 
 def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
@@ -156,14 +167,14 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
         if turn > 1 << min(bits, 31):
             raise _narrow(bits, name, lower, upper, turn.bit_length())
         near = int(min(-1 - e if falling else e for e in ends))
-        start = int(_least(states, np.array([lower]), near - 8, near + 8)[0])
+        start = int(least_reaching(states, np.array([lower]), near - 8, near + 8)[0])
         end = start + turn - 1
         seam = int(states(np.array([float(end)]))[0] >= upper)  # rounded: the lower bound again
-        changes = _least(states, faces, start, end - seam) - start + seam
+        changes = least_reaching(states, faces, start, end - seam) - start + seam
         first, top, inside = (start - seam) % turn, turn - 1, (start, end)
     else:
         turn, low, high = 0, -(1 << (bits - 1)), (1 << (bits - 1)) - 1
-        at = _least(states, faces, low, high)
+        at = least_reaching(states, faces, low, high)
         if len(at) and (at[0] == low or at[-1] > high):
             needed = 1 + int(np.ceil(most)).bit_length()
             raise _narrow(bits, name, lower, upper, needed)
@@ -171,7 +182,7 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
         top = int(at[-1]) - first if len(at) else 0
         changes = at - first
         bounds = np.array([lower, np.nextafter(upper, np.inf)])
-        least, beyond = _least(states, bounds, low, high).tolist()
+        least, beyond = least_reaching(states, bounds, low, high).tolist()
         inside = (least, beyond - 1)
     axis = CountAxis(falling, first, top, turn, changes, inside, None)
     coarse = not turn and len(changes) > top
@@ -186,26 +197,11 @@ def _narrow(bits: int, name: str, lower: float, upper: float, needed: int) -> Pr
     )
 
 
-def _least(
-    states: Callable[[np.ndarray], np.ndarray], bounds: np.ndarray, low: int, high: int
-) -> np.ndarray:
-    """Return the least whole numbers in [low, high] whose states reach bounds, else high + 1."""
-    before = np.full(len(bounds), low - 1, dtype=np.int64)
-    behind = np.full(len(bounds), high + 1, dtype=np.int64)
-    while (behind - before > 1).any():
-        middle = (before + behind) // 2
-        reached = states(middle.astype(np.float64)) >= bounds
-        open_ = behind - before > 1
-        behind = np.where(open_ & reached, middle, behind)
-        before = np.where(open_ & ~reached, middle, before)
-    return behind
-
-
 def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
     """Return golden vectors of counts: inside, around changes and bounds, anywhere, at limits."""
-    limit = 1 << (int(readings.removeprefix("int")) - 1)
+    limit = _limit(readings)
     rng = stream(0, GOLDEN)
-    given, near = [], []
+    counts, in_turn = [], []
     for axis in axes:
         least, most = axis.inside
         begins = axis.changes[axis.changes <= axis.top] + (least if axis.turn else axis.first)
@@ -223,16 +219,18 @@ def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
         limits = np.resize([-limit, 1 - limit, -1, 0, limit - 2, limit - 1], 100)
         turned = rng.permutation(np.concatenate([np.clip(turned, -limit, limit - 1), limits]))
         inner = least + (turned - least) % axis.turn if axis.turn else turned
-        given.append(-1 - turned if axis.falling else turned)
-        near.append(-1 - inner if axis.falling else inner)
-    found = decide(plan, np.column_stack(near).astype(np.float64))
-    return dataclasses.replace(found, readings=np.column_stack(given))
+        counts.append(-1 - turned if axis.falling else turned)
+        in_turn.append(-1 - inner if axis.falling else inner)
+    golden = decide(plan, np.column_stack(in_turn).astype(np.float64))
+    return dataclasses.replace(golden, readings=np.column_stack(counts))
 
 
-def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis]) -> Part:
+def counts_quantiser(
+    plan: Plan, prefix: str, opening: str, axes: list[CountAxis], readings: str
+) -> Part:
     """Return the function ``opening(x, z)``, x being counts, with what it needs."""
     integer = z_type(plan.tree.cells.counts)
-    limit = 1 << (15 if "const int16_t x[" in opening else 31)
+    limit = _limit(readings)
     tables = {name: table for i, axis in enumerate(axes) for name, table in _tables(i, axis)}
     wide = any(not -(1 << 15) <= entry < 1 << 15 for table in tables.values() for entry in table)
     kind = "INT32" if wide else "INT16"
@@ -281,10 +279,10 @@ def counts_quantiser(plan: Plan, prefix: str, opening: str, axes: list[CountAxis
 def _tables(i: int, axis: CountAxis) -> list[tuple[str, list[int]]]:
     """Return the tables of an axis and their names."""
     if axis.line is None:
-        found = [(f"counts{i}", axis.changes)]
+        tables = [(f"counts{i}", axis.changes)]
     else:
-        found = [(f"less{i}", np.array(axis.line.less)), (f"more{i}", np.array(axis.line.more))]
-    return [(name, (places + axis.begin).tolist()) for name, places in found if len(places)]
+        tables = [(f"less{i}", np.array(axis.line.less)), (f"more{i}", np.array(axis.line.more))]
+    return [(name, (places + axis.begin).tolist()) for name, places in tables if len(places)]
 
 
 def _literal(value: int) -> str:
@@ -314,9 +312,9 @@ def _step(prefix: str, i: int, axis: CountAxis, place: str, integer: str) -> str
     function = f"{prefix}_{line_name(line.wide, line.last > 0)}"
     addend = f"{line.addend}{'uLL' if line.wide else 'uL'}"
     last = f", {line.last}" if line.last else ""
-    given = f"{line.factor}uL, {addend}, {line.shift}u{last}"
-    gap = "\n        " if len(function + place + given) > MOST_IN_LINE else " "
-    step = f"{function}({place},{gap}{given})"
+    numbers = f"{line.factor}uL, {addend}, {line.shift}u{last}"
+    gap = "\n        " if len(function + place + numbers) > MOST_IN_LINE else " "
+    step = f"{function}({place},{gap}{numbers})"
     for sign, name, places in (("-", "less", line.less), ("+", "more", line.more)):
         if places:
             step += f"\n        {sign} {prefix}_axis_listed({count}, {name}{i}, {len(places)})"

@@ -64,8 +64,8 @@ class Line:
             rule = f"{rule}, at most {self.last}, and 0 at p = 0"
         else:
             rule = f"(p * {self.factor} + {self.addend}) >> {self.shift}"
-        found = ((len(self.less), "less"), (len(self.more), "more"))
-        places = [f"one {what} at {count} listed counts" for count, what in found if count]
+        lists = ((len(self.less), "less"), (len(self.more), "more"))
+        places = [f"one {what} at {count} listed counts" for count, what in lists if count]
         return ", ".join([rule, *places])
 
 
@@ -160,7 +160,7 @@ def exact_line(changes: np.ndarray, top: int, wide: bool, held: bool) -> Line | 
 
 def near_line(changes: np.ndarray, top: int, wide: bool, held: bool) -> Line | None:
     """Return a line that breaks few bounds, with the places that leave it; see `exact_line`."""
-    runs, found, fewest = Runs.of(changes, top, held), None, len(changes)
+    runs, best, fewest = Runs.of(changes, top, held), None, len(changes)
     for shift in reversed(runs.shifts(wide)[-2:]):
         centre = runs.widest(shift)
         count = max(WORK // len(runs.steps), 3)
@@ -174,13 +174,13 @@ def near_line(changes: np.ndarray, top: int, wide: bool, held: bool) -> Line | N
                 line = Line(factor, addend, shift, wide, runs.last if held else 0)
                 leaving = _leaving(line, changes, top)
                 if leaving is not None:
-                    fewest, found = (
+                    fewest, best = (
                         int(broken.min()),
                         replace(line, less=leaving[0], more=leaving[1]),
                     )
-        if found:
+        if best:
             break
-    return found
+    return best
 
 
 def _leaving(
@@ -228,8 +228,8 @@ def line_of(changes: np.ndarray, top: int, coarse: bool, entry: int) -> Line | N
     tried = [exact_line(changes, top, *kind) for kind in kinds]
     if not any(tried):
         tried = [near_line(changes, top, *kind) for kind in kinds]
-    found = [line for line in tried if line is not None]
-    best = min(found, key=lambda line: _bytes(line, entry), default=None)
+    lines = [line for line in tried if line is not None]
+    best = min(lines, key=lambda line: _bytes(line, entry), default=None)
     if best is None or _bytes(best, entry) >= CODE["table"] + entry * len(changes):
         return None
     return best

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from capsyn.exports.c.language import search
+
 
 def placed(prefix: str) -> str:
     """Return the function that brings counts within the places of an axis."""
@@ -95,16 +97,7 @@ def listed(prefix: str, integer: str, kind: str) -> str:
 static {integer} {prefix}_axis_listed(int32_t count, const {kind.lower()}_t listed[],
     {integer} entries)
 {{
-    {integer} low = 0;
-    {integer} high = entries;
-    while ((high - low) > 1) {{
-        const {integer} middle = ({integer})(low + ((high - low) / 2));
-        if (count >= CAPSYN_{kind}(&listed[middle])) {{
-            low = middle;
-        }} else {{
-            high = middle;
-        }}
-    }}
+{search(integer, "entries", f"count >= CAPSYN_{kind}(&listed[middle])")}
     return (count == CAPSYN_{kind}(&listed[low])) ? 1 : 0;
 }}
 """
@@ -117,16 +110,7 @@ def table_step(prefix: str, integer: str, kind: str) -> str:
 static {integer} {prefix}_axis_rank(int32_t count, const {kind.lower()}_t begins[],
     {integer} steps)
 {{
-    {integer} low = 0;
-    {integer} high = steps;
-    while ((high - low) > 1) {{
-        const {integer} middle = ({integer})(low + ((high - low) / 2));
-        if (count >= CAPSYN_{kind}(&begins[middle - 1])) {{
-            low = middle;
-        }} else {{
-            high = middle;
-        }}
-    }}
+{search(integer, "steps", f"count >= CAPSYN_{kind}(&begins[middle - 1])")}
     return low;
 }}
 """

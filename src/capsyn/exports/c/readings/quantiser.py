@@ -9,13 +9,22 @@ the rounded one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
-from capsyn.exports.c.language import Part, double_literal, float_literal, round_up, rows, z_type
+from capsyn.exports.c.language import (
+    Part,
+    double_literal,
+    float_literal,
+    round_up,
+    rows,
+    search,
+    z_type,
+)
 from capsyn.exports.plan import Plan
 from capsyn.modelling.domain import Box
 
@@ -47,93 +56,135 @@ def ranked(tree: SplitTree, domain: Box) -> tuple[SplitTree, list[np.ndarray]]:
     return SplitTree(counts, tree.split, threshold, tree.second, tree.planes), faces
 
 
-def quantiser(
-    plan: Plan, prefix: str, opening: str, single: bool, faces: list[np.ndarray] | None
-) -> Part:
-    """Return the function ``opening(x, places)`` with what it needs.
+@dataclass(frozen=True)
+class StateQuantiser:
+    """The function from states or readings in floating point to places, with what it needs.
 
     Parameters
     ----------
+    plan : Plan
+        What is exported.
+    prefix : str
+        What names of functions begin with.
     single : bool
         Whether states are floats, else doubles.
+    direct : bool
+        Whether places are states ``y`` in the domain's period, else lattice steps ``z``.
     faces : arrays, optional
-        Faces of each axis, for steps by a table. Default: estimated steps, or, where `opening`
-        fills in states ``y``, states in the domain's period.
+        Faces of each axis, for steps by a table. Default: estimated steps.
     """
-    domain, n = plan.policy.domain, plan.n
-    real = "float" if single else "double"
-    counts = plan.tree.cells.counts
-    states = " y[" in opening
 
-    def literal(value: float) -> str:
-        return float_literal(np.float32(value)) if single else double_literal(value)
+    plan: Plan
+    prefix: str
+    single: bool
+    direct: bool
+    faces: list[np.ndarray] | None
 
-    lower, upper = (round_up(domain.lower), round_up(domain.upper)) if single else (
-        domain.lower, domain.upper,
-    )  # fmt: skip
-    last = -round_up(-domain.upper) if single else domain.upper
-    text, reads = _finite(prefix, real), set()
-    if plan.folded:
-        text += _scaled(prefix, real)
-    if any(domain.periodic[i] and (faces is None or len(faces[i])) for i in range(n)):
-        text += _wrap(prefix, real)
-    if faces is not None:
-        text += _rank(prefix, max(len(k) for k in faces) + 1)
-        reads.add("FLOAT")
-    elif not states:
-        text += _step(prefix, z_type(counts), margin(domain, counts))
-    body = []
-    for i in range(n):
-        value = f"x[{i}]"
-        if plan.folded:
-            factors = f"{literal(plan.scale[i])}, {literal(plan.offset[i])}"
-            value = f"{prefix}_scaled({value}, {factors})"
-        body.append(f"    const {real} x{i} = {value};")
-    for i, values in enumerate(faces or ()):
-        if len(values):
-            entries = rows([float_literal(face) for face in round_up(values)])
-            table = (
-                f"static const float faces{i}[{len(values)}] CAPSYN_ROM = {{\n{entries}\n    }};"
-            )
-            body.insert(i, f"    {table}")
-    finite = " && ".join(f"{prefix}_finite(x{i})" for i in range(n))
-    body += [
-        f"    {prefix}_status status = {prefix.upper()}_OK;",
-        f"    if ({finite}) {{",
-    ]
-    for i in range(n):
-        if not domain.periodic[i]:
-            body += [
-                f"        if ((x{i} < {literal(lower[i])}) || (x{i} > {literal(last[i])})) {{",
-                f"            status = {prefix.upper()}_OUTSIDE;",
-                "        }",
-            ]
-    for i in range(n):
-        value = f"x{i}"
-        width = float(upper[i]) - float(lower[i]) if single else float(domain.widths[i])
-        bounds = f"{literal(lower[i])}, {literal(width)}"
-        if domain.periodic[i]:
-            call = f"{prefix}_wrapped(x{i}, {bounds}, {literal(upper[i])})"
-            if states or faces is None or len(faces[i]):
-                body.append(f"        const {real} inner{i} = {call};")
-                value = f"inner{i}"
-        if states:
-            body.append(f"        y[{i}] = {value};")
-        elif faces is None:
-            scale = double_literal(counts[i] / domain.widths[i])
-            call = f"{prefix}_axis_step({value}, {bounds}, {scale}, {counts[i]})"
-            body.append(f"        z[{i}] = {call};")
-        elif len(faces[i]):
-            call = f"{prefix}_axis_step({value}, faces{i}, {len(faces[i]) + 1})"
-            body.append(f"        z[{i}] = {call};")
+    @property
+    def real(self) -> str:
+        """Type of states."""
+        return "float" if self.single else "double"
+
+    def literal(self, value: float) -> str:
+        """Return a literal of the type of states."""
+        return float_literal(np.float32(value)) if self.single else double_literal(value)
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lower and upper bounds, and last states in the domain; floats reach what doubles do."""
+        lower, upper = self.plan.policy.domain.lower, self.plan.policy.domain.upper
+        if self.single:
+            return round_up(lower), round_up(upper), -round_up(-upper)
+        return lower, upper, upper
+
+    def wraps(self, i: int) -> bool:
+        """Whether a state must be brought into its period to find its place."""
+        periodic = self.plan.policy.domain.periodic[i]
+        return periodic and (self.faces is None or len(self.faces[i]) > 0)
+
+    def part(self, opening: str) -> Part:
+        """Return the function ``opening(x, places)`` with the functions and tables that it calls.
+
+        A state that is not finite has the places 0.
+        """
+        upper, n = self.prefix.upper(), self.plan.n
+        finite = " && ".join(f"{self.prefix}_finite(x{i})" for i in range(n))
+        zero = f"y[{{}}] = {self.literal(0.0)}" if self.direct else "z[{}] = 0"
+        body = [
+            *self._declarations(),
+            f"    {self.prefix}_status status = {upper}_OK;",
+            f"    if ({finite}) {{",
+            *(line for i in range(n) for line in self._outside(i)),
+            *(line for i in range(n) for line in self._place(i)),
+            "    } else {",
+            f"        status = {upper}_NOT_FINITE;",
+            *(f"        {zero.format(i)};" for i in range(n)),
+            "    }",
+            "    return status;",
+        ]
+        text = self._functions() + "\n".join(["", opening, "{", *body, "}", ""])
+        return Part(text, frozenset() if self.faces is None else frozenset({"FLOAT"}))
+
+    def _functions(self) -> str:
+        """Return the functions that it calls."""
+        domain, counts = self.plan.policy.domain, self.plan.tree.cells.counts
+        text = _finite(self.prefix, self.real)
+        if self.plan.folded:
+            text += _scaled(self.prefix, self.real)
+        if any(self.wraps(i) for i in range(self.plan.n)):
+            text += _wrap(self.prefix, self.real)
+        if self.faces is not None:
+            text += _rank(self.prefix, max(map(len, self.faces)) + 1)
+        elif not self.direct:
+            text += _step(self.prefix, z_type(counts), margin(domain, counts))
+        return text
+
+    def _declarations(self) -> list[str]:
+        """Return the declarations of the states, and of the faces of each axis."""
+        lines = [f"    const {self.real} x{i} = {self._state(i)};" for i in range(self.plan.n)]
+        for i, values in enumerate(self.faces or ()):
+            if len(values):
+                entries = rows([float_literal(face) for face in round_up(values)])
+                table = f"static const float faces{i}[{len(values)}] CAPSYN_ROM"
+                lines.insert(i, f"    {table} = {{\n{entries}\n    }};")
+        return lines
+
+    def _state(self, i: int) -> str:
+        """Return the state of an axis."""
+        if not self.plan.folded:
+            return f"x[{i}]"
+        factors = f"{self.literal(self.plan.scale[i])}, {self.literal(self.plan.offset[i])}"
+        return f"{self.prefix}_scaled(x[{i}], {factors})"
+
+    def _outside(self, i: int) -> Iterator[str]:
+        """Yield what tells states beyond the bounds of an axis."""
+        if not self.plan.policy.domain.periodic[i]:
+            lower, _, last = self.bounds
+            least, most = self.literal(lower[i]), self.literal(last[i])
+            yield f"        if ((x{i} < {least}) || (x{i} > {most})) {{"
+            yield f"            status = {self.prefix.upper()}_OUTSIDE;"
+            yield "        }"
+
+    def _place(self, i: int) -> Iterator[str]:
+        """Yield what gives the place of a finite state on an axis."""
+        domain, count = self.plan.policy.domain, self.plan.tree.cells.counts[i]
+        lower, upper, _ = self.bounds
+        width = float(upper[i]) - float(lower[i]) if self.single else float(domain.widths[i])
+        bounds = f"{self.literal(lower[i])}, {self.literal(width)}"
+        step, state = f"{self.prefix}_axis_step", f"x{i}"
+        if self.wraps(i):
+            wrapped = f"{self.prefix}_wrapped({state}, {bounds}, {self.literal(upper[i])})"
+            state = f"inner{i}"
+            yield f"        const {self.real} {state} = {wrapped};"
+        if self.direct:
+            yield f"        y[{i}] = {state};"
+        elif self.faces is None:
+            scale = double_literal(count / domain.widths[i])
+            yield f"        z[{i}] = {step}({state}, {bounds}, {scale}, {count});"
+        elif len(self.faces[i]):
+            yield f"        z[{i}] = {step}({state}, faces{i}, {len(self.faces[i]) + 1});"
         else:
-            body.append(f"        z[{i}] = 0;")
-    body += ["    } else {", f"        status = {prefix.upper()}_NOT_FINITE;"]
-    zero = f"y[{{}}] = {literal(0.0)}" if states else "z[{}] = 0"
-    body += [f"        {zero.format(i)};" for i in range(n)]
-    body += ["    }", "    return status;"]
-    lines = "\n".join(body)
-    return Part(f"{text}\n{opening}\n{{\n{lines}\n}}\n", frozenset(reads))
+            yield f"        z[{i}] = 0;"
 
 
 def _finite(prefix: str, real: str) -> str:
@@ -265,16 +316,7 @@ def _rank(prefix: str, count: int) -> str:
 /* Return how many faces x has reached. */
 static {integer} {prefix}_axis_step(float x, const float faces[], {integer} count)
 {{
-    {integer} low = 0;
-    {integer} high = count;
-    while ((high - low) > 1) {{
-        const {integer} middle = ({integer})(low + ((high - low) / 2));
-        if (x >= CAPSYN_FLOAT(&faces[middle - 1])) {{
-            low = middle;
-        }} else {{
-            high = middle;
-        }}
-    }}
+{search(integer, "count", "x >= CAPSYN_FLOAT(&faces[middle - 1])")}
     return low;
 }}
 """

@@ -22,8 +22,8 @@ LARGEST_PERIODIC = 1e31
 def check_single_precision(plan: Plan, tree: SplitTree) -> None:
     """Raise `ProblemError` where single precision does not hold what the plan is made of."""
     domain = plan.policy.domain
-    given = {"`scale`": plan.scale, "`offset`": plan.offset, "controls": plan.policy.controls}
-    for name, values in given.items():
+    parts = {"`scale`": plan.scale, "`offset`": plan.offset, "controls": plan.policy.controls}
+    for name, values in parts.items():
         with np.errstate(over="ignore"):
             single = np.asarray(values).astype(np.float32)
         lost = ~np.isfinite(single) | ((single == 0) & (values != 0))
@@ -59,8 +59,8 @@ def decide_single(plan: Plan, readings: np.ndarray) -> Golden:
     """
     domain = plan.policy.domain
     with np.errstate(over="ignore", invalid="ignore"):
-        given = readings.astype(np.float32)
-        states = given.copy()
+        singles = readings.astype(np.float32)
+        states = singles.copy()
         if plan.folded:
             states *= plan.scale.astype(np.float32)
             states += plan.offset.astype(np.float32)
@@ -68,8 +68,8 @@ def decide_single(plan: Plan, readings: np.ndarray) -> Golden:
         states[:, i] = _wrapped(states[:, i], domain, int(i))
     whole = np.ones(plan.n), np.zeros(plan.n)
     unfolded = dataclasses.replace(plan, scale=whole[0], offset=whole[1])
-    found = decide(unfolded, states.astype(np.float64))
-    return dataclasses.replace(found, readings=given.astype(np.float64))
+    golden = decide(unfolded, states.astype(np.float64))
+    return dataclasses.replace(golden, readings=singles.astype(np.float64))
 
 
 def _wrapped(x: np.ndarray, domain: Box, i: int) -> np.ndarray:

@@ -1,0 +1,126 @@
+"""What the files of an export in C have in common."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.cells.split_tree import SplitTree
+from capsyn.exports.c.language import (
+    LONGEST_PREFIX,
+    RESERVED,
+    comment,
+    double_literal,
+    float_literal,
+    z_type,
+)
+from capsyn.exports.c.readings.counts import CountAxis, count_axes
+from capsyn.exports.c.readings.quantiser import ranked
+from capsyn.exports.c.readings.single import check_single_precision, share_changed
+from capsyn.exports.identifiers import file_name, identifiers, renamed, wanted_name
+from capsyn.exports.plan import Plan
+
+
+@dataclass(frozen=True)
+class Code:
+    """What the files of an export have in common.
+
+    Parameters
+    ----------
+    plan : Plan
+        What is exported.
+    style, arithmetic, readings, tick
+        See the options of the target.
+    prefix, wanted : str
+        What files and functions are called, and what they should have been.
+    tree : SplitTree
+        The tree that is written: over `faces`, where these are looked up.
+    faces : arrays, optional
+        Faces of each axis, in tables of floats.
+    axes : list of CountAxis
+        How counts become steps; none where readings are real numbers.
+    """
+
+    plan: Plan
+    style: str
+    arithmetic: str
+    readings: str
+    tick: float
+    prefix: str
+    wanted: str
+    tree: SplitTree
+    faces: list[np.ndarray] | None
+    axes: list[CountAxis]
+
+    @staticmethod
+    def of(
+        plan: Plan, style: str, arithmetic: str, readings: str, name: str | None, tick: float
+    ) -> Code:
+        """Return the code of a plan, its tree over faces where floats are looked up in tables."""
+        wanted = wanted_name(name, plan.policy.name)
+        prefix = file_name(name, wanted)[:LONGEST_PREFIX]
+        (prefix,) = identifiers([prefix], RESERVED, fold=True)
+        tree, faces = plan.tree.cells, None
+        if tree.depth == 0:
+            style = "nested"  # nothing to look up
+        if arithmetic == "float":
+            check_single_precision(plan, tree)
+            if style != "nested" or len(tree.planes):
+                tree, faces = ranked(tree, plan.policy.domain)
+        axes = [] if readings == "real" else count_axes(plan, readings)
+        return Code(plan, style, arithmetic, readings, tick, prefix, wanted, tree, faces, axes)
+
+    @property
+    def direct(self) -> bool:
+        """Whether the tree compares states themselves."""
+        lattice = self.arithmetic == "lattice" or len(self.tree.planes)
+        return self.style == "nested" and not lattice
+
+    @property
+    def real(self) -> str:
+        """Type of states."""
+        return "float" if self.arithmetic == "float" else "double"
+
+    @property
+    def reading(self) -> str:
+        """Type of what decisions are asked for."""
+        return self.real if self.readings == "real" else f"{self.readings}_t"
+
+    @property
+    def integer(self) -> str:
+        """Type of lattice steps."""
+        return z_type(self.tree.counts)
+
+    @property
+    def symbols(self) -> list[str]:
+        """Names of the symbols in capital letters."""
+        return [name.upper() for name in identifiers(self.plan.symbol_names, fold=True)]
+
+    @property
+    def renamed(self) -> dict[str, str]:
+        """Names that are no identifiers, and what they became."""
+        symbols = zip(self.plan.symbol_names, self.symbols)
+        changed = {old: new for old, new in symbols if old.upper() != new}
+        return renamed([self.wanted], [self.prefix]) | changed
+
+    @functools.cached_property
+    def changed(self) -> float | None:
+        """Share of states whose symbol rounding changes; None where none can."""
+        return share_changed(self.plan) if self.real == "float" else None
+
+    def about(self, role: str) -> str:
+        """Return the comment that a file begins with."""
+        return comment([*self.plan.header, f"Target c, {self.style}, {self.arithmetic}: {role}."])
+
+    def guarded(self, text: str) -> str:
+        """Return text for compilers whose double has 53 bits, as what follows needs them."""
+        if self.arithmetic != "lattice" or self.axes:
+            return text
+        guard = f"#ifndef {self.prefix.upper()}_NO_DOUBLE /* else only steps can be decided */"
+        return f"\n{guard}\n{text}\n#endif\n"
+
+    def literal(self, value: float) -> str:
+        """Return a literal of the type of states."""
+        return float_literal(np.float32(value)) if self.real == "float" else double_literal(value)

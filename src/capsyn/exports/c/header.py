@@ -1,0 +1,108 @@
+"""The header of an export in C."""
+
+from __future__ import annotations
+
+from capsyn.exports.c import dwell
+from capsyn.exports.c.code import Code
+from capsyn.exports.c.language import comment
+from capsyn.exports.c.notes import notes
+
+
+def header(code: Code) -> str:
+    """Return the header file."""
+    plan, p, upper = code.plan, code.prefix, code.prefix.upper()
+    symbols = ",\n".join(f"    {upper}_SYMBOL_{s} = {k}" for k, s in enumerate(code.symbols))
+    includes = "#include <stdint.h>" if code.axes else "#include <float.h>\n#include <stdint.h>"
+    return f"""{code.about("header")}
+{comment(notes(code.plan, code.arithmetic, code.axes, code.renamed, code.changed))}
+#ifndef {upper}_H
+#define {upper}_H
+
+{includes}
+{_no_double(code)}
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+#define {upper}_SYMBOLS {plan.labels}
+#define {upper}_INPUTS {plan.policy.alphabet.m}
+
+/* Symbols, as functions give them. */
+enum {{
+{symbols}
+}};
+
+typedef enum {{
+    {upper}_OK = 0,
+    {upper}_OUTSIDE = 1,
+    {upper}_NOT_FINITE = 2
+}} {p}_status;
+
+/* Controls of each symbol. */
+extern const {code.real} {p}_controls[{upper}_SYMBOLS][{upper}_INPUTS];
+{_of_steps(code)}{code.guarded(_of_states(code))}
+#ifdef __cplusplus
+}}
+#endif
+
+#endif
+"""
+
+
+def _of_steps(code: Code) -> str:
+    """Return the declarations of what lattice steps are enough for, and of the dwell time."""
+    plan, text = code.plan, ""
+    if code.arithmetic == "lattice":
+        text = f"""
+/* Return the symbol of lattice steps; steps beyond the lattice are taken as the nearest. */
+int16_t {code.prefix}_symbol(const {code.integer} z[{plan.n}]);
+"""
+    if plan.dwell:
+        ticks = dwell.ticks_of(plan, code.tick)
+        text += dwell.declarations(code.prefix, plan.dwell, code.tick, ticks)
+    return text
+
+
+def _of_states(code: Code) -> str:
+    """Return the declarations of what is asked for states or readings."""
+    plan, p, n = code.plan, code.prefix, code.plan.n
+    states = "readings" if plan.folded or code.axes else "states"
+    lost = "" if code.axes else "; of those that are not finite 0"
+    text = ""
+    if code.arithmetic == "lattice":
+        text += f"""
+/* Give the lattice steps of {states}{lost}. */
+{p}_status {p}_quantise(const {code.reading} x[{n}], {code.integer} z[{n}]);
+"""
+    text += f"""
+/* Return the symbol of {states}. */
+int16_t {p}_decide(const {code.reading} x[{n}], {p}_status *status);
+"""
+    if plan.dwell:
+        text += f"""
+/* Return the symbol in force at tick `now`: that of {states}, or the one that must be held. */
+int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,
+    {p}_status *status);
+"""
+    return text
+
+
+def _no_double(code: Code) -> str:
+    """Return the test for compilers whose double does not have 53 bits, or not always."""
+    if code.real == "float" or code.axes:
+        return ""
+    lacking = f"#define {code.prefix.upper()}_NO_DOUBLE"
+    if code.arithmetic == "double":
+        lacking = '#error "double precision is needed: export lattice or float"'
+    return f"""
+#ifdef DBL_MANT_DIG
+#if DBL_MANT_DIG != 53
+{lacking}
+#endif
+#endif
+#ifdef FLT_EVAL_METHOD
+#if (FLT_EVAL_METHOD == 2) || (FLT_EVAL_METHOD < 0)
+{lacking}
+#endif
+#endif
+"""

@@ -1,0 +1,116 @@
+"""The source of an export in C: controls, the tree, the quantiser and what decides."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from capsyn.exports.c import dwell
+from capsyn.exports.c.code import Code
+from capsyn.exports.c.language import Part, macros, rows
+from capsyn.exports.c.readings.counts import counts_quantiser
+from capsyn.exports.c.readings.quantiser import StateQuantiser
+from capsyn.exports.c.styles.grid import grid
+from capsyn.exports.c.styles.nested import nearest, nested
+from capsyn.exports.c.styles.table import table
+
+
+def source(code: Code) -> str:
+    """Return the source file."""
+    decision, quantiser, hold = _decision(code), _quantiser(code), Part("")
+    states = quantiser.text + _decide(code)
+    if code.plan.dwell:
+        hold = dwell.functions(code.plan, code.prefix)
+        states += _step(code)
+    reads = decision.reads | quantiser.reads | hold.reads
+    if code.arithmetic == "lattice":
+        states = code.guarded(states.rstrip("\n"))
+    return f"""{code.about("source")}
+#include "{code.prefix}.h"
+
+#include <stdbool.h>
+
+{macros(reads)}{_controls(code)}{decision.text}{hold.text}{states}"""
+
+
+def _controls(code: Code) -> str:
+    """Return the table of controls."""
+    p, upper = code.prefix, code.prefix.upper()
+    entries = [
+        "{" + ", ".join(code.literal(v) for v in row) + "}" for row in code.plan.policy.controls
+    ]
+    return (
+        f"\nconst {code.real} {p}_controls[{upper}_SYMBOLS][{upper}_INPUTS] CAPSYN_ROM = {{\n"
+        f"{rows(entries, 4)}\n}};\n"
+    )
+
+
+def _decision(code: Code) -> Part:
+    """Return the function that gives the symbol of lattice steps or of states."""
+    n, p = code.plan.n, code.prefix
+    argument = f"const {code.real} x[{n}]" if code.direct else f"const {code.integer} z[{n}]"
+    static = "" if code.arithmetic == "lattice" else "static "
+    opening = f"{static}int16_t {p}_symbol({argument})"
+    if code.style == "grid":
+        return grid(code.tree, p, opening)
+    public, planes = opening, not static and len(code.tree.planes)
+    if planes:
+        opening = f"static int16_t {p}_within({argument})"
+    if code.style == "table":
+        part = table(code.tree, p, opening)
+    else:
+        compares = code.arithmetic if code.direct else "lattice"
+        part = nested(code.tree, code.plan.policy.domain, p, opening, argument, compares)
+    if planes:
+        part = replace(part, text=part.text + nearest(code.tree, p, public))
+    return part
+
+
+def _quantiser(code: Code) -> Part:
+    """Return the function from states to lattice steps, or to states in the period."""
+    n, p = code.plan.n, code.prefix
+    places = f"{code.real} y[{n}]" if code.direct else f"{code.integer} z[{n}]"
+    static = "" if code.arithmetic == "lattice" else "static "
+    opening = f"{static}{p}_status {p}_quantise(const {code.reading} x[{n}], {places})"
+    if code.axes:
+        return counts_quantiser(code.plan, p, opening, code.axes, code.readings)
+    single = code.real == "float"
+    return StateQuantiser(code.plan, p, single, code.direct, code.faces).part(opening)
+
+
+def _decide(code: Code) -> str:
+    """Return the function that gives the symbol of states."""
+    plan, p, upper = code.plan, code.prefix, code.prefix.upper()
+    if plan.nearest:
+        known = f"*status != {upper}_NOT_FINITE"
+    else:
+        known = f"*status == {upper}_OK"
+    gap = ""
+    if plan.policy.gaps:
+        safe = "" if plan.safe == plan.gap else f"            symbol = {plan.safe};\n"
+        gap = f"        if (symbol == {plan.gap}) {{\n{safe}"
+        gap += f"            *status = {upper}_OUTSIDE;\n        }}\n"
+    return f"""
+int16_t {p}_decide(const {code.reading} x[{plan.n}], {p}_status *status)
+{{
+    {code.real if code.direct else code.integer} places[{plan.n}];
+    int16_t symbol = {plan.safe};
+    *status = {p}_quantise(x, places);
+    if ({known}) {{
+        symbol = {p}_symbol(places);
+{gap}    }}
+    return symbol;
+}}
+"""
+
+
+def _step(code: Code) -> str:
+    """Return the function that gives the symbol of states, dwell time allowing."""
+    p, n = code.prefix, code.plan.n
+    return f"""
+int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,
+    {p}_status *status)
+{{
+    const int16_t symbol = {p}_decide(x, status);
+    return {p}_hold(state, symbol, now);
+}}
+"""

@@ -1,0 +1,151 @@
+"""The description of an FMU: ``modelDescription.xml`` of FMI 2.0."""
+
+from __future__ import annotations
+
+import io
+from xml.etree.ElementTree import Element
+from xml.sax.saxutils import XMLGenerator
+from xml.sax.xmlreader import AttributesImpl
+
+from capsyn.exports.c.language import KEYWORDS
+from capsyn.exports.identifiers import identifiers
+from capsyn.exports.plan import Plan
+from capsyn.policies.file import content_hash
+from capsyn.version import __version__
+
+OWN = ("symbol", "status", "min_dwell", "time")
+"""Variables beside states and inputs, and the independent one."""
+
+
+def variable_names(plan: Plan) -> tuple[str, ...]:
+    """Return the names of the variables of states and inputs."""
+    policy = plan.policy
+    return identifiers([*policy.domain.names, *policy.alphabet.inputs], [*KEYWORDS, *OWN])
+
+
+def description(plan: Plan, name: str, guid: str) -> bytes:
+    """Return the description of a unit of a name."""
+    variables = [*_states(plan), *_controls(plan), *_own(plan)]
+    units = sorted({unit for (kind,) in variables if (unit := kind.get("unit"))})
+    abilities = dict(
+        modelIdentifier=name,
+        canHandleVariableCommunicationStepSize="true",
+        canNotUseMemoryManagementFunctions="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    sources = _element("SourceFiles", {}, Element("File", name=f"{name}.c"))
+    root = _element(
+        "fmiModelDescription",
+        dict(
+            fmiVersion="2.0",
+            modelName=plan.policy.name or name,
+            guid=guid,
+            description=" ".join(plan.header),
+            version=content_hash(plan.policy)[:16],
+            generationTool=f"capsyn {__version__}",
+            variableNamingConvention="flat",
+        ),
+        _in_lines(_element("CoSimulation", abilities, sources)),
+        _in_lines(_element("UnitDefinitions", {}, *(Element("Unit", name=u) for u in units))),
+        _in_lines(_element("ModelVariables", {}, *variables)),
+        _structure(plan),
+    )
+    return _text(_in_lines(root)).encode()
+
+
+def _states(plan: Plan) -> list[Element]:
+    """Return the inputs of the unit: readings of the states."""
+    domain, names = plan.policy.domain, variable_names(plan)
+    variables = []
+    for i in range(domain.n):
+        about, unit = f"State {domain.names[i]}", domain.units[i]
+        if plan.folded:
+            about = (
+                f"Reading of which state {domain.names[i]} [{unit}] is "
+                f"reading * {float(plan.scale[i])!r} + {float(plan.offset[i])!r}"
+            )
+            unit = ""
+        real = _real(unit, start="0")
+        variables.append(_variable(names[i], i, "input", "continuous", real, about))
+    return variables
+
+
+def _controls(plan: Plan) -> list[Element]:
+    """Return the outputs of the unit that are controls."""
+    n, alphabet, names = plan.n, plan.policy.alphabet, variable_names(plan)
+    return [
+        _variable(names[k], k, "output", "discrete", _real(unit), f"Control {input_name}")
+        for k, (input_name, unit) in enumerate(zip(alphabet.inputs, alphabet.units), n)
+    ]
+
+
+def _own(plan: Plan) -> list[Element]:
+    """Return the variables of every unit."""
+    symbols = ", ".join(f"{k}: {text}" for k, text in enumerate(plan.symbol_names))
+    statuses = "0: the state is in the domain, 1: outside, 2: a component is NaN or infinite"
+    dwell = _real("s", start=repr(plan.dwell), min="0")
+    place = plan.n + plan.policy.alphabet.m
+    about = "Least time between switches of the control"
+    return [
+        _variable("symbol", 0, "output", "discrete", Element("Integer"), f"Symbol; {symbols}"),
+        _variable("status", 1, "output", "discrete", Element("Integer"), statuses),
+        _variable("min_dwell", place, "parameter", "fixed", dwell, about),
+    ]
+
+
+def _structure(plan: Plan) -> Element:
+    """Return which outputs depend on which inputs: all on all."""
+    inputs = " ".join(str(i + 1) for i in range(plan.n))
+    outputs = range(plan.n, plan.n + plan.policy.alphabet.m + 2)
+
+    def unknowns(tag: str) -> Element:
+        each = (Element("Unknown", index=str(k + 1), dependencies=inputs) for k in outputs)
+        return _element(tag, {}, *each)
+
+    return _element("ModelStructure", {}, unknowns("Outputs"), unknowns("InitialUnknowns"))
+
+
+def _variable(
+    name: str, reference: int, causality: str, variability: str, kind: Element, about: str
+) -> Element:
+    attributes = dict(name=name, valueReference=str(reference), description=about)
+    attributes |= dict(causality=causality, variability=variability)
+    return _element("ScalarVariable", attributes, kind)
+
+
+def _real(unit: str, **attributes: str) -> Element:
+    return Element("Real", attributes | ({"unit": unit} if unit else {}))
+
+
+def _element(tag: str, attributes: dict[str, str], *children: Element) -> Element:
+    element = Element(tag, attributes)
+    element.extend(children)
+    return element
+
+
+def _in_lines(element: Element) -> Element:
+    """Return an element whose children stand in a line each."""
+    element.text = "\n"
+    for child in element:
+        child.tail = "\n"
+    return element
+
+
+def _text(root: Element) -> str:
+    """Return the document, which `ElementTree` itself would write with other quotes and blanks."""
+    text = io.StringIO()
+    writer = XMLGenerator(text, "UTF-8", short_empty_elements=True)
+
+    def write(element: Element) -> None:
+        writer.startElement(element.tag, AttributesImpl(element.attrib))
+        writer.characters(element.text or "")
+        for child in element:
+            write(child)
+        writer.endElement(element.tag)
+        writer.characters(element.tail or "")
+
+    root.tail = "\n"
+    writer.startDocument()
+    write(root)
+    return text.getvalue().replace("<Real/>", "<Real />")  # so that units keep their bytes

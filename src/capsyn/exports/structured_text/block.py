@@ -1,0 +1,77 @@
+"""What a function block is made of: its names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from capsyn.exports.identifiers import identifiers, renamed, wanted_name
+from capsyn.exports.plan import Plan
+from capsyn.exports.structured_text.lines import KEYWORDS
+
+LONGEST_NAME = 32
+"""Most characters of a name that are kept."""
+FIXED = ("symbol", "status", "cycle")
+"""Names that are the same in every block."""
+LOCAL = ("z", "wanted", "started", "elapsed", "node", "value", "axis", "i")
+TABLES = ("splits", "thresholds", "seconds", "planes")
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A function block that decides.
+
+    Parameters
+    ----------
+    plan : Plan
+        What it decides.
+    table : bool
+        Whether a loop walks through the tree as arrays, else IF statements in functions.
+    name : str
+        Its name.
+    readings, states : n strings
+        Names of its inputs, and of the states that these become.
+    controls : m strings
+        Names of the controls.
+    renamed : dict
+        Names that are no identifiers, and what they became.
+    """
+
+    plan: Plan
+    table: bool
+    name: str
+    readings: tuple[str, ...]
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    renamed: dict[str, str]
+
+    @staticmethod
+    def of(plan: Plan, style: str, name: str | None) -> Block:
+        """Return the block of a plan; for the arguments see the options of the target."""
+        wanted = wanted_name(name, plan.policy.name)
+        (block,) = identifiers([wanted[:LONGEST_NAME]], KEYWORDS, fold=True)
+        n, calls = plan.n, _calls(block)
+        trees = (f"{calls['tree']}{k}" for k in range(1, plan.tree.node_count))
+        kept = {*KEYWORDS, *FIXED, *LOCAL, *TABLES, *_steps(n), block, *calls.values(), *trees}
+        names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
+        chosen = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
+        states = identifiers([f"state_{i}" for i in range(n)], {*kept, *chosen}, fold=True)
+        new_names = renamed([wanted, *names], [block, *chosen])
+        return Block(plan, style == "table", block, chosen[:n], states, chosen[n:], new_names)
+
+    @property
+    def steps(self) -> list[str]:
+        """Names of the lattice steps."""
+        return _steps(self.plan.n)
+
+    @property
+    def calls(self) -> dict[str, str]:
+        """Names of the functions that it calls."""
+        return _calls(self.name)
+
+
+def _steps(n: int) -> list[str]:
+    return [f"z{i}" for i in range(n)]
+
+
+def _calls(block: str) -> dict[str, str]:
+    return {part: f"{block}_{part}" for part in ("wrap", "step", "tree")}

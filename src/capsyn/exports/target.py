@@ -1,0 +1,81 @@
+"""What a target is, and what it makes of a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from capsyn.exports.golden import Golden
+from capsyn.exports.plan import Files, Plan
+
+
+@dataclass(frozen=True)
+class Exported:
+    """Files of a target, and what a user must be told.
+
+    Parameters
+    ----------
+    files : dict of bytes by name
+        Its files.
+    renamed : dict, optional
+        Names that are no identifiers of the language, and what they became.
+    notes : tuple of texts, optional
+        What a user must be told.
+    changed : float, optional
+        Share of random states in the domain whose symbol is another than the policy's, as numbers
+        are rounded for the target. None: no state at all, since the target rounds to the policy's
+        own lattice.
+    golden : Golden, optional
+        Vectors of readings as the target holds them. None: those of the plan.
+    """
+
+    files: Files
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    changed: float | None = None
+    golden: Golden | None = None
+
+
+@dataclass(frozen=True)
+class NameOption:
+    """The option of targets that have no other.
+
+    Parameters
+    ----------
+    name : str, optional
+        What the file is called, made an identifier. Default: the policy's name.
+    """
+
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class Target:
+    """A language that policies are exported to.
+
+    Parameters
+    ----------
+    export : callable
+        ``export(plan, golden, options)`` makes its files.
+    options : type, optional
+        Frozen dataclass of the options of `export`, each with a default.
+    planes : bool, optional
+        Whether it takes trees with oblique splits.
+    measure : callable, optional
+        What is measured of its files here, as plain data. None: nothing.
+    """
+
+    export: Callable[[Plan, Golden, Any], Exported]
+    options: type = NameOption
+    planes: bool = True
+    measure: Callable[[Files], dict[str, Any]] | None = None
+
+    @property
+    def option_names(self) -> tuple[str, ...]:
+        """Names of the options, in order."""
+        return tuple(option.name for option in fields(self.options))
+
+    def files(self, plan: Plan, golden: Golden, **options: Any) -> Exported:
+        """Return what the target makes of a plan, with options by name."""
+        return self.export(plan, golden, self.options(**options))

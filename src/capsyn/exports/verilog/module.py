@@ -1,0 +1,156 @@
+"""What a module is made of, and what it looks like from outside."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from dataclasses import dataclass
+
+from capsyn.cells.split_tree import SplitTree
+from capsyn.errors import ProblemError
+from capsyn.exports.identifiers import identifiers, renamed, wanted_name
+from capsyn.exports.plan import Plan
+from capsyn.exports.verilog.ports import Port, changed_share, width_of
+from capsyn.exports.verilog.words import KEYWORDS
+from capsyn.validation import whole_number
+
+STAGE_LEVELS = 4
+"""Levels of the tree in a stage of the pipeline, by default."""
+MOST_LEVELS = 16
+"""Most levels in a stage."""
+LONGEST_NAME = 32
+"""Most characters of a name that are kept."""
+FIXED = frozenset(
+    "clk rst valid_in valid_out symbol outside wanted held started CLOCK_HZ DWELL_CYCLES changes "
+    "symbol_held outside_held valid_held decided outside_now outside_end outside_then valid_end "
+    "valid_then".split()
+)
+"""Names that are the module's own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Module:
+    """A circuit that decides.
+
+    Parameters
+    ----------
+    plan : Plan
+        What it decides.
+    ports : n Ports, optional
+        Of fixed-point inputs. None: inputs are lattice steps.
+    clock : int
+        Default frequency of its clock [Hz].
+    name : str
+        Its name.
+    inputs : n strings
+        Names of the inputs.
+    renamed : dict
+        Names that are no identifiers, and what they became.
+    stages, levels : int
+        Stages of the pipeline, 0 for none, and the levels of the tree in each.
+    """
+
+    plan: Plan
+    ports: tuple[Port, ...] | None
+    clock: int
+    name: str
+    inputs: tuple[str, ...]
+    renamed: dict[str, str]
+    stages: int
+    levels: int
+
+    @staticmethod
+    def of(
+        plan: Plan,
+        ports: tuple[Port, ...] | None,
+        pipeline: bool | int,
+        clock: int,
+        name: str | None,
+    ) -> Module:
+        """Return the module of a plan; for the arguments see the options of the target."""
+        wanted = wanted_name(name, plan.policy.name)
+        (module,) = identifiers([wanted[:LONGEST_NAME]], {*KEYWORDS, *FIXED})
+        states, end = plan.policy.domain.names, "" if ports else "_step"
+        names = [text[:LONGEST_NAME] + end for text in states]
+        own = {module, f"{module}_tb", *FIXED, *filter(_is_inner, names)}
+        inputs = identifiers(names, {*KEYWORDS, *own})
+        changed = {state: port for state, name, port in zip(states, names, inputs) if port != name}
+        depth, stages = max(1, plan.tree.depth), _stages(pipeline, max(1, plan.tree.depth))
+        levels = math.ceil(depth / stages) if stages else depth
+        stages = math.ceil(depth / levels) if stages else 0
+        new_names = renamed([wanted], [module]) | changed
+        return Module(plan, ports, clock, module, inputs, new_names, stages, levels)
+
+    @property
+    def tree(self) -> SplitTree:
+        """The nodes of its tree."""
+        return self.plan.tree.cells
+
+    @property
+    def symbol_bits(self) -> int:
+        """Bits of the symbol."""
+        return width_of(self.plan.default)
+
+    @property
+    def direct(self) -> bool:
+        """Whether the tree compares numbers of fixed-point ports; sums of a plane need steps."""
+        return self.ports is not None and not len(self.tree.planes)
+
+    @property
+    def step_widths(self) -> list[int]:
+        """Bits of the lattice steps."""
+        return [width_of(count - 1) for count in self.tree.counts]
+
+    @property
+    def widths(self) -> list[int]:
+        """Bits of the inputs."""
+        return self.step_widths if self.ports is None else [port.bits for port in self.ports]
+
+    @property
+    def inner_widths(self) -> list[int]:
+        """Bits of what the tree compares."""
+        return self.widths if self.direct else self.step_widths
+
+    @property
+    def dwell(self) -> bool:
+        """Whether it has a minimum dwell time."""
+        return self.plan.dwell > 0
+
+    @property
+    def tells(self) -> bool:
+        """Whether it tells that a state is outside."""
+        return self.ports is not None or self.plan.policy.gaps
+
+    @property
+    def clocked(self) -> bool:
+        """Whether it has a clock."""
+        return self.stages > 0 or self.dwell
+
+    @property
+    def latency(self) -> int:
+        """Clocks from a state to its symbol."""
+        return (self.stages + 1 if self.stages else 0) + self.dwell
+
+    @functools.cached_property
+    def changed(self) -> float | None:
+        """Share of states whose symbol the rounding of the ports changes; None without any."""
+        return changed_share(self.plan, self.ports) if self.ports else None
+
+
+def _stages(pipeline: bool | int, depth: int) -> int:
+    """Return the stages that are asked for a tree of some levels."""
+    if pipeline is True:
+        return math.ceil(depth / STAGE_LEVELS)
+    stages = 0 if pipeline is False else whole_number("pipeline", pipeline, least=1, most=1000)
+    if stages and depth > MOST_LEVELS * stages:
+        least = math.ceil(depth / MOST_LEVELS)
+        raise ProblemError(
+            f"`pipeline` must be {least} stages at least for a tree of {depth} levels; got {stages}"
+        )
+    return stages
+
+
+def _is_inner(text: str) -> bool:
+    """Return whether a name may be one of the module's own wires."""
+    return bool(re.fullmatch(r"(z|v|w|c|p|s|at|next|part|unused)_?\d+(_\d+)?", text))
