@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.automata.rectangles import fewest_rectangles
-from capsyn.cells.cell_tree import CellTree, ragged
+from capsyn.cells.cell_tree import CellTree, digits_of, ragged
 from capsyn.cells.faces import shared_faces
 from capsyn.cells.split_tree import SplitTree
 from capsyn.modelling.domain import Box
@@ -252,14 +252,12 @@ def _starts(boxes: _Boxes, axis: int) -> Iterator[_Boxes]:
     areas = np.prod(sizes, axis=1, dtype=float)
     if areas.sum() > MAX_COLUMNS:
         return
-    source, offset = ragged(areas.astype(np.int64))
+    source, number = ragged(areas.astype(np.int64))
     columns = boxes.take(source)
-    for i in range(boxes.lower.shape[1]):
-        if i != axis:
-            offset, step = np.divmod(offset, sizes[source, i])
-            columns.lower[:, i] += step.astype(np.int32)
-            columns.upper[:, i] = columns.lower[:, i] + 1
-    yield columns
+    lower = columns.lower + digits_of(number, sizes[source]).astype(np.int32)
+    upper = lower + 1
+    upper[:, axis] = columns.upper[:, axis]
+    yield _Boxes(lower, upper, columns.labels)
 
 
 def _fewer(one: _Boxes, two: _Boxes) -> _Boxes:
