@@ -154,11 +154,9 @@ def synthesize(
         labelling = Labelling(
             answers.label, returns, controller.preference, answers.threads, progress
         )
-        policy = carry_out(
-            plan, labelling, problem.domain, problem.alphabet, problem.outside, problem.name
-        )
-    policy = _described(policy, problem, controller, plan.seed)
-    return dataclasses.replace(policy, timings={"prepare": prepared, **policy.timings})
+        policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
+    timings = {"prepare": prepared, **policy.timings}
+    return _described(dataclasses.replace(policy, timings=timings), problem, controller, plan.seed)
 
 
 def _overridden(problem: Problem, **changes: Any) -> Problem:
@@ -185,6 +183,8 @@ def _described(policy: Policy, problem: Problem, controller: BatchController, se
     sample = sample_statistics(controller, problem.domain, seed)
     return dataclasses.replace(
         policy,
+        name=problem.name,
+        outside=problem.outside,
         default=problem.default,
         min_dwell=problem.min_dwell,
         target=transcribe_target(problem),
