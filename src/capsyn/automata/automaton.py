@@ -194,7 +194,7 @@ class Automaton:
         if analysis is None:
             return []
         area = analysis.areas * analysis.shares[:, SLIDING]
-        rows = np.flatnonzero(analysis.found[:, SLIDING] == POSSIBLE)
+        rows = np.flatnonzero(analysis.statuses[:, SLIDING] == POSSIBLE)
         rows = rows[np.argsort(-area[rows], kind="stable")]
         lower = domain.points(analysis.faces.lower[rows], self.counts)
         upper = domain.points(analysis.faces.upper[rows], self.counts)
@@ -217,7 +217,7 @@ class Automaton:
 
         Of the sliding faces, the first `TOLD`.
         """
-        found = self.switching
+        analysis = self.switching
         labels = self.partitions.labels
         return {
             "name": self.name,
@@ -249,13 +249,13 @@ class Automaton:
             ],
             "partitions": len(self.partitions),
             "switching": None
-            if found is None
+            if analysis is None
             else {
-                "faces": len(found.faces),
-                "rate": found.rate,
-                "sliding_rate": float(found.sliding_rates.sum()),
-                "sliding_share": found.sliding_share,
-                "exit_rate": float(found.exit_rates.sum()),
+                "faces": len(analysis.faces),
+                "rate": analysis.rate,
+                "sliding_rate": float(analysis.sliding_rates.sum()),
+                "sliding_share": analysis.sliding_share,
+                "exit_rate": float(analysis.exit_rates.sum()),
                 "sliding_faces": [vars(face) for face in self.sliding_faces()[:TOLD]],
             },
         }

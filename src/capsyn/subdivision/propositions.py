@@ -224,8 +224,8 @@ def worst_case_rounds_memory(
     solves = worst_case_solves(grid, test_points.interior(grid.n), adaptive)
     if max_solves is not None:
         solves = min(solves, max_solves)
-        made = max_solves * _cells_per_solve(test_points, grid.children)
-        cells = min(cells, max(grid.roots, made))
+        most_cells = max_solves * _cells_per_solve(test_points, grid.children)
+        cells = min(cells, max(grid.roots, most_cells))
     first = grid.roots * test_points.in_block(grid.split(0))
     first *= BYTES_PER_KEY + BYTES_PER_SCORE * labels
     own = max(first, round_bytes(test_points, grid.split(grid.max_level), labels))
