@@ -1,4 +1,7 @@
-"""Checks of arguments: each raises a one-line `ProblemError` with what is wanted and what came."""
+"""Checks of arguments: each raises a one-line `ProblemError` with what is wanted and what came.
+
+What passed is kept in frozen dataclasses, its arrays read-only.
+"""
 
 from __future__ import annotations
 
@@ -43,6 +46,25 @@ def state_array(value: Any, n: int) -> np.ndarray:
     return states
 
 
+def read_only(array: np.ndarray) -> np.ndarray:
+    """Return a view of an array through which nothing can be written."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def keep(frozen: Any, **fields: Any) -> None:
+    """Set fields of a frozen dataclass, while it is made, to what they were checked to be."""
+    for name, value in fields.items():
+        object.__setattr__(frozen, name, value)
+
+
+def keep_read_only(frozen: Any, *names: str) -> None:
+    """Make arrays among the fields of a frozen dataclass read-only, those that are there."""
+    arrays = {name: getattr(frozen, name) for name in names}
+    keep(frozen, **{name: read_only(a) for name, a in arrays.items() if a is not None})
+
+
 def finite_array(name: str, value: Any, ndim: int) -> np.ndarray:
     """Return `value` as a read-only float array of `ndim` dimensions without NaN or infinity."""
     array = np.array(numbers(name, value) + 0.0)  # + 0.0: a copy, and -0.0 becomes 0.0
@@ -51,8 +73,7 @@ def finite_array(name: str, value: Any, ndim: int) -> np.ndarray:
         raise ProblemError(f"`{name}` must be {wanted}; got {describe(value)}")
     if not np.isfinite(array).all():
         raise ProblemError(f"`{name}` must be finite; got {describe(value)}")
-    array.flags.writeable = False
-    return array
+    return read_only(array)
 
 
 def finite_number(

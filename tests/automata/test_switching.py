@@ -34,7 +34,7 @@ def test_a_relay_on_a_line_slides_on_the_whole_face():
     found = switching(relay(lambda x, u: [u[0]], LINE, below()))
     assert len(found.faces) == 1 and found.labels.tolist() == [[0, 1]]
     assert found.shares[0].tolist() == [0, 0, 1, 0]
-    assert found.found[0].tolist() == [POSSIBLE] * 3
+    assert found.statuses[0].tolist() == [POSSIBLE] * 3
     assert found.rate == 0 and found.sliding_share == 1
     assert found.sliding_rates[:2, :2] == pytest.approx(np.array([[0, 0.5], [0.5, 0]]))
     assert found.exit_rates.tolist() == [0, 0, 0]
@@ -62,8 +62,8 @@ def test_a_sliding_interval_is_found_to_its_ends(max_level):
     middle = found.faces.axis == 1
     x1 = PLANE.points(found.faces.lower, found_counts(max_level))[middle, 0]
     slides = (x1 >= -1) & (x1 < 1)
-    assert np.array_equal(found.found[middle, SLIDING] == POSSIBLE, slides)
-    assert (found.found[middle, SLIDING][~slides] == IMPOSSIBLE).all()
+    assert np.array_equal(found.statuses[middle, SLIDING] == POSSIBLE, slides)
+    assert (found.statuses[middle, SLIDING][~slides] == IMPOSSIBLE).all()
     assert found.sliding_areas[0, 1] == pytest.approx(0.5)
     # integral of x1 + 1 over [1, 2], and over [-1, 1], by the area of the domain
     assert found.switch_rates[0, 1] == found.switch_rates[1, 0] == pytest.approx(2.5 / 16)
@@ -143,7 +143,7 @@ def test_rates_that_are_rounding_are_none():
     plane = Box([-1.0, -1.0], [1.0, 1.0])
     found = switching(relay(lambda x, u: [0.0, 1e-15], plane, below(axis=1), partitions=2))
     assert not found.shares.any() and not found.switch_rates.any()
-    assert (found.found == IMPOSSIBLE).all()
+    assert (found.statuses == IMPOSSIBLE).all()
 
 
 def moved(policy, count, dt, seed=3):
@@ -193,8 +193,8 @@ def test_no_state_on_a_face_contradicts_what_is_proved(name):
             along.append(policy.model.dynamics.evaluate(at.T, control.T)[0][faces.axis, rows])
         lower, upper = along[0] > 1e-9, along[1] < -1e-9
         for column, occurs in enumerate((lower, upper, lower & upper)):
-            assert (found.found[occurs, column] == POSSIBLE).all()
-    assert (found.found[found.shares[:, SLIDING] > 0, SLIDING] == POSSIBLE).all()
+            assert (found.statuses[occurs, column] == POSSIBLE).all()
+    assert (found.statuses[found.shares[:, SLIDING] > 0, SLIDING] == POSSIBLE).all()
 
 
 GUARANTEE = Guarantee("exact", 64 * "0")

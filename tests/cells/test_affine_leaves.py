@@ -11,6 +11,7 @@ from capsyn import Alphabet, Box, Policy
 from capsyn.cells.affine_leaves import LARGEST_SUM, ROW_ARRAYS, AffineLeaves
 from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.modelling.grid import Grid
 from capsyn.policies.file import content_hash
 from policies.test_policy_file import read, refuse, rewrite
 from support.trees import GRIDS, random_affine_policy, random_affine_tree, states_at_faces
@@ -81,7 +82,7 @@ def extreme(sign):
         slopes.astype(np.int16),
     )
     empty = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.uint64)
-    tree = CellTree((1, 1), (2, 2), 14, np.array([-4], dtype=np.int32), *empty, affine)
+    tree = CellTree(Grid((1, 1), (2, 2), 14), np.array([-4], dtype=np.int32), *empty, affine)
     assert tree.counts == counts
     return Policy("extreme", Box([0, 0], [1, 1]), Alphabet([0, 1]), np.zeros(1), tree)
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import PolicyFormatError, ProblemError
-from capsyn.modelling.grid import MAX_COUNT, grid_settings, lattice_counts
+from capsyn.modelling.grid import MAX_COUNT, Grid
 from support.trees import GRIDS, random_tree
 
 LEAVES = 3
@@ -111,7 +111,7 @@ def test_levels_visit_every_cell_once_below_its_parent(grid, some_axes):
 
 
 def test_shape_of_a_tree():
-    tree = CellTree((3, 1), (2, 3), 2, np.full(3, -1, np.int32), *empty_mixed())
+    tree = CellTree(Grid((3, 1), (2, 3), 2), np.full(3, -1, np.int32), *empty_mixed())
     assert tree.n == 2 and tree.counts == (12, 9) and tree.leaf_count == 3
     assert tree.sizes(0).tolist() == [4, 9] and tree.sizes(2).tolist() == [1, 1]
     volumes = [math.prod(tree.sizes(k).tolist()) / math.prod(tree.counts) for k in range(3)]
@@ -119,7 +119,9 @@ def test_shape_of_a_tree():
 
 
 def test_a_refinement_that_is_never_used_costs_nothing():
-    tree = CellTree((1, 1), (MAX_COUNT, MAX_COUNT), 1, np.full(1, -1, np.int32), *empty_mixed())
+    tree = CellTree(
+        Grid((1, 1), (MAX_COUNT, MAX_COUNT), 1), np.full(1, -1, np.int32), *empty_mixed()
+    )
     tree.check(1)
     assert [tree.labels_at(x.places).tolist() for x in tree.leaves()] == [[0]]
     assert tree.labels(np.array([[MAX_COUNT - 1, 0]])).tolist() == [0]
@@ -138,7 +140,7 @@ def uint64(*values):
 
 
 GOOD = CellTree(  # two root cells; the first is split, and so is its second child
-    (2,), (2,), 2, int32(2, -1, -2, 4, -3, -1), int32(2, 4), uint64(0b011, 0b110)
+    Grid((2,), (2,), 2), int32(2, -1, -2, 4, -3, -1), int32(2, 4), uint64(0b011, 0b110)
 )
 
 BLOCKS = "the blocks of cells are not one after the other"
@@ -146,7 +148,7 @@ DEEPER = "the cells are deeper or more than the file says"
 MIXED = "the mixed cells are no ascending leaf cells"
 MALFORMED = [
     ("1 cells are fewer than the root grid's 2", {"entries": int32(-1), "mixed_cells": int32()}),
-    ("6 cells are fewer than the root grid's 100", {"partitions": (100,)}),
+    ("6 cells are fewer than the root grid's 100", {"grid": Grid((100,), (2,), 2)}),
     ("a cell has an unknown label", {"entries": int32(2, -1, -2, 4, -3, -4)}),
     ("a cell has an unknown label", {"entries": int32(2, -(2**31), -2, 4, -3, -1)}),
     (BLOCKS, {"entries": int32(0, -1, -2, 4, -3, -1)}),  # a block that holds itself
@@ -155,8 +157,8 @@ MALFORMED = [
     (BLOCKS, {"entries": int32(2, -1, -2, 2**31 - 1, -3, -1)}),  # far beyond the end
     (BLOCKS, {"entries": int32(2, 2, -2, 4, -3, -1)}),  # shared
     (BLOCKS, {"entries": int32(4, 2, -1, -1, -1, -1)}),  # in the wrong order
-    (DEEPER, {"max_level": 1}),
-    (DEEPER, {"max_level": 0}),
+    (DEEPER, {"grid": Grid((2,), (2,), 1)}),
+    (DEEPER, {"grid": Grid((2,), (2,), 0)}),
     (DEEPER, {"entries": int32(2, -1, -2, 4)}),  # cut off
     (DEEPER, {"entries": int32(2, -1, -2, 4, -3, 6)}),
     ("1 cells belong to no block", {"entries": int32(2, -1, -2, 4, -3, -1, -1)}),
@@ -204,9 +206,7 @@ def test_any_changed_entry_is_refused_or_another_well_formed_tree(grid):
 def test_all_64_leaf_numbers_are_usable():
     labels = np.arange(64)
     tree = CellTree(
-        (64,),
-        (2,),
-        0,
+        Grid((64,), (2,), 0),
         (-1 - labels).astype(np.int32),
         labels.astype(np.int32),
         np.full(64, 2**64 - 1, dtype=np.uint64),
@@ -220,11 +220,11 @@ def test_all_64_leaf_numbers_are_usable():
         dataclasses.replace(tree, entries=entries).check(63)
 
 
-def test_grid_settings_spread_and_bound():
-    assert grid_settings(9, [2, 3], 4, 2) == ((9, 9), (2, 3), 4)
-    assert lattice_counts((9, 9), (2, 3), 4) == (144, 729)
-    assert grid_settings(1, 2, 30, 3)[2] == 30
-    assert grid_settings(MAX_COUNT, 2, 0, 1) == ((MAX_COUNT,), (2,), 0)
+def test_grids_spread_and_bound():
+    assert Grid.of(9, [2, 3], 4, 2) == Grid((9, 9), (2, 3), 4)
+    assert Grid((9, 9), (2, 3), 4).counts == (144, 729)
+    assert Grid.of(1, 2, 30, 3).max_level == 30
+    assert Grid.of(MAX_COUNT, 2, 0, 1) == Grid((MAX_COUNT,), (2,), 0)
 
 
 @pytest.mark.parametrize(
@@ -244,6 +244,6 @@ def test_grid_settings_spread_and_bound():
         ((9, 2, 2.0, 1), "`max_level` must be a whole number >= 0 and <= 27; got 2.0"),
     ],
 )
-def test_grid_settings_refuse(arguments, message):
+def test_grids_refuse(arguments, message):
     with pytest.raises(ProblemError, match="^" + message):
-        grid_settings(*arguments)
+        Grid.of(*arguments)

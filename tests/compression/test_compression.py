@@ -19,6 +19,7 @@ from capsyn.compression.judge import JUDGING
 from capsyn.compression.proof import changed_cells, prove
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.modelling.grid import Grid
 from capsyn.policies.file import content_hash
 from capsyn.random_streams import derived_seed, stream
 from capsyn.verification.agreement import agreement
@@ -119,7 +120,7 @@ def test_a_policy_of_one_symbol_is_one_node():
 
 def test_a_cut_is_where_labels_change():
     entries = -1 - np.array([0, 0, 0, 1, 1, 5], dtype=np.int32)
-    cells = CellTree((6,), (2,), 2, entries, np.zeros(0, np.int32), np.zeros(0, np.uint64))
+    cells = CellTree(Grid((6,), (2,), 2), entries, np.zeros(0, np.int32), np.zeros(0, np.uint64))
     tree = compress(policy_of(((6,), (2,), 2), cells=cells)).cells
     assert tree.node_count == 5 and sorted(tree.threshold[tree.split >= 0].tolist()) == [12, 20]
 
@@ -143,7 +144,7 @@ def deep(n, refinement, depth, seed):
         entries += (-1 - rng.integers(0, 3, children)).tolist()
         place = start + int(rng.integers(children))
     none = np.zeros(0, np.int32), np.zeros(0, np.uint64)
-    return CellTree((1,) * n, (refinement,) * n, depth, np.array(entries, np.int32), *none)
+    return CellTree(Grid((1,) * n, (refinement,) * n, depth), np.array(entries, np.int32), *none)
 
 
 @pytest.mark.parametrize(
@@ -431,7 +432,7 @@ def test_cells_split_along_some_axes_are_cut_off_likewise(grid, seed):
 
 def test_of_equal_volumes_the_first_label_is_taken():
     entries = np.array([1, -3, -2], dtype=np.int32)
-    cells = CellTree((1,), (2,), 1, entries, np.zeros(0, np.int32), np.zeros(0, np.uint64))
+    cells = CellTree(Grid((1,), (2,), 1), entries, np.zeros(0, np.int32), np.zeros(0, np.uint64))
     policy = policy_of(((1,), (2,), 1), cells=cells)
     cut = cut_off(policy, 0).cells
     assert cut.entries.tolist() == [-2] and cut.mixed_labels.tolist() == [0b110]
@@ -439,7 +440,7 @@ def test_of_equal_volumes_the_first_label_is_taken():
 
 def test_cutting_off_cells_without_blocks_costs_nothing():
     base = random_policy(0)
-    cells = dataclasses.replace(base.cells, refinement=(2**31 - 1,), max_level=1)
+    cells = dataclasses.replace(base.cells, grid=Grid((1,), (2**31 - 1,), 1))
     policy = dataclasses.replace(base, cells=cells, domain=Box([0], [1]))
     assert compress(policy, level=0).node_count == 1
 
@@ -684,7 +685,8 @@ def test_no_internal_stream_is_one_that_a_user_draws():
 
 def test_combs_take_neither_depth_nor_time():
     comb = CellTree(
-        (300, 300), (2, 2), 0, -1 - np.tile(np.arange(300) % 2, (300, 1)).ravel().astype(np.int32),
+        Grid((300, 300), (2, 2), 0),
+        -1 - np.tile(np.arange(300) % 2, (300, 1)).ravel().astype(np.int32),
         np.zeros(0, np.int32), np.zeros(0, np.uint64),
     )  # fmt: skip
     place = np.arange(300)

@@ -25,11 +25,11 @@ modelling: domain alphabet settings targets grid problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
-cells: affine_leaves cell_tree split_tree faces masks packing
+cells: affine_leaves boxes cell_tree split_tree faces masks packing
 policies: lookup guarantee colors picture file policy single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
-subdivision: cell_points limits propositions lattice_points cell_blocks constant split_axes
-    affine_fit growing_cells rounds subdivide
+subdivision: cell_points limits propositions split_axes affine_fit growing_cells plan
+    lattice_points cell_blocks ledger constant rounds subdivide
 automata: rectangles regions face_rates switching automaton
 simulation: plant kernel closed_loop policy_loop trial_job experiment simulate
 synthesis: remote_labels labelling synthesize

@@ -11,6 +11,7 @@ import capsyn
 from capsyn import Alphabet, Box, Policy
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import check_outside
+from capsyn.modelling.grid import Grid
 from capsyn.native.build import find_compiler
 from capsyn.policies import lookup
 from support.trees import GRIDS, random_policy, states_at_faces
@@ -325,9 +326,7 @@ def test_compiled_lookup_on_random_axes(lower, width, partitions, refinement, le
     entries = (-1 - rng.integers(0, 3, partitions)).astype(np.int32)
     tree = dataclasses.replace(
         base.cells,
-        partitions=(partitions,),
-        refinement=(refinement,),
-        max_level=level,
+        grid=Grid((partitions,), (refinement,), level),
         entries=entries,
         mixed_cells=np.empty(0, dtype=np.int32),
         mixed_labels=np.empty(0, dtype=np.uint64),

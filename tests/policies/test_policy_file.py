@@ -21,6 +21,7 @@ import capsyn
 from capsyn import Alphabet, Ball, Box, Policy, SsacSettings, problems
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.execution.files import atomic_write, check_writable
+from capsyn.modelling.grid import Grid
 from capsyn.modelling.targets import target_program
 from capsyn.policies.file import VERSION, content_hash
 from capsyn.programs.model import Model, model_ports
@@ -168,7 +169,7 @@ def test_content_hash_is_that_of_the_file_and_of_every_field(file):
         full(default=np.array([0.1, 0.1])),
         full(cells=dataclasses.replace(tree, entries=entries)),
         full(cells=dataclasses.replace(tree, mixed_labels=labels)),
-        full(cells=dataclasses.replace(tree, max_level=3)),
+        full(cells=dataclasses.replace(tree, grid=tree.grid.at(3))),
         full(outside=0),
         full(min_dwell=0.02),
         full(target=None),
@@ -749,7 +750,7 @@ def test_a_leaf_with_a_huge_refinement_is_a_usable_policy(tmp_path):
     base = random_policy(0)
     made = dataclasses.replace(
         base,
-        cells=dataclasses.replace(base.cells, refinement=(2**31 - 1,), max_level=1),
+        cells=dataclasses.replace(base.cells, grid=Grid((1,), (2**31 - 1,), 1)),
         domain=Box([0], [1]),
     )
     made.save(tmp_path / "p.cap")

@@ -229,7 +229,7 @@ def test_what_is_solved_is_used_whatever_ends_the_run(
         perf_counter = staticmethod(lambda: float(next(clock)))
 
     with in_blocks(parents), pytest.MonkeyPatch.context() as patch:
-        patch.setattr("capsyn.subdivision.constant.time", Clock)
+        patch.setattr("capsyn.subdivision.ledger.time", Clock)
         policy = subdivide(
             recorded, unit_box(), 3, **options,
             max_solves=most, max_memory=memory, max_seconds=seconds,
@@ -304,13 +304,11 @@ def test_solves_that_suffice_surely_are_not_counted(monkeypatch):
 @pytest.mark.parametrize("leaves", ["constant", "affine"])
 def test_a_time_budget_stops_after_a_block(leaves, monkeypatch, tmp_path):
     clock = itertools.count()
-    kind = "rounds" if leaves == "affine" else leaves
-    module = f"capsyn.subdivision.{kind}.time"
 
     class Clock:
         perf_counter = staticmethod(lambda: float(next(clock)))
 
-    monkeypatch.setattr(module, Clock)
+    monkeypatch.setattr("capsyn.subdivision.ledger.time", Clock)
     monkeypatch.setattr("capsyn.subdivision.rounds.ROUND_POINTS", 400)
     options = {"partitions": 3, "leaves": leaves, "max_level": 6, "leaf_error": 0.0}
     solves = []
@@ -334,8 +332,8 @@ def test_cells_that_a_budget_does_not_reach_stay_as_they_are():
     stops = itertools.chain([False] * 40, itertools.repeat(True))
 
     def used_up(self, parents, level):
-        self._stopped = "max_seconds" if level and next(stops) else ""
-        return bool(self._stopped)
+        self._ledger.stopped = "max_seconds" if level and next(stops) else ""
+        return bool(self._ledger.stopped)
 
     with in_blocks(2) as _, pytest.MonkeyPatch.context() as patch:
         patch.setattr("capsyn.subdivision.constant.ConstantSubdivision._used_up", used_up)

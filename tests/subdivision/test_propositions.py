@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 
 from capsyn import Box, subdivide
 from capsyn.errors import ProblemError
+from capsyn.modelling.grid import Grid
 from capsyn.subdivision import propositions as props
 from capsyn.subdivision.cell_points import CellPoints
 from capsyn.subdivision.limits import Limits
 from support.reference_subdivision import noise
 
-PAPER = ((9, 9), (2, 2))
+PAPER = Grid((9, 9), (2, 2), 0)
 CENTER = CellPoints.parse("vertices+center")
 
 
@@ -44,7 +45,7 @@ def always_mixed(level, partitions=9):
 def test_worst_case_solves_is_the_papers_and_bounds_the_true_worst_case(
     level, paper, distinct, one_axis_periodic
 ):
-    assert props.worst_case_solves((9, 9), (2, 2), level, 1) == paper
+    assert props.worst_case_solves(PAPER.at(level), 1) == paper
     for periodic, count in [((False, False), distinct), ((False, True), one_axis_periodic)]:
         box = unit_box(2, periodic)
         policy = subdivide(always_mixed(level), box, 2, partitions=9, max_level=level)
@@ -60,10 +61,9 @@ def test_worst_case_solves_is_the_papers_and_bounds_the_true_worst_case(
     interior=st.integers(0, 9),
 )
 def test_worst_case_solves_is_eq_10(q, r, level, interior):
-    refinement = [r] * len(q)
     vertices = math.prod(count * r**level + 1 for count in q)
     expected = vertices + (1 + (r ** len(q)) ** level) * math.prod(q) * interior
-    assert props.worst_case_solves(q, refinement, level, interior) == expected
+    assert props.worst_case_solves(Grid(tuple(q), (r,) * len(q), level), interior) == expected
 
 
 axes = st.lists(
@@ -134,40 +134,40 @@ def test_too_large_max_level_says_how_much_and_what_would_fit(monkeypatch, max_s
     monkeypatch.setattr(props, "available_memory", lambda: free)
     room = props.block_room(Limits())
     assert free // 8 < room <= free // 4
-    need = [props.worst_case_memory(*PAPER, k, CENTER, 1, max_solves, room) for k in range(8)]
+    need = [props.worst_case_memory(PAPER.at(k), CENTER, 1, max_solves, room) for k in range(8)]
     fits = max(k for k in range(8) if need[k] <= free)
     assert fits < 7 and need == sorted(need)
     with pytest.raises(ProblemError) as caught:
-        props.check_memory(*PAPER, fits + 1, CENTER, 1, Limits(max_solves))
+        props.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves))
     message = str(caught.value)
     assert "\n" not in message and message.startswith(f"`max_level` {fits + 1} ")
     assert f"{need[fits + 1] / 1e9:.3g} GB" in message and "0.02 GB is available" in message
     assert f"max_level <= {fits} fits" in message and "or `max_memory`" in message
-    props.check_memory(*PAPER, fits, CENTER, 1, Limits(max_solves))
-    props.check_memory(*PAPER, fits + 1, CENTER, 1, Limits(max_solves, memory_limit=need[-1]))
-    props.check_memory(*PAPER, fits + 1, CENTER, 1, Limits(max_solves, max_memory=free))
+    props.check_memory(PAPER.at(fits), CENTER, 1, Limits(max_solves))
+    props.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves, memory_limit=need[-1]))
+    props.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves, max_memory=free))
     with pytest.raises(ProblemError, match=r"0\.001 GB is allowed by `memory_limit`"):
-        props.check_memory(*PAPER, fits, CENTER, 1, Limits(max_solves, memory_limit=10**6))
+        props.check_memory(PAPER.at(fits), CENTER, 1, Limits(max_solves, memory_limit=10**6))
 
 
 def test_solves_that_are_said_to_fit_do(monkeypatch):
     monkeypatch.setattr(props, "available_memory", lambda: 10**7)
     for affine in (False, True):
         with pytest.raises(ProblemError, match="with `max_solves`") as caught:
-            props.check_memory(*PAPER, 9, CENTER, 1, Limits(memory_limit=4 * 10**8), affine)
+            props.check_memory(PAPER.at(9), CENTER, 1, Limits(memory_limit=4 * 10**8), affine)
         found = re.search(r"at most ([\d,]+)\)", str(caught.value))
         most = int(found[1].replace(",", ""))
         limits = Limits(most, memory_limit=4 * 10**8)
-        props.check_memory(*PAPER, 9, CENTER, 1, limits, affine)
+        props.check_memory(PAPER.at(9), CENTER, 1, limits, affine)
         with pytest.raises(ProblemError):
             limits = dataclasses.replace(limits, max_solves=3 * most)
-            props.check_memory(*PAPER, 9, CENTER, 1, limits, affine)
+            props.check_memory(PAPER.at(9), CENTER, 1, limits, affine)
 
 
 def test_no_solves_are_advised_that_level_0_exceeds():
     for affine, limit in ((False, 10**4), (True, 300_010_000)):
         with pytest.raises(ProblemError, match="or bound it with `max_memory`$"):
-            props.check_memory(*PAPER, 9, CENTER, 1, Limits(memory_limit=limit), affine)
+            props.check_memory(PAPER.at(9), CENTER, 1, Limits(memory_limit=limit), affine)
 
 
 def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
@@ -191,23 +191,24 @@ def test_root_grid_that_does_not_fit_asks_for_fewer_partitions(monkeypatch):
     fits = max(
         k
         for k in range(1, 9)
-        if props.worst_case_memory((k, k), (2, 2), 0, CENTER, 1, None, free // props.ROOM) <= free
+        if props.worst_case_memory(Grid((k, k), (2, 2), 0), CENTER, 1, None, free // props.ROOM)
+        <= free
     )
     advice = f"use fewer partitions: {fits} per axis fit at level 0"
     for level in (0, 3):
         with pytest.raises(ProblemError, match=advice):
-            props.check_memory((9, 9), (2, 2), level, CENTER, 1, Limits())
+            props.check_memory(PAPER.at(level), CENTER, 1, Limits())
     with pytest.raises(ProblemError, match=f"`max_memory` must be at least .*{fits} per axis fit"):
-        props.check_memory(*PAPER, 3, CENTER, 1, Limits(max_memory=free))
-    props.check_memory((fits, fits), (2, 2), 0, CENTER, 1, Limits())
+        props.check_memory(PAPER.at(3), CENTER, 1, Limits(max_memory=free))
+    props.check_memory(Grid((fits, fits), (2, 2), 0), CENTER, 1, Limits())
     monkeypatch.setattr(props, "available_memory", lambda: 100)
     with pytest.raises(ProblemError, match="no root grid fits, or bound it with `max_memory`"):
-        props.check_memory(*PAPER, 3, CENTER, 1, Limits())
+        props.check_memory(PAPER.at(3), CENTER, 1, Limits())
 
 
 def test_memory_that_suffices_refuses_nothing(monkeypatch):
     monkeypatch.setattr(props, "available_memory", lambda: 2**80)
-    props.check_memory((9,) * 6, (2,) * 6, 20, CENTER, 8, Limits())
+    props.check_memory(Grid((9,) * 6, (2,) * 6, 20), CENTER, 8, Limits())
 
 
 def test_available_memory_is_what_the_system_says():
@@ -248,9 +249,7 @@ def test_worst_case_memory_of_rounds(
     finally:
         tracemalloc.stop()
     assert peak < props.worst_case_rounds_memory(
-        (partitions,) * n,
-        (2,) * n,
-        level,
+        Grid((partitions,) * n, (2,) * n, level),
         CellPoints.parse(points),
         n_symbols + 1 if leaves == "affine" else 0,
         max_solves,
@@ -282,7 +281,7 @@ def test_worst_case_memory_bounds_what_is_taken(n, partitions, level, n_symbols,
     finally:
         tracemalloc.stop()
     bound = props.worst_case_memory(
-        (partitions,) * n, (2,) * n, level, CellPoints.parse(points), n_symbols
+        Grid((partitions,) * n, (2,) * n, level), CellPoints.parse(points), n_symbols
     )
     assert policy.statistics["cells"] > 0.75 * (partitions * 2**level) ** n  # a bad case indeed
     assert 0.3 * bound < peak < bound

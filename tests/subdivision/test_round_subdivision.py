@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from capsyn import Box, Policy, SsacSettings, agreement, problems, subdivide, synthesize
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError, SynthesisError
+from capsyn.modelling.grid import Grid
 from capsyn.subdivision.affine_fit import _used, fit_cells, point_weights
 from capsyn.subdivision.cell_points import CellPoints
-from capsyn.subdivision.growing_cells import lattice_level
+from capsyn.subdivision.growing_cells import row_grid
 
 
 def waves(n, symbols, seed, curvature=0.6):
@@ -416,20 +417,20 @@ def test_weights_see_the_mean_of_a_square():
     assert (point_weights(offsets, plain=True) == 1 / 9).all()
 
 
-def test_lattice_levels():
-    assert lattice_level((9,), (2,), 4) == 10  # 9 * 2^10 = 9,216 of 16,384 steps
-    assert lattice_level((3,) * 6, (2,) * 6, 1) == 12
-    assert lattice_level((100, 3), (2, 2), 1) == 11  # 204,800 and 6,144
-    assert lattice_level((1000,), (2,), 10) == 13  # eight steps along a finest cell
-    assert lattice_level((5,), (100,), 2) == 3
-    assert lattice_level((1,), (2,), 22) == 25
+def test_lattice_levels_of_rows():
+    assert row_grid(Grid((9,), (2,), 4)).max_level == 10  # 9 * 2^10 = 9,216 of 16,384 steps
+    assert row_grid(Grid((3,) * 6, (2,) * 6, 1)).max_level == 12
+    assert row_grid(Grid((100, 3), (2, 2), 1)).max_level == 11  # 204,800 and 6,144
+    assert row_grid(Grid((1000,), (2,), 10)).max_level == 13  # eight steps along a finest cell
+    assert row_grid(Grid((5,), (100,), 2)).max_level == 3
+    assert row_grid(Grid((1,), (2,), 22)).max_level == 25
     too_high = "^`max_level` {} is too high for affine leaves: {}$"
     for partitions, level, fits in (((1,), 30, 22), ((1,), 23, 22), ((1, 1), 22, 21)):
         with pytest.raises(ProblemError, match=too_high.format(level, f"max_level <= {fits} fits")):
-            lattice_level(partitions, (2,) * len(partitions), level)
-        assert lattice_level(partitions, (2,) * len(partitions), fits) == fits + 3
+            row_grid(Grid(partitions, (2,) * len(partitions), level))
+        assert row_grid(Grid(partitions, (2,) * len(partitions), fits)).max_level == fits + 3
     with pytest.raises(ProblemError, match=too_high.format(0, "use fewer partitions")):
-        lattice_level((2**30,), (2,), 0)
+        row_grid(Grid((2**30,), (2,), 0))
 
 
 @pytest.mark.parametrize("level", [8, 20])

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from capsyn import Box, subdivide
 from capsyn.errors import PolicyFormatError, ProblemError
-from capsyn.policies.file import arrays_of
 from capsyn.subdivision.cell_points import CellPoints
 from capsyn.subdivision.rounds import RoundSubdivision
 from capsyn.subdivision.split_axes import SplitAxes
@@ -197,7 +196,7 @@ def test_the_result_depends_on_neither_rounds_nor_threads(leaves, monkeypatch):
     monkeypatch.setattr("capsyn.subdivision.rounds.CHUNK_SCORES", 2_000)
     again = subdivide(curved, unit_box(4), 2, **options)
     assert again.statistics["solves"] == whole.statistics["solves"]
-    found, wanted = arrays_of(again), arrays_of(whole)
+    found, wanted = again.cells.arrays(), whole.cells.arrays()
     assert found.keys() == wanted.keys()
     assert all(np.array_equal(found[name], wanted[name]) for name in wanted)
 

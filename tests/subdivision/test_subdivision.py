@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from capsyn import Alphabet, Box, problems, subdivide, synthesize
 from capsyn.errors import ProblemError, SynthesisError
+from capsyn.modelling.grid import Grid
 from capsyn.subdivision import lattice_points
 from capsyn.subdivision.cell_points import CellPoints
 from capsyn.subdivision.propositions import worst_case_solves
@@ -132,7 +133,7 @@ def cases(draw):
     r = tuple(draw(st.lists(st.integers(2, 3), **each)))
     points = draw(st.sampled_from(FIXED_POINTS))
     interior = CellPoints.parse(points).interior(n)
-    fits = [k for k in range(5) if k == 0 or worst_case_solves(q, r, k, interior) <= 1500]
+    fits = [k for k in range(5) if k == 0 or worst_case_solves(Grid(q, r, k), interior) <= 1500]
     lower = draw(st.lists(st.floats(-10, 10), **each))
     widths = draw(st.lists(st.floats(0.01, 10), **each))
     upper = [low + width for low, width in zip(lower, widths)]

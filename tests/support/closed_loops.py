@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 
 from capsyn import Box, Policy, Problem, SsacSettings, problems
 from capsyn.cells.cell_tree import CellTree
+from capsyn.modelling.grid import Grid
 from capsyn.modelling.transcription import transcribe, transcribe_target
 
 BACKENDS = ["c", "numpy"]
@@ -23,7 +24,7 @@ def grid(labels: Sequence[int], partitions: Sequence[int]) -> CellTree:
     """Return a tree without splits from the labels of its cells, in C order; N is the default."""
     entries = (-1 - np.asarray(labels)).astype(np.int32)
     none = np.zeros(0, np.int32), np.zeros(0, np.uint64)
-    return CellTree(tuple(partitions), (2,) * len(partitions), 0, entries, *none)
+    return CellTree(Grid(tuple(partitions), (2,) * len(partitions), 0), entries, *none)
 
 
 def grid_policy(

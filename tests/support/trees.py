@@ -10,7 +10,7 @@ import numpy as np
 from capsyn import Alphabet, Box, Policy
 from capsyn.cells.affine_leaves import AffineLeaves
 from capsyn.cells.cell_tree import CellTree
-from capsyn.modelling.grid import lattice_counts
+from capsyn.modelling.grid import Grid
 
 GRIDS = [
     ((1,), (2,), 0),
@@ -66,9 +66,7 @@ def random_tree(
     seen = rng.integers(0, 2**leaf_count, len(mixed), dtype=np.uint64)
     seen |= np.uint64(1) << (-1 - entries[mixed]).astype(np.uint64)
     return CellTree(
-        partitions,
-        refinement,
-        max_level,
+        Grid(partitions, refinement, max_level),
         entries.astype(np.int32),
         mixed.astype(np.int32),
         seen,
@@ -114,7 +112,8 @@ def random_affine_tree(
     """Return a random tree with about half its leaves affine, on a lattice one level finer."""
     rng = np.random.default_rng([7, seed])
     tree = random_tree(partitions, refinement, max_level, labels, seed=seed, some_axes=some_axes)
-    counts = lattice_counts(partitions, refinement, max_level + 1)
+    grid = Grid(partitions, refinement, max_level + 1)
+    counts = grid.counts
     entries = tree.entries.copy()
     chosen = rng.random(len(entries)) < 0.5
     chosen[-1] = True  # the last cell is a leaf
@@ -133,9 +132,7 @@ def random_affine_tree(
     )
     seen = tree.mixed_labels | np.uint64(2**labels - 1)
     return CellTree(
-        partitions,
-        refinement,
-        max_level + 1,
+        grid,
         entries,
         tree.mixed_cells,
         seen,

@@ -12,6 +12,7 @@ from capsyn import Alphabet, Box, Policy, Problem, SsacSettings, problems, subdi
 from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
+from capsyn.modelling.grid import Grid
 from capsyn.statistics import clopper_pearson
 from capsyn.verification import agreement as module
 from capsyn.verification.agreement import agreement
@@ -270,7 +271,7 @@ def test_one_state_and_the_default():
 
 def test_an_alphabet_of_63_symbols():
     nothing = np.zeros(0, np.int32), np.zeros(0, np.uint64)
-    tree = CellTree((64,), (2,), 0, -1 - np.arange(64, dtype=np.int32), *nothing)
+    tree = CellTree(Grid((64,), (2,), 0), -1 - np.arange(64, dtype=np.int32), *nothing)
     policy = Policy("many", Box([0.0], [64.0]), Alphabet(range(63)), 0.5, tree)
     found = agreement(policy, 2000, controller=lambda x: np.floor(x[:, 0]).astype(int) % 63)
     last = np.floor(policy.domain.sample(2000)) == 63

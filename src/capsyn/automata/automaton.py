@@ -11,7 +11,6 @@ import numpy as np
 from capsyn.automata.face_rates import POSSIBLE, SLIDING, UNDECIDED
 from capsyn.automata.regions import Partitions, Region, connected_partitions, regions
 from capsyn.automata.switching import Switching, switching
-from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
 from capsyn.policies.policy import Policy
@@ -139,14 +138,13 @@ class Automaton:
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
         if policy.has_planes:
-            what = "affine leaves" if isinstance(policy.cells, CellTree) else "oblique splits"
             raise ProblemError(
                 f"`policy` must have cells of one symbol each or splits along the axes; {policy!r} "
-                f"has {what}"
+                f"has {policy.cells.planes_are}"
             )
         partitions = connected_partitions(policy.cells, policy.domain.periodic)
-        found = tuple(regions(policy.cells, partitions))
-        vertices = tuple(region.label for region in found)
+        areas = tuple(regions(policy.cells, partitions))
+        vertices = tuple(region.label for region in areas)
         names = (*policy.alphabet.names, policy.symbol_name(-1))
         analysis = None if policy.model is None else switching(policy)
         return Automaton(
@@ -157,7 +155,7 @@ class Automaton:
             vertices=vertices,
             names=tuple(names[label] for label in vertices),
             controls=policy.controls[list(vertices)],
-            regions=found,
+            regions=areas,
             edges=_edges(vertices, analysis),
             partitions=partitions,
             switching=analysis,
@@ -192,19 +190,19 @@ class Automaton:
 
         Without a model it is not known, and there are none.
         """
-        found, domain = self.switching, self.domain
-        if found is None:
+        analysis, domain = self.switching, self.domain
+        if analysis is None:
             return []
-        area = found.areas * found.shares[:, SLIDING]
-        rows = np.flatnonzero(found.found[:, SLIDING] == POSSIBLE)
+        area = analysis.areas * analysis.shares[:, SLIDING]
+        rows = np.flatnonzero(analysis.statuses[:, SLIDING] == POSSIBLE)
         rows = rows[np.argsort(-area[rows], kind="stable")]
-        lower = domain.points(found.faces.lower[rows], self.counts)
-        upper = domain.points(found.faces.upper[rows], self.counts)
-        axes, pairs = found.faces.axis[rows].tolist(), found.labels[rows].tolist()
+        lower = domain.points(analysis.faces.lower[rows], self.counts)
+        upper = domain.points(analysis.faces.upper[rows], self.counts)
+        axes, pairs = analysis.faces.axis[rows].tolist(), analysis.labels[rows].tolist()
         return [
             SlidingFace(axis, tuple(low), tuple(high), below, above, share)
             for axis, low, high, (below, above), share in zip(
-                axes, lower.tolist(), upper.tolist(), pairs, found.shares[rows, SLIDING].tolist()
+                axes, lower.tolist(), upper.tolist(), pairs, analysis.shares[rows, SLIDING].tolist()
             )
         ]
 
@@ -219,7 +217,7 @@ class Automaton:
 
         Of the sliding faces, the first `TOLD`.
         """
-        found = self.switching
+        analysis = self.switching
         labels = self.partitions.labels
         return {
             "name": self.name,
@@ -251,13 +249,13 @@ class Automaton:
             ],
             "partitions": len(self.partitions),
             "switching": None
-            if found is None
+            if analysis is None
             else {
-                "faces": len(found.faces),
-                "rate": found.rate,
-                "sliding_rate": float(found.sliding_rates.sum()),
-                "sliding_share": found.sliding_share,
-                "exit_rate": float(found.exit_rates.sum()),
+                "faces": len(analysis.faces),
+                "rate": analysis.rate,
+                "sliding_rate": float(analysis.sliding_rates.sum()),
+                "sliding_share": analysis.sliding_share,
+                "exit_rate": float(analysis.exit_rates.sum()),
                 "sliding_faces": [vars(face) for face in self.sliding_faces()[:TOLD]],
             },
         }
@@ -342,27 +340,27 @@ def edges_between(policy: Policy, vertices: Sequence[int]) -> tuple[Edge, ...]:
     return _edges(vertices, None if policy.model is None else switching(policy))
 
 
-def _edges(vertices: Sequence[int], found: Switching | None) -> tuple[Edge, ...]:
+def _edges(vertices: Sequence[int], analysis: Switching | None) -> tuple[Edge, ...]:
     return tuple(
-        _edge(source, target, place, found)
+        _edge(source, target, place, analysis)
         for source in vertices
         for place, target in enumerate(vertices)
     )
 
 
-def _edge(source: int, target: int, region: int, found: Switching | None) -> Edge:
+def _edge(source: int, target: int, region: int, analysis: Switching | None) -> Edge:
     if source == target:
         return Edge(source, target, region, True, False)
-    if found is None:
+    if analysis is None:
         return Edge(source, target, region)
     return Edge(
         source,
         target,
         region,
-        _known(found.switches[source, target]),
-        _known(found.slidings[source, target]),
-        float(found.switch_rates[source, target]),
-        float(found.sliding_rates[source, target]),
+        _known(analysis.switches[source, target]),
+        _known(analysis.slidings[source, target]),
+        float(analysis.switch_rates[source, target]),
+        float(analysis.sliding_rates[source, target]),
     )
 
 

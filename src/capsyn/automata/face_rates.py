@@ -110,21 +110,21 @@ class AxisFaces:
         return np.where(np.isfinite(rates) & (np.abs(rates) > SLOWEST), rates, 0.0)
 
     def decided(self, points: np.ndarray) -> np.ndarray:
-        """Return `Switching.found` (F, 3).
+        """Return `Switching.statuses` (F, 3).
 
         Faces that the given points (3, n, F) do not decide are halved until bounds do.
         """
         count = self.low.shape[1]
-        found = np.zeros((count, 3), dtype=bool)
+        occurring = np.zeros((count, 3), dtype=bool)
         everything = np.arange(count)
         for k in range(3):
-            found[:, k] = self._occurs(points[k], points[k], everything)[0][:, k]
-        face = np.flatnonzero(~found.all(axis=1))
+            occurring[:, k] = self._occurs(points[k], points[k], everything)[0][:, k]
+        face = np.flatnonzero(~occurring.all(axis=1))
         low, high = self.low[:, face], self.high[:, face]
         for turn in range(DEPTH * len(self.others)):
             shown, excluded = self._occurs(low, high, face)
-            np.logical_or.at(found, face, shown)
-            busy = (~found[face] & ~excluded).any(axis=1)
+            np.logical_or.at(occurring, face, shown)
+            busy = (~occurring[face] & ~excluded).any(axis=1)
             face, low, high = face[busy], low[:, busy], high[:, busy]
             if not len(face) or 2 * len(face) > MAX_PARTS:
                 break
@@ -133,10 +133,10 @@ class AxisFaces:
             low, high, face = np.tile(low, 2), np.tile(high, 2), np.tile(face, 2)
             high[cut, :half] = low[cut, half:] = middle
         shown, excluded = self._occurs(low, high, face)
-        np.logical_or.at(found, face, shown)
+        np.logical_or.at(occurring, face, shown)
         left = np.zeros((count, 3), dtype=bool)
         np.logical_or.at(left, face, ~excluded)
-        return np.where(found, POSSIBLE, np.where(left, UNDECIDED, IMPOSSIBLE)).astype(np.int8)
+        return np.where(occurring, POSSIBLE, np.where(left, UNDECIDED, IMPOSSIBLE)).astype(np.int8)
 
     def _occurs(
         self, low: np.ndarray, high: np.ndarray, face: np.ndarray

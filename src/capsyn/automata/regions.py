@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.automata.rectangles import fewest_rectangles
-from capsyn.cells.cell_tree import CellTree, ragged
+from capsyn.cells.cell_tree import CellTree, digits_of, ragged
 from capsyn.cells.faces import shared_faces
 from capsyn.cells.split_tree import SplitTree
 from capsyn.modelling.domain import Box
@@ -122,15 +122,15 @@ def connected_partitions(
     faces = shared_faces(cells, lambda a, b: label_at[a] == label_at[b], periodic)
     rows = np.searchsorted(places, faces.below), np.searchsorted(places, faces.above)
     graph = coo_array((np.ones(len(faces), dtype=bool), rows), shape=(len(places),) * 2)
-    count, found = connected_components(graph, directed=False)
+    count, component = connected_components(graph, directed=False)
     first = np.full(count, len(places))
-    np.minimum.at(first, found, np.arange(len(places)))
-    volumes = np.bincount(found, boxes.volumes()[order], minlength=count)
+    np.minimum.at(first, component, np.arange(len(places)))
+    volumes = np.bincount(component, boxes.volumes()[order], minlength=count)
     rank = np.lexsort((first, -volumes, labels[first]))
     number = np.empty(count, dtype=np.int64)
     number[rank] = np.arange(count)
     shares = volumes[rank] / np.prod(np.array(cells.counts, dtype=float))
-    return Partitions(places, number[found], labels[first][rank], shares)
+    return Partitions(places, number[component], labels[first][rank], shares)
 
 
 def regions(cells: CellTree | SplitTree, partitions: Partitions) -> list[Region]:
@@ -146,13 +146,15 @@ def regions(cells: CellTree | SplitTree, partitions: Partitions) -> list[Region]
     boxes = cells.boxes()
     lower, upper, labels = merged_boxes(boxes.lower, boxes.upper, boxes.labels, cells.counts)
     members = partitions.of(cells.find(lower))
-    made = np.bincount(boxes.labels)
-    result = []
+    cell_counts = np.bincount(boxes.labels)
+    areas = []
     for label in np.unique(labels).tolist():
         own = labels == label
         share = float(partitions.shares[partitions.labels == label].sum())
-        result.append(Region(label, lower[own], upper[own], members[own], int(made[label]), share))
-    return result
+        areas.append(
+            Region(label, lower[own], upper[own], members[own], int(cell_counts[label]), share)
+        )
+    return areas
 
 
 def merged_boxes(
@@ -208,7 +210,7 @@ def _fewest_in_the_plane(boxes: _Boxes) -> _Boxes | None:
     shape = len(ticks[0]), len(ticks[1])
     if shape[0] * shape[1] > MAX_COLUMNS:
         return None
-    found = []
+    parts = []
     for label in np.unique(boxes.labels):
         own = boxes.take(boxes.labels == label)
         low, high = (
@@ -223,8 +225,8 @@ def _fewest_in_the_plane(boxes: _Boxes) -> _Boxes | None:
             np.stack([ticks[i][corner[:, i]] for i in range(2)], axis=1)
             for corner in fewest_rectangles(inside)
         ]
-        found.append(_Boxes(corners[0], corners[1], np.full(len(corners[0]), label)))
-    return _joined(found)
+        parts.append(_Boxes(corners[0], corners[1], np.full(len(corners[0]), label)))
+    return _joined(parts)
 
 
 def _fewest_of_orders(boxes: _Boxes, counts: Sequence[int]) -> _Boxes:
@@ -252,14 +254,12 @@ def _starts(boxes: _Boxes, axis: int) -> Iterator[_Boxes]:
     areas = np.prod(sizes, axis=1, dtype=float)
     if areas.sum() > MAX_COLUMNS:
         return
-    source, offset = ragged(areas.astype(np.int64))
+    source, number = ragged(areas.astype(np.int64))
     columns = boxes.take(source)
-    for i in range(boxes.lower.shape[1]):
-        if i != axis:
-            offset, step = np.divmod(offset, sizes[source, i])
-            columns.lower[:, i] += step.astype(np.int32)
-            columns.upper[:, i] = columns.lower[:, i] + 1
-    yield columns
+    lower = columns.lower + digits_of(number, sizes[source]).astype(np.int32)
+    upper = lower + 1
+    upper[:, axis] = columns.upper[:, axis]
+    yield _Boxes(lower, upper, columns.labels)
 
 
 def _fewer(one: _Boxes, two: _Boxes) -> _Boxes:

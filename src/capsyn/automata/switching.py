@@ -71,7 +71,7 @@ class Switching:
         Symbols below and above, N for the default control.
     areas : (F,)
         Areas, in those of the domain's cross-sections: each axis is 1 long.
-    found : (F, 3)
+    statuses : (F, 3)
         Whether the loop reaches a face from below, from above, and slides in it: `IMPOSSIBLE`,
         `UNDECIDED` or `POSSIBLE`. The first and the last are proved by interval arithmetic.
     shares : (F, 4)
@@ -98,7 +98,7 @@ class Switching:
     faces: Faces
     labels: np.ndarray
     areas: np.ndarray
-    found: np.ndarray
+    statuses: np.ndarray
     shares: np.ndarray
     switches: np.ndarray
     slidings: np.ndarray
@@ -151,7 +151,7 @@ def switching(policy: Policy) -> Switching:
     low, high = domain.points(faces.lower, cells.counts), domain.points(faces.upper, cells.counts)
 
     shares, flows = np.empty((len(faces), 4)), np.empty((len(faces), 4))
-    found = np.empty((len(faces), 3), dtype=np.int8)
+    statuses = np.empty((len(faces), 3), dtype=np.int8)
     areas = np.empty(len(faces))
     exits = np.zeros(number)
     for axis in range(domain.n):
@@ -162,7 +162,7 @@ def switching(policy: Policy) -> Switching:
         some = AxisFaces(policy, axis, low[own].T, high[own].T, sides, labels[own].T)
         areas[own] = some.areas
         shares[own], flows[own], points = some.sampled()
-        found[own] = some.decided(points)
+        statuses[own] = some.decided(points)
         exits += _exits(policy, axis, boxes.lower, boxes.upper, boxes.labels)
 
     def total(values: np.ndarray, downward: bool) -> np.ndarray:
@@ -170,8 +170,8 @@ def switching(policy: Policy) -> Switching:
         np.add.at(table, tuple(labels.T[::-1] if downward else labels.T), values)
         return table
 
-    switches, slidings = _tables(labels, found, number)
-    slides = np.flatnonzero(found[:, SLIDING] != IMPOSSIBLE)
+    switches, slidings = _tables(labels, statuses, number)
+    slides = np.flatnonzero(statuses[:, SLIDING] != IMPOSSIBLE)
     ends = np.where(domain.periodic, cells.counts, 0)
     around = _around_sliding(faces, labels, slides, ends, number)
     switches[around & (switches == IMPOSSIBLE)] = UNDECIDED
@@ -179,7 +179,7 @@ def switching(policy: Policy) -> Switching:
         faces=faces,
         labels=labels,
         areas=areas,
-        found=found,
+        statuses=statuses,
         shares=shares,
         switches=switches,
         slidings=slidings,
@@ -213,13 +213,13 @@ def _pieces(faces: Faces, counts: Sequence[int]) -> Faces:
     return Faces(faces.axis[source], lower, upper, faces.below[source], faces.above[source])
 
 
-def _tables(labels: np.ndarray, found: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
+def _tables(labels: np.ndarray, statuses: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
     """Return whether symbols switch and slide on any of the faces, (N + 1, N + 1) each."""
     switches, slidings = np.zeros((2, number, number), dtype=np.int8)
     below, above = labels.T
-    np.maximum.at(switches, (below, above), found[:, UPWARD])
-    np.maximum.at(switches, (above, below), found[:, DOWNWARD])
-    np.maximum.at(slidings, (below, above), found[:, SLIDING])
+    np.maximum.at(switches, (below, above), statuses[:, UPWARD])
+    np.maximum.at(switches, (above, below), statuses[:, DOWNWARD])
+    np.maximum.at(slidings, (below, above), statuses[:, SLIDING])
     return switches, np.maximum(slidings, slidings.T)
 
 

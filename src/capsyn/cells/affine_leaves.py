@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.errors import PolicyFormatError
+from capsyn.validation import keep_read_only
 
 LARGEST_SUM = 2**30 - 1
 """Most that a row may come to anywhere on the lattice; differences of rows fit 32 bits."""
@@ -48,10 +49,7 @@ class AffineLeaves:
     slopes: np.ndarray
 
     def __post_init__(self) -> None:
-        for name in ("starts", "symbols", "constants", "slopes"):
-            frozen = getattr(self, name).view()
-            frozen.flags.writeable = False
-            object.__setattr__(self, name, frozen)
+        keep_read_only(self, "starts", "symbols", "constants", "slopes")
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the tables by the names of `ROW_ARRAYS`."""

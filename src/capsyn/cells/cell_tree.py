@@ -3,72 +3,23 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from capsyn.cells.affine_leaves import AffineLeaves
+from capsyn.cells.boxes import Boxes, Cells
 from capsyn.errors import PolicyFormatError, ProblemError
-from capsyn.modelling.grid import lattice_counts
+from capsyn.modelling.grid import Grid, grid_places
+from capsyn.validation import keep_read_only
 
 MAX_MASKED = 16
 """Most axes of a tree whose cells are split along some of them only."""
-
-
-class Cells(NamedTuple):
-    """All cells of one level, or the leaves among them.
-
-    Parameters
-    ----------
-    level : int
-        Level of subdivision, 0 for the root grid.
-    places : (M,)
-        Their places in ``CellTree.entries``.
-    lower, sizes : (M, n)
-        Integer coordinates of their lower corners, and their edge lengths, in finest cells.
-    """
-
-    level: int
-    places: np.ndarray
-    lower: np.ndarray
-    sizes: np.ndarray
-
-    def where(self, chosen: np.ndarray) -> Cells:
-        """Return the chosen cells, booleans (M,)."""
-        return Cells(self.level, self.places[chosen], self.lower[chosen], self.sizes[chosen])
-
-
-@dataclass(frozen=True, eq=False)
-class Boxes:
-    """Labelled boxes of the lattice, ``lower <= z < upper``, that tile it.
-
-    Parameters
-    ----------
-    places : (M,)
-        What ``find`` gives for the lattice points in them.
-    lower, upper : (M, n)
-        Integer corners, in finest cells.
-    labels : (M,)
-        Leaf numbers: symbols, and N for the default.
-    levels : (M,)
-        Levels of subdivision.
-    """
-
-    places: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    labels: np.ndarray
-    levels: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.labels)
-
-    def volumes(self) -> np.ndarray:
-        """Return the finest cells in each box, (M,) floats."""
-        return np.prod(self.upper - self.lower, axis=1, dtype=float)
+CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
+SPLIT_ARRAYS = {"splits": np.uint16}
+"""The arrays as files and kernels call them; `splits` where cells are split along some axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +28,9 @@ class CellTree:
 
     Parameters
     ----------
-    partitions, refinement : (n,) ints
-        Cells of the root grid per axis, and children of a split cell per axis (>= 2) that it is
-        split along.
-    max_level : int
-        Most times that a cell may be split along an axis.
+    grid : Grid
+        Cells of the root grid per axis, children of a split cell per axis that it is split along,
+        and most times that a cell may be split along an axis.
     entries : (M,) int32
         The root grid in C order, then blocks of children in C order, level by level: ``refinement``
         along each axis that the cell is split along. An entry >= 0 is the place of its block; an
@@ -93,47 +42,91 @@ class CellTree:
         For each of them the set of labels seen, as a bit mask, with those of its rows.
     affine : AffineLeaves, optional
         The affine leaves, numbered in the order of their entries. Their rows are values on the
-        lattice of finest cells; `max_level` is then that of the lattice, and no cell may be split
-        so often.
+        lattice of finest cells; the grid's `max_level` is then that of the lattice, and no cell may
+        be split so often.
     splits : (M,) uint16, optional
         The axes that each cell is split along, as a bit mask, 0 for leaves. Without it all of them.
     """
 
-    partitions: tuple[int, ...]
-    refinement: tuple[int, ...]
-    max_level: int
+    grid: Grid
     entries: np.ndarray
     mixed_cells: np.ndarray
     mixed_labels: np.ndarray
     affine: AffineLeaves | None = None
     splits: np.ndarray | None = None
 
+    kind: ClassVar[str] = "cells"
+    planes_are: ClassVar[str] = "affine leaves"
+
     def __post_init__(self) -> None:
-        for name in ("entries", "mixed_cells", "mixed_labels", "splits"):
-            if getattr(self, name) is None:
-                continue
-            frozen = getattr(self, name).view()
-            frozen.flags.writeable = False
-            object.__setattr__(self, name, frozen)
+        keep_read_only(self, *CELL_ARRAYS, *SPLIT_ARRAYS)
 
     @property
     def n(self) -> int:
         """Number of axes."""
-        return len(self.partitions)
+        return self.grid.n
+
+    @property
+    def partitions(self) -> tuple[int, ...]:
+        """Cells of the root grid along each axis."""
+        return self.grid.partitions
+
+    @property
+    def refinement(self) -> tuple[int, ...]:
+        """Children of a split cell along each axis that it is split along."""
+        return self.grid.refinement
+
+    @property
+    def max_level(self) -> int:
+        """Most times that a cell may be split along an axis."""
+        return self.grid.max_level
 
     @property
     def counts(self) -> tuple[int, ...]:
         """Finest cells along each axis."""
-        return lattice_counts(self.partitions, self.refinement, self.max_level)
+        return self.grid.counts
 
     @property
     def node_count(self) -> int:
         """Number of entries: leaf cells and blocks."""
         return len(self.entries)
 
+    @property
+    def has_planes(self) -> bool:
+        """Whether planes that are oblique to the axes bound symbols: those of affine leaves."""
+        return self.affine is not None
+
+    @property
+    def nested(self) -> bool:
+        """Whether of two neighbours the face of one lies in that of the other."""
+        return self.splits is None
+
+    @property
+    def disagreeing(self) -> np.ndarray:
+        """Leaf entries whose test points did not agree."""
+        return self.mixed_cells
+
+    def structure(self) -> dict[str, Any]:
+        """Return what a file says of the cells beside their arrays, as plain data."""
+        return self.grid.to_json()
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays by their names in a file."""
+        arrays = {name: getattr(self, name) for name in CELL_ARRAYS}
+        if self.splits is not None:
+            arrays["splits"] = self.splits
+        return arrays | ({} if self.affine is None else self.affine.arrays())
+
+    def lookup_arguments(self) -> dict[str, Any]:
+        """Return what lookup.c knows of the cells: numbers, and arrays, by name."""
+        grid = {name: np.array(getattr(self, name)) for name in ("partitions", "refinement")}
+        rows = {} if self.affine is None else {"affine": self.affine.first, **self.affine.arrays()}
+        splits = {} if self.splits is None else {"splits": self.splits}
+        return {**grid, "entries": self.entries, **splits, **rows}
+
     def sizes(self, level: int) -> np.ndarray:
         """Return the edge lengths (n,) of cells split `level` times along each axis."""
-        return np.array([r ** (self.max_level - level) for r in self.refinement], dtype=np.int64)
+        return self.grid.sizes(level)
 
     def factors(self, places: np.ndarray) -> np.ndarray:
         """Return into how many children along each axis (M, n) split cells (M,) are split."""
@@ -153,10 +146,7 @@ class CellTree:
             factors = self.factors(place)
             size = size // factors
             digits, rest = np.divmod(rest, size)
-            child = digits[:, 0]
-            for i in range(1, self.n):
-                child = child * factors[:, i] + digits[:, i]
-            place = self.entries[place] + child
+            place = self.entries[place] + number_of(digits, factors)
             entry[active] = place
             deeper = self.entries[place] >= 0
             active, rest, size = active[deeper], rest[deeper], size[deeper]
@@ -180,8 +170,7 @@ class CellTree:
 
     def levels(self) -> Iterator[Cells]:
         """Yield all cells, level by level: those of the root grid, their children, and so on."""
-        offsets = np.stack(np.unravel_index(np.arange(math.prod(self.partitions)), self.partitions))
-        lower = offsets.T * self.sizes(0)
+        lower = grid_places(self.partitions) * self.sizes(0)
         here = Cells(0, np.arange(len(lower)), lower, np.broadcast_to(self.sizes(0), lower.shape))
         while len(here.places):
             yield here
@@ -193,10 +182,7 @@ class CellTree:
         parent, number = ragged(np.prod(factors, axis=1))
         places = self.entries[parents.places][parent] + number
         sizes = (parents.sizes // factors)[parent]
-        lower = parents.lower[parent]
-        for i in reversed(range(self.n)):
-            number, digit = np.divmod(number, factors[parent, i])
-            lower[:, i] += digit * sizes[:, i]
+        lower = parents.lower[parent] + digits_of(number, factors[parent]) * sizes
         return Cells(parents.level + 1, places, lower, sizes)
 
     def leaves(self) -> Iterator[Cells]:
@@ -220,13 +206,33 @@ class CellTree:
         volumes = [np.prod(cells.sizes, axis=1, dtype=float) for cells in leaves]
         return np.concatenate([cells.places for cells in leaves]), np.concatenate(volumes)
 
-    def boxes(self) -> Boxes:
-        """Return the leaf cells as boxes, level by level; `ProblemError` where some are affine."""
+    def layers(self) -> list[np.ndarray]:
+        """Return the places of the cells of each level, which stand side by side."""
+        return [cells.places for cells in self.levels()]
+
+    def leaf_labels(self) -> np.ndarray:
+        """Return the labels of all leaves; `ProblemError` where some are affine."""
+        self._check_constant()
+        return self.labels_at(np.flatnonzero(self.entries < 0))
+
+    def finest(self, places: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """Return whether leaf entries (M,) with edge lengths (M, n) are as fine as cells get."""
+        finest = sizes == 1
+        if self.splits is None:
+            return finest.all(axis=1)
+        # mixed cells are as fine as they get along the axes along which labels vary
+        return finest.any(axis=1) | np.isin(places, self.mixed_cells)
+
+    def _check_constant(self) -> None:
         if self.affine is not None:
             raise ProblemError(
                 "a policy with affine leaves has no boxes of one symbol each; "
                 "synthesize with leaves='constant' for this"
             )
+
+    def boxes(self) -> Boxes:
+        """Return the leaf cells as boxes, level by level; `ProblemError` where some are affine."""
+        self._check_constant()
         leaves = list(self.leaves())
         places, lower, sizes = (
             np.concatenate([getattr(cells, name) for cells in leaves])
@@ -258,13 +264,8 @@ class CellTree:
             first = (lower - corner) // size
             counts = (upper - 1 - corner) // size - first + 1  # of children that a box meets
             parent, number = ragged(np.prod(counts, axis=1))
-            digits = np.empty((len(parent), self.n), dtype=np.int64)
-            for i in reversed(range(self.n)):
-                number, digits[:, i] = np.divmod(number, counts[parent, i])
-            digits += first[parent]
-            child = digits[:, 0]
-            for i in range(1, self.n):
-                child = child * factors[parent, i] + digits[:, i]
+            digits = digits_of(number, counts[parent]) + first[parent]
+            child = number_of(digits, factors[parent])
             place, box, size = self.entries[place[parent]] + child, box[parent], size[parent]
             corner = corner[parent] + digits * size
             lower = np.maximum(lower[parent], corner)
@@ -289,7 +290,7 @@ class CellTree:
         entries, n = self.entries, self.n
         if self.splits is not None:
             self._check_splits()
-        end = math.prod(self.partitions)
+        end = self.grid.roots
         if len(entries) < end:
             raise PolicyFormatError(f"{len(entries)} cells are fewer than the root grid's {end}")
         # how often the cells have been split along each axis
@@ -364,6 +365,22 @@ def ragged(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the row and the place in it, (sum,) each, of the items of rows of `counts` (M,)."""
     row = np.repeat(np.arange(len(counts)), counts)
     return row, np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
+
+
+def digits_of(numbers: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Return where cells (M,), numbered in C order, are in blocks of some shapes, both (M, n)."""
+    digits = np.empty(shapes.shape, dtype=np.int64)
+    for i in reversed(range(shapes.shape[1])):
+        numbers, digits[:, i] = np.divmod(numbers, shapes[:, i])
+    return digits
+
+
+def number_of(digits: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Return the numbers (M,) of cells; the inverse of `digits_of`."""
+    numbers = digits[:, 0]
+    for i in range(1, shapes.shape[1]):
+        numbers = numbers * shapes[:, i] + digits[:, i]
+    return numbers
 
 
 def axes_of(masks: np.ndarray, n: int) -> np.ndarray:

@@ -54,13 +54,12 @@ def shared_faces(
         Axes whose ends meet. Default: none.
     """
     boxes, counts = cells.boxes(), cells.counts
-    found = []
-    nested = isinstance(cells, CellTree) and cells.splits is None  # of two cells one is the smaller
+    faces = []
     level = np.zeros(cells.node_count, dtype=np.int16)
     level[boxes.places] = boxes.levels
     for axis in range(cells.n):
         wraps = periodic is not None and periodic[axis]
-        for side in (-1, 1) if nested else (1,):
+        for side in (-1, 1) if cells.nested else (1,):
             at = (boxes.lower if side < 0 else boxes.upper)[:, axis]
             inside = (at > 0) & (at < counts[axis])
             some = np.flatnonzero(inside | wraps)
@@ -68,7 +67,7 @@ def shared_faces(
             lower, upper = boxes.lower[some], boxes.upper[some]
             lower[:, axis] = beyond
             upper[:, axis] = beyond + 1
-            if nested:
+            if cells.nested:  # of two cells one is the smaller
                 # a face is told once: by the smaller cell, of equals by the upper one
                 other = cells.find(lower)
                 tells = boxes.levels[some] + (side < 0) > level[other]
@@ -81,5 +80,5 @@ def shared_faces(
             kept = keep(below, above) & (own != other)
             some, below, above, lower, upper = (x[kept] for x in (some, below, above, lower, upper))
             lower[:, axis] = upper[:, axis] = at[some] % counts[axis]
-            found.append((np.full(len(some), axis), lower, upper, below, above))
-    return Faces(*(np.concatenate(parts) for parts in zip(*found)))
+            faces.append((np.full(len(some), axis), lower, upper, below, above))
+    return Faces(*(np.concatenate(parts) for parts in zip(*faces)))

@@ -71,20 +71,20 @@ def checked_masks(label: Label, n_symbols: int) -> Label:
     known = np.uint64(2 ** (n_symbols + 1) - 1)
 
     def masks(states: np.ndarray) -> np.ndarray:
-        found = np.asarray(label(states))
-        if found.shape != (len(states),) or found.dtype.kind != "u":
+        sets = np.asarray(label(states))
+        if sets.shape != (len(states),) or sets.dtype.kind != "u":
             raise ProblemError(
                 f"`label` must return ({len(states)},) unsigned integers; got "
-                f"{found.dtype} of shape {found.shape}"
+                f"{sets.dtype} of shape {sets.shape}"
             )
-        wrong = found > known
+        wrong = sets > known
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])
             raise ProblemError(
-                f"`label` must return masks of bits 0 to {n_symbols}; got {int(found[i]):#b} "
+                f"`label` must return masks of bits 0 to {n_symbols}; got {int(sets[i]):#b} "
                 f"at state {states[i].tolist()}"
             )
-        return found
+        return sets
 
     return masks
 
@@ -143,13 +143,13 @@ def checked_pair(label: Callable[[np.ndarray], Any], n_symbols: int) -> Scored:
     """Return the labelling function, of masks and scores, with both checked."""
 
     def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found = label(states)
-        if not isinstance(found, tuple) or len(found) != 2:
+        pair = label(states)
+        if not isinstance(pair, tuple) or len(pair) != 2:
             raise ProblemError(
-                f"`label` must return a pair of masks and scores; got {describe(found)}"
+                f"`label` must return a pair of masks and scores; got {describe(pair)}"
             )
-        masks = checked_masks(lambda _: found[0], n_symbols)(states)
-        scores = np.asarray(found[1])
+        masks = checked_masks(lambda _: pair[0], n_symbols)(states)
+        scores = np.asarray(pair[1])
         if scores.ndim == 3:
             for variant in np.moveaxis(scores, 1, 0):
                 _checked_scores(variant, len(states), n_symbols)
@@ -159,8 +159,8 @@ def checked_pair(label: Callable[[np.ndarray], Any], n_symbols: int) -> Scored:
     return scored
 
 
-def _checked_scores(found: Any, count: int, n_symbols: int) -> np.ndarray:
-    scores = np.asarray(found)
+def _checked_scores(answer: Any, count: int, n_symbols: int) -> np.ndarray:
+    scores = np.asarray(answer)
     if scores.dtype.kind != "f" or scores.shape not in (
         (count, n_symbols),
         (count, n_symbols + 1),

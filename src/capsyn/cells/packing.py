@@ -18,12 +18,8 @@ def smallest_type(values: np.ndarray) -> np.dtype:
 
 
 def lookup_arrays(cells: CellTree | SplitTree) -> list[np.ndarray]:
-    """Return the arrays that a lookup needs."""
-    if isinstance(cells, SplitTree):
-        return [cells.split, cells.threshold, cells.second, cells.planes]
-    splits = [] if cells.splits is None else [cells.splits]
-    rows = {} if cells.affine is None else cells.affine.arrays()
-    return [cells.entries, *splits, *rows.values()]
+    """Return the arrays that a lookup needs: all but those of mixed cells."""
+    return [array for name, array in cells.arrays().items() if not name.startswith("mixed_")]
 
 
 def packed_bytes(cells: CellTree | SplitTree) -> int:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from capsyn.cells.cell_tree import Boxes
+from capsyn.cells.boxes import Boxes
 from capsyn.errors import PolicyFormatError, ProblemError
-from capsyn.modelling.grid import MAX_COUNT
+from capsyn.modelling.grid import MAX_COUNT, grid_places
+from capsyn.validation import keep_read_only
 
 LEAF = -1
 """What `SplitTree.split` is for a leaf."""
+TREE_ARRAYS = {"split": np.int32, "threshold": np.int32, "second": np.int32, "planes": np.int32}
+"""The arrays as files call them."""
 MAX_DEPTH = 1000
 """Most comparisons from the root to a leaf."""
 MAX_PARTS = 10_000_000
@@ -51,11 +55,12 @@ class SplitTree:
     second: np.ndarray
     planes: np.ndarray
 
+    kind: ClassVar[str] = "tree"
+    planes_are: ClassVar[str] = "oblique splits"
+    nested: ClassVar[bool] = False
+
     def __post_init__(self) -> None:
-        for name in ("split", "threshold", "second", "planes"):
-            frozen = getattr(self, name).view()
-            frozen.flags.writeable = False
-            object.__setattr__(self, name, frozen)
+        keep_read_only(self, *TREE_ARRAYS)
 
     @property
     def n(self) -> int:
@@ -68,9 +73,33 @@ class SplitTree:
         return len(self.split)
 
     @property
+    def has_planes(self) -> bool:
+        """Whether planes that are oblique to the axes bound symbols: those of splits."""
+        return len(self.planes) > 0
+
+    @property
     def mixed_cells(self) -> np.ndarray:
         """All leaves: nobody has looked at test points of them."""
         return np.flatnonzero(self.split == LEAF)
+
+    @property
+    def disagreeing(self) -> np.ndarray:
+        """No leaves: none has test points."""
+        return np.empty(0, dtype=np.int32)
+
+    def structure(self) -> dict[str, Any]:
+        """Return what a file says of the tree beside its arrays, as plain data."""
+        return {"counts": list(self.counts)}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays by their names in a file."""
+        return {name: getattr(self, name) for name in TREE_ARRAYS}
+
+    def lookup_arguments(self) -> dict[str, Any]:
+        """Return what lookup.c knows of the tree: numbers, and arrays, by name."""
+        shift, starts = self.starts
+        arrays = {"nodes": self.rows, "planes": self.planes, "starts": starts}
+        return {"shift": shift, "oblique": self.has_planes, **arrays}
 
     @property
     def leaf_count(self) -> int:
@@ -172,7 +201,7 @@ class SplitTree:
         ProblemError
             The tree has oblique splits, or there would be more than `MAX_PARTS` parts.
         """
-        if len(self.planes):
+        if self.has_planes:
             raise ProblemError(
                 "a tree with oblique splits has no boxes; compress in mode exact or freedom"
             )
@@ -201,8 +230,8 @@ class SplitTree:
             upper = np.concatenate([first_upper[low], upper[high]])
             node = np.concatenate([self.first[node[low]], self.second[node[high]]])
             box = np.concatenate([box[low], box[high]])
-        found = [np.concatenate(x) for x in zip(*done)]
-        return found[0], found[1], found[2], found[3]
+        leaves, boxes, lower, upper = (np.concatenate(x) for x in zip(*done))
+        return leaves, boxes, lower, upper
 
     def refined(self, counts: tuple[int, ...]) -> SplitTree:
         """Return the same tree on a lattice of more steps, multiples of its own.
@@ -213,6 +242,18 @@ class SplitTree:
         scale = np.where(self.split == LEAF, 1, factors[self.split])
         threshold = (self.threshold * scale).astype(np.int32)
         return SplitTree(counts, self.split, threshold, self.second, self.planes)
+
+    def layers(self) -> list[np.ndarray]:
+        """Return all nodes at once: they have no levels."""
+        return [np.arange(self.node_count)]
+
+    def leaf_labels(self) -> np.ndarray:
+        """Return the labels of all leaves."""
+        return self.labels_at(self.mixed_cells)
+
+    def finest(self, places: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """Return that leaves (M,) are as fine as they get, whatever their sizes (M, n)."""
+        return np.ones(len(places), dtype=bool)
 
     def boxes(self) -> Boxes:
         """Return the leaves as boxes; `ProblemError` where splits are oblique."""
@@ -270,8 +311,7 @@ class SplitTree:
         room = max(START_NODES, STARTS_PER_NODE * self.node_count)
         while np.prod((((counts - 1) >> shift) + 1).astype(float)) > room:
             shift += 1
-        shape = tuple((((counts - 1) >> shift) + 1).tolist())
-        lower = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1) << shift
+        lower = grid_places(((counts - 1) >> shift) + 1) << shift
         upper = np.minimum(lower + (1 << shift), counts)
         last = upper - 1
         nodes = np.zeros(len(lower), dtype=np.int32)

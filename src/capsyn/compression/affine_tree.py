@@ -30,19 +30,19 @@ def affine_tree(cells: CellTree) -> SplitTree:
     """
     assert cells.affine is not None
     nodes = _Nodes(cells.n)
-    found = np.empty(len(cells.entries), dtype=np.int64)  # the node of each cell
+    node_of = np.empty(len(cells.entries), dtype=np.int64)  # the node of each cell
     for _, places, lower, sizes in reversed(list(cells.levels())):
         entries = cells.entries[places]
         leaf = -1 - entries.astype(np.int64)
         constant = (entries < 0) & (leaf < cells.affine.first)
-        found[places[constant]] = leaf[constant] - cells.affine.first  # labels are below 0
+        node_of[places[constant]] = leaf[constant] - cells.affine.first  # labels are below 0
         for k in np.flatnonzero(leaf >= cells.affine.first):
-            found[places[k]] = nodes.of_rows(cells.affine, int(leaf[k]), lower[k], sizes[k])
+            node_of[places[k]] = nodes.of_rows(cells.affine, int(leaf[k]), lower[k], sizes[k])
         split = np.flatnonzero(entries >= 0)
         for k, factors in zip(split, cells.factors(places[split])):
-            children = found[entries[k] : entries[k] + np.prod(factors)].reshape(factors)
-            found[places[k]] = nodes.of_grid(children, lower[k], sizes[k] // factors)
-    roots = found[: np.prod(cells.partitions)].reshape(cells.partitions)
+            children = node_of[entries[k] : entries[k] + np.prod(factors)].reshape(factors)
+            node_of[places[k]] = nodes.of_grid(children, lower[k], sizes[k] // factors)
+    roots = node_of[: np.prod(cells.partitions)].reshape(cells.partitions)
     top = nodes.of_grid(roots, np.zeros(cells.n, dtype=np.int64), cells.sizes(0))
     return nodes.tree(top, cells.counts, cells.affine.first)
 

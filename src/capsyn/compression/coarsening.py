@@ -42,9 +42,7 @@ def cut_off(policy: Policy, level: int) -> Policy:
     entries[merged] = -1 - volumes[merged].argmax(axis=1)
     mixed = np.sort(np.concatenate([cells.mixed_cells[cells.mixed_cells < len(kept)], merged]))
     tree = CellTree(
-        cells.partitions,
-        cells.refinement,
-        min(level, cells.max_level),
+        cells.grid.at(min(level, cells.max_level)),
         entries,
         mixed.astype(np.int32),
         masks[mixed],

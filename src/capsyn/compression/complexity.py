@@ -10,8 +10,8 @@ import numpy as np
 from capsyn.automata.automaton import Automaton
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.packing import packed_bytes
-from capsyn.compression.compress import exact_tree
-from capsyn.policies.policy import DecisionTree, Policy
+from capsyn.compression.compress import tree_of
+from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 
 
 def complexity(policy: Policy) -> dict[str, Any]:
@@ -29,11 +29,10 @@ def complexity(policy: Policy) -> dict[str, Any]:
         ``sliding_share`` and ``switching_entropy`` [bits] (None without a model, see
         `switching_entropy`). None where splits are oblique or leaves affine.
     """
-    tree = policy if isinstance(policy, DecisionTree) else exact_tree(policy)
-    oblique = len(tree.cells.planes) > 0
+    tree = tree_of(policy)
     return {
         "symbol_entropy": entropy(policy.volume_shares),
-        "table": _table(policy.cells) if isinstance(policy.cells, CellTree) else None,
+        "table": None if tree is policy else _table(cell_tree(policy)),
         "tree": {
             "mode": tree.guarantee.mode,
             "nodes": tree.node_count,
@@ -42,7 +41,7 @@ def complexity(policy: Policy) -> dict[str, Any]:
             "comparisons": tree.depth,
             "mean_comparisons": mean_depth(tree),
         },
-        "automaton": None if oblique or policy.has_planes else _automaton(policy),
+        "automaton": None if policy.has_planes else _automaton(policy),
     }
 
 
@@ -88,7 +87,7 @@ def _table(cells: CellTree) -> dict[str, int]:
 
 def mean_depth(tree: DecisionTree) -> float | None:
     """Return a lookup's mean comparisons over the volume; None where splits are oblique."""
-    if len(tree.cells.planes):
+    if tree.cells.has_planes:
         return None
     boxes = tree.cells.boxes()
     volumes = boxes.volumes()
@@ -97,15 +96,15 @@ def mean_depth(tree: DecisionTree) -> float | None:
 
 def _automaton(policy: Policy) -> dict[str, Any]:
     machine = Automaton.of(policy)
-    found = machine.switching
-    rates = None if found is None else found.switch_rates + found.sliding_rates
+    analysis = machine.switching
+    rates = None if analysis is None else analysis.switch_rates + analysis.sliding_rates
     return {
         "regions": len(machine.regions),
         "boxes": sum(len(region) for region in machine.regions),
         "partitions": len(machine.partitions),
         "edges": len(machine.edges),
         "possible_edges": sum(edge.possible is not False for edge in machine.edges),
-        "switch_rate": None if found is None else found.rate,
-        "sliding_share": None if found is None else found.sliding_share,
+        "switch_rate": None if analysis is None else analysis.rate,
+        "sliding_share": None if analysis is None else analysis.sliding_share,
         "switching_entropy": None if rates is None else switching_entropy(rates),
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 from capsyn.compression.affine_tree import affine_tree
 from capsyn.compression.coarsening import cut_off
@@ -27,6 +28,12 @@ MAX_STATES = 10_000_000
 """Most states at which trees are judged."""
 MAX_NODE_PRICE = 1000.0
 """Larger prices make no smaller trees."""
+OPTION_MODES = {
+    "agreement": ("freedom", "linear"),
+    "level": ("exact", "freedom"),
+    "node_price": ("freedom",),
+}
+"""The modes that an option is for."""
 
 
 def compress(
@@ -88,27 +95,7 @@ def compress(
         An argument that cannot be used.
     """
     cells = cell_tree(policy)
-    one_of("mode", mode, list(MODES))
-    if policy.gaps and (mode == "linear" or level is not None):
-        raise ProblemError(
-            "`mode` must be exact or freedom, without `level`, for a policy with gaps: other trees "
-            "would give symbols there"
-        )
-    for name, value, modes in (
-        ("agreement", agreement, ("freedom", "linear")),
-        ("level", level, ("exact", "freedom")),
-        ("node_price", node_price, ("freedom",)),
-    ):
-        if value is not None and mode not in modes:
-            raise ProblemError(
-                f"`{name}` is for mode {' and '.join(modes)} only; got {describe(value)}"
-            )
-    if cells.affine is not None and (mode == "freedom" or level is not None):
-        got = "level" if level is not None else "mode 'freedom'"
-        raise ProblemError(
-            "`policy` has affine leaves, for which there are modes exact and linear, without "
-            f"level; got {got}"
-        )
+    _check_mode(policy, mode, agreement=agreement, level=level, node_price=node_price)
     if agreement is not None:
         agreement = finite_number("agreement", agreement, above=0.0)
         if agreement >= 1:
@@ -142,6 +129,32 @@ def compress(
     if not tree.guarantee.reached:
         warn(judge.advice(tree))
     return tree
+
+
+def _check_mode(policy: Policy, mode: str, **options: Any) -> None:
+    """Raise `ProblemError` unless a policy has a tree of a mode with such options."""
+    one_of("mode", mode, list(MODES))
+    level = options["level"]
+    if policy.gaps and (mode == "linear" or level is not None):
+        raise ProblemError(
+            "`mode` must be exact or freedom, without `level`, for a policy with gaps: other trees "
+            "would give symbols there"
+        )
+    for name, value in options.items():
+        if value is not None and mode not in OPTION_MODES[name]:
+            modes = " and ".join(OPTION_MODES[name])
+            raise ProblemError(f"`{name}` is for mode {modes} only; got {describe(value)}")
+    if policy.has_planes and (mode == "freedom" or level is not None):
+        got = "level" if level is not None else "mode 'freedom'"
+        raise ProblemError(
+            "`policy` has affine leaves, for which there are modes exact and linear, without "
+            f"level; got {got}"
+        )
+
+
+def tree_of(policy: Policy) -> DecisionTree:
+    """Return a decision tree as it is, and of a policy of cells its exact tree."""
+    return policy if isinstance(policy, DecisionTree) else exact_tree(policy)
 
 
 def exact_tree(policy: Policy, level: int | None = None) -> DecisionTree:
@@ -179,10 +192,10 @@ def _proved_tree(
     policy: Policy, base: Policy, mode: str, level: int | None, prices: Prices
 ) -> DecisionTree:
     """Return the tree of a cut-off policy under some prices, its guarantee proved cell by cell."""
-    tree = induce(cell_tree(base), prices)
-    made = DecisionTree.of(policy, tree, Guarantee(mode, content_hash(policy), level))
-    guarantee = dataclasses.replace(made.guarantee, changed=prove(made, policy))
-    return dataclasses.replace(made, guarantee=guarantee)
+    claim = Guarantee(mode, content_hash(policy), level)
+    tree = DecisionTree.of(policy, induce(cell_tree(base), prices), claim)
+    guarantee = dataclasses.replace(claim, changed=prove(tree, policy))
+    return dataclasses.replace(tree, guarantee=guarantee)
 
 
 def _smallest_free_tree(judge: Judge, level: int | None, target: float) -> DecisionTree:

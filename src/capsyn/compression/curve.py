@@ -122,7 +122,7 @@ def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
     for level in range(cell_tree(judge.policy).depth + 1):
         say(f"cells at level {level}")
         base = cut_off(judge.policy, level)
-        found = judge.compare(base)
+        comparison = judge.compare(base)
         yield CurvePoint(
             "cells",
             level,
@@ -130,9 +130,9 @@ def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
             base.cells.node_count,
             1 + level,
             packed_bytes(base.cells),
-            found.share,
-            found.low,
-            found.high,
+            comparison.share,
+            comparison.low,
+            comparison.high,
         )
 
 

@@ -63,14 +63,14 @@ class Prices:
 
         Volumes count up to `MAX_VOLUME`.
         """
-        found = np.zeros((len(entries), self.prices.shape[1]), dtype=np.int64)
+        penalties = np.zeros((len(entries), self.prices.shape[1]), dtype=np.int64)
         if len(self.priced):
             place = np.searchsorted(self.priced, entries) % len(self.priced)
             known = self.priced[place] == entries
             whole = np.minimum(volumes[known], MAX_VOLUME).astype(np.int64)
-            found[known] = self.prices[place[known]] * whole[:, None]
-        found[~members(self.masks[entries], found.shape[1])] = FORBIDDEN
-        return found
+            penalties[known] = self.prices[place[known]] * whole[:, None]
+        penalties[~members(self.masks[entries], penalties.shape[1])] = FORBIDDEN
+        return penalties
 
 
 def induce(cells: CellTree, prices: Prices, budget: int | None = None) -> SplitTree:
@@ -230,8 +230,8 @@ def _solve(cells: CellTree, prices: Prices, blocks: list[_Block], nodes: Rows) -
             _attach(nodes, some, optimal_splits(price, prices.leaf_price))
 
 
-def _attach(nodes: Rows, blocks: list[_Block], found: tuple[np.ndarray, ...]) -> None:
-    axis, cut, first, second = (x.tolist() for x in found)
+def _attach(nodes: Rows, blocks: list[_Block], cuts: tuple[np.ndarray, ...]) -> None:
+    axis, cut, first, second = (x.tolist() for x in cuts)
     number = [block.node for block in blocks] + [_new(nodes) for _ in axis[len(blocks) :]]
     orders = [block.order.tolist() for block in blocks]
     stack = [(i, i) for i in range(len(blocks))]

@@ -86,8 +86,8 @@ class Judge:
 
     def judged(self, tree: DecisionTree, target: float | None, look: int = 0) -> DecisionTree:
         """Return a tree with a target, and its agreement among what it guarantees."""
-        found = self.compare(tree, look)
-        return self.with_counts(tree, target, found.states, found.agreeing)
+        comparison = self.compare(tree, look)
+        return self.with_counts(tree, target, comparison.states, comparison.agreeing)
 
     def with_counts(
         self, tree: DecisionTree, target: float | None, states: int, agreeing: int, **known: Any

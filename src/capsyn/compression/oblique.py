@@ -148,8 +148,8 @@ def fit_tree(
     states = whole_number("states", states, least=1)
 
     def cube_masks(cube: np.ndarray) -> np.ndarray:
-        found = masks(domain.lower + cube * domain.widths).astype(np.uint64)
-        return np.where(found == 0, np.uint64(1 << (labels - 1)), found)
+        sets = masks(domain.lower + cube * domain.widths).astype(np.uint64)
+        return np.where(sets == 0, np.uint64(1 << (labels - 1)), sets)
 
     def draw(count: int, *stream: int) -> Samples:
         return draw_samples(cube_masks, domain.n, labels, count, [seed, *stream])
@@ -232,17 +232,17 @@ class _Search:
         None is told twice, nor one that is no better than those told before. Where none ever met
         the target, the last search tells those that may, or else the best.
         """
-        bar, told = self.bar, 0
+        bar, yielded = self.bar, 0
         if last and not self._told and not self._passing(bar):
             bar = self._hopeful
-        found = [candidate for candidate in self._passing(bar) if candidate.share > self._told]
-        for candidate in found[: JUDGEMENTS - 1] + found[JUDGEMENTS - 1 :][-1:]:
+        candidates = [candidate for candidate in self._passing(bar) if candidate.share > self._told]
+        for candidate in candidates[: JUDGEMENTS - 1] + candidates[JUDGEMENTS - 1 :][-1:]:
             tree = to_lattice(candidate.root, self._counts)
             if self.count_right(tree, self._chosen) >= bar * len(self._chosen):
-                told += 1
+                yielded += 1
                 self._told = max(self._told, candidate.share)
                 yield tree
-        if last and not told and not self._told:
+        if last and not yielded and not self._told:
             best = min(self._candidates, key=lambda c: (-c.share, c.nodes))
             yield to_lattice(best.root, self._counts)
 
@@ -268,11 +268,11 @@ class _Search:
 
     def _passing(self, bar: float) -> list[Candidate]:
         """Return the trees that meet a bar, smallest first, each better than those before."""
-        found: list[Candidate] = []
+        passing: list[Candidate] = []
         for candidate in sorted(self._candidates, key=lambda c: (c.nodes, -c.share)):
-            if candidate.share >= bar and (not found or candidate.share > found[-1].share):
-                found.append(candidate)
-        return found
+            if candidate.share >= bar and (not passing or candidate.share > passing[-1].share):
+                passing.append(candidate)
+        return passing
 
     @property
     def _tired(self) -> bool:

@@ -71,16 +71,16 @@ class Node:
 
     def labels(self, states: np.ndarray) -> np.ndarray:
         """Return the labels (B,) of states (B, n)."""
-        found = np.empty(len(states), dtype=np.int64)
+        labels = np.empty(len(states), dtype=np.int64)
         stack = [(self, np.arange(len(states)))]
         while stack:
             node, rows = stack.pop()
             if not node.children:
-                found[rows] = node.label
+                labels[rows] = node.label
                 continue
             beyond = node.beyond(states[rows])
             stack += [(node.children[0], rows[~beyond]), (node.children[1], rows[beyond])]
-        return found
+        return labels
 
 
 class Link(NamedTuple):

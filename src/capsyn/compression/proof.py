@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from capsyn.cells.cell_tree import Boxes, CellTree
+from capsyn.cells.boxes import Boxes
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.masks import holds
-from capsyn.cells.split_tree import SplitTree
+from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.compression.affine_tree import affine_tree
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import allowed_masks
@@ -75,8 +76,7 @@ def _prove_affine(tree: DecisionTree, cells: CellTree) -> None:
     """
     own = affine_tree(cells)
     same = tree.cells.counts == own.counts and all(
-        np.array_equal(getattr(tree.cells, name), getattr(own, name))
-        for name in ("split", "threshold", "second", "planes")
+        np.array_equal(getattr(tree.cells, name), getattr(own, name)) for name in TREE_ARRAYS
     )
     steps = np.random.default_rng(0).integers(cells.counts, size=(SAMPLES, cells.n))
     if not same or (tree.cells.labels(steps) != cells.labels(steps)).any():
@@ -108,12 +108,12 @@ def changed_cells(tree: SplitTree, cells: CellTree) -> np.ndarray:
 
 def _parts(tree: SplitTree, boxes: Boxes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return leaf, box and volume (P,) of all parts that a tree cuts boxes into."""
-    found = []
+    parts = []
     for start in range(0, len(boxes), CHUNK):
         part = slice(start, start + CHUNK)
         leaf, box, lower, upper = tree.parts(boxes.lower[part], boxes.upper[part])
-        found.append((leaf, box + start, np.prod(upper - lower, axis=1, dtype=float)))
-    leaf, box, volume = (np.concatenate(x) for x in zip(*found))
+        parts.append((leaf, box + start, np.prod(upper - lower, axis=1, dtype=float)))
+    leaf, box, volume = (np.concatenate(x) for x in zip(*parts))
     covered = np.bincount(box, volume, minlength=len(boxes))  # rounded beyond 2^53
     if not np.allclose(covered, boxes.volumes(), rtol=1e-12, atol=0):
         raise AssertionError("the leaves of the tree do not tile the cells")

@@ -12,13 +12,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from capsyn.compression.compress import exact_tree
+from capsyn.compression.compress import tree_of
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
 from capsyn.explorer.formulas import formulas
 from capsyn.explorer.page_data import page_data
 from capsyn.explorer.program_javascript import model_javascript
-from capsyn.policies.policy import DecisionTree, Policy
+from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
 POLICY = "default-src 'none'; script-src '{script}'; style-src '{style}'; {nothing}"
@@ -59,8 +59,8 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
 
 def page(policy: Policy, drawing: str | None = None) -> str:
     """Return the page of a policy as HTML; that of affine leaves shows their exact tree."""
-    if policy.has_planes and not isinstance(policy, DecisionTree):
-        policy = exact_tree(policy)
+    if policy.has_planes:
+        policy = tree_of(policy)
     style = _resource("page.css").strip()
     model = model_javascript(policy).removeprefix("export ").strip()
     notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"

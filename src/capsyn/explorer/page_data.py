@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 
 from capsyn.automata.automaton import edges_between
-from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
 from capsyn.explorer.facts import facts
 from capsyn.explorer.policy_data import policy_data
@@ -36,6 +34,8 @@ DRAWN = {
     "double-tank-b": "double-tank",
 }
 """The drawings of the built-in problems."""
+LEAVES = {"cells": "cells", "tree": "leaves"}
+"""What the page calls the leaves of cells, and of a tree."""
 
 
 def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
@@ -80,12 +80,9 @@ def _target(policy: Policy) -> dict[str, Any] | None:
 
 def _automaton(policy: Policy) -> dict[str, Any]:
     """Return the finite state machine; of oblique splits only which symbols there are."""
-    cells = policy.cells
-    oblique = isinstance(cells, SplitTree) and len(cells.planes) > 0
-    labels = cells.labels_at(cells.mixed_cells) if oblique else cells.boxes().labels
-    counts = np.bincount(labels, minlength=len(policy.controls))
+    counts = np.bincount(policy.cells.leaf_labels(), minlength=len(policy.controls))
     used = np.flatnonzero(counts).tolist()
-    if oblique:
+    if policy.has_planes:
         edges: list[Any] = [(source, target, None, None) for source in used for target in used]
     else:
         edges = [(e.source, e.target, e.possible, e.sliding) for e in edges_between(policy, used)]
@@ -93,7 +90,7 @@ def _automaton(policy: Policy) -> dict[str, Any]:
     return {
         "vertices": [{"symbol": k, "cells": int(counts[k])} for k in used],
         "edges": [dict(zip(keys, edge)) for edge in edges],
-        "what": "cells" if isinstance(cells, CellTree) else "leaves",
+        "what": LEAVES[policy.cells.kind],
     }
 
 

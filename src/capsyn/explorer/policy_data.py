@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.packing import smallest_type
-from capsyn.policies.file import arrays_of, content_of
+from capsyn.policies.file import content_of
 from capsyn.policies.policy import Policy
 from capsyn.programs.step_doubling import FALLING, STALLS, UNRESOLVED
 from capsyn.simulation.closed_loop import SLACK
@@ -40,10 +39,9 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     them. The sets of labels seen in mixed cells are bit masks (K, 1 or 2), lowest word first.
     """
     data = content_of(policy)
-    model, structure = data.pop("model"), {key: data.pop(key, None) for key in STRUCTURE}
-    arrays = arrays_of(policy)
-    is_cells = isinstance(policy.cells, CellTree)
-    if is_cells:
+    model, structure = data.pop("model"), {k: data.pop(k) for k in STRUCTURE if k in data}
+    arrays = policy.cells.arrays()
+    if "mixed_labels" in arrays:
         arrays["mixed_labels"] = _words(arrays["mixed_labels"], len(policy.alphabet) + 1)
     packed = {name: packed_array(array) for name, array in arrays.items()}
     settings = policy.settings
@@ -53,8 +51,9 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         "symbols": [*policy.alphabet.names, "outside" if policy.gaps else "default"],
         "controls": policy.controls.tolist(),
         "counts": list(policy.cells.counts),
-        "cells": structure | packed if is_cells else None,
-        "tree": None if is_cells else packed,
+        "cells": None,
+        "tree": None,
+        policy.cells.kind: structure | packed,
         "rate": RATE if settings is None else 1 / settings.sample_time,
         "slack": SLACK,
         "sampled": None if model is None else _sampled(policy),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.compression.compress import exact_tree
+from capsyn.compression.compress import tree_of
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, check_outside
 from capsyn.modelling.domain import Box
@@ -91,7 +91,7 @@ class Plan:
         ]
         if (factors[0] == 0).any():
             raise ProblemError(f"`scale` must not be 0; got {describe(scale)}")
-        tree = policy if isinstance(policy, DecisionTree) else _exact_tree(policy)
+        tree = _tree_of(policy)
         _check_readings(policy.domain, tree.cells.counts, *factors)
         return Plan(
             policy,
@@ -216,9 +216,9 @@ def _check_readings(
 
 
 @functools.lru_cache(maxsize=1)
-def _exact_tree(policy: Policy) -> DecisionTree:
-    """Return the exact tree of a policy; kept for the next target."""
-    return exact_tree(policy)
+def _tree_of(policy: Policy) -> DecisionTree:
+    """Return the tree of a policy; kept for the next target."""
+    return tree_of(policy)
 
 
 def _symbol(safe: object, alphabet: Alphabet) -> int:

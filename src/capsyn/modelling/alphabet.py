@@ -12,6 +12,7 @@ from capsyn.validation import (
     describe,
     distinct,
     finite_array,
+    keep,
     numbers,
     texts,
 )
@@ -76,10 +77,8 @@ class Alphabet:
             )
         inputs = texts("alphabet inputs", self.inputs, m, [f"u{i + 1}" for i in range(m)])
         distinct("alphabet inputs", inputs)
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "names", names)
-        object.__setattr__(self, "inputs", inputs)
-        object.__setattr__(self, "units", texts("alphabet units", self.units, m, [""] * m))
+        units = texts("alphabet units", self.units, m, [""] * m)
+        keep(self, values=values, names=names, inputs=inputs, units=units)
 
     @property
     def m(self) -> int:

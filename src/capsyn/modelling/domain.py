@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.validation import describe, distinct, finite_array, finite_number, is_list, texts
+from capsyn.validation import describe, distinct, finite_array, finite_number, is_list, keep, texts
 
 LARGEST = 1e290
 """Largest bound of a box: no finite state minus a bound overflows, nor does a width."""
@@ -72,14 +72,8 @@ class Box:
         periodic = (False,) * n if self.periodic is None else self.periodic
         if not is_list(periodic, n) or not all(isinstance(p, (bool, np.bool_)) for p in periodic):
             raise ProblemError(f"`periodic` must be {n} boolean(s); got {describe(periodic)}")
-        for key, value in {
-            "lower": lower,
-            "upper": upper,
-            "names": names,
-            "units": units,
-            "periodic": tuple(bool(p) for p in periodic),
-        }.items():
-            object.__setattr__(self, key, value)
+        periodic = tuple(bool(p) for p in periodic)
+        keep(self, lower=lower, upper=upper, names=names, units=units, periodic=periodic)
 
     @staticmethod
     def unnamed(n: int) -> tuple[str, ...]:
@@ -220,12 +214,11 @@ class Ball:
         center = finite_array("center", self.center, 1)
         if not len(center):
             raise ProblemError("`center` must have one entry per state; got none")
-        object.__setattr__(self, "center", center)
-        object.__setattr__(self, "radius", finite_number("radius", self.radius, above=0.0))
+        keep(self, center=center, radius=finite_number("radius", self.radius, above=0.0))
         if self.names is not None:
             names = texts("names", self.names, len(center), ())
             distinct("names", names)
-            object.__setattr__(self, "names", names)
+            keep(self, names=names)
 
     @property
     def n(self) -> int:

@@ -15,10 +15,10 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.grid import grid_settings
+from capsyn.modelling.grid import Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import check_target
-from capsyn.validation import describe, finite_number, one_line
+from capsyn.validation import describe, finite_number, keep, one_line
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,19 +81,16 @@ class Problem:
     description: str = ""
 
     def __post_init__(self) -> None:
-        def keep(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
             raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
         if not isinstance(self.domain, Box):
             raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
         if not isinstance(self.alphabet, Alphabet):
-            keep("alphabet", Alphabet(self.alphabet))
-        keep("default", self.alphabet.control("default", self.default))
-        keep("horizon", finite_number("horizon", self.horizon, above=0.0))
-        keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
-        keep("outside", check_outside(self.outside, self.alphabet))
+            keep(self, alphabet=Alphabet(self.alphabet))
+        keep(self, default=self.alphabet.control("default", self.default))
+        keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
+        keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
+        keep(self, outside=check_outside(self.outside, self.alphabet))
         if not isinstance(self.settings, SsacSettings):
             raise ProblemError(
                 f"`settings` must be a capsyn.SsacSettings; got {describe(self.settings)}"
@@ -101,10 +98,8 @@ class Problem:
         self.settings.efforts(self.alphabet.values)
         if isinstance(self.target, (Ball, Box)) or not callable(self.target):
             check_target(self.target, self.domain)
-        q, r, level = grid_settings(self.partitions, self.refinement, self.max_level, self.domain.n)
-        keep("partitions", q)
-        keep("refinement", r)
-        keep("max_level", level)
+        grid = Grid.of(self.partitions, self.refinement, self.max_level, self.domain.n)
+        keep(self, **vars(grid))
         if self.running_cost is None and self.terminal_cost is None:
             raise ProblemError(
                 "`running_cost` and `terminal_cost` must not both be None: there is no goal"
@@ -118,6 +113,11 @@ class Problem:
         self.functions()
         if callable(self.target):
             expression("target", self.target, [ca.SX.sym("x", self.domain.n)], 1)
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of cells."""
+        return Grid(self.partitions, self.refinement, self.max_level)
 
     def functions(self) -> dict[str, ca.Function]:
         """Return CasADi functions: ``dynamics(x, u)``, ``running_cost(x)``, ``terminal_cost(x)``.

@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.validation import describe, finite_array, finite_number, numbers, one_of, whole_number
+from capsyn.validation import (
+    describe,
+    finite_array,
+    finite_number,
+    keep,
+    numbers,
+    one_of,
+    whole_number,
+)
 
 MAX_STEPS = 100_000
 """Most integration steps over a horizon."""
@@ -69,14 +77,11 @@ class SsacSettings:
     sample_time: float = 0.001
 
     def __post_init__(self) -> None:
-        def keep(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        keep("gamma", finite_number("gamma", self.gamma))
+        keep(self, gamma=finite_number("gamma", self.gamma))
         if self.gamma > 0:
             raise ProblemError(f"`gamma` must be <= 0; got {self.gamma:g}")
         if self.alpha_d is not None:
-            keep("alpha_d", finite_number("alpha_d", self.alpha_d))
+            keep(self, alpha_d=finite_number("alpha_d", self.alpha_d))
             if self.alpha_d > 0:
                 raise ProblemError(f"`alpha_d` must be <= 0; got {self.alpha_d:g}")
             if self.gamma != type(self).gamma:
@@ -90,25 +95,28 @@ class SsacSettings:
                 )
             if np.linalg.eigvalsh(weight).min() < -1e-12 * np.abs(weight).max():
                 raise ProblemError(f"`control_weight` must be positive semidefinite; got {got}")
-            keep("control_weight", tuple(map(tuple, weight.tolist())))
+            keep(self, control_weight=tuple(map(tuple, weight.tolist())))
         else:
-            keep("control_weight", finite_number("control_weight", self.control_weight, least=0.0))
+            keep(
+                self, control_weight=finite_number("control_weight", self.control_weight, least=0.0)
+            )
         one_of("rule", self.rule, ["schedule", "steepest"])
         one_of("on_no_descent", self.on_no_descent, ["best", "default"])
         one_of("precision", self.precision, ["double", "single"])
         if self.steps is not None:
-            keep("steps", whole_number("steps", self.steps, least=1, most=MAX_STEPS))
+            keep(self, steps=whole_number("steps", self.steps, least=1, most=MAX_STEPS))
         one_of("application_time", self.application_time, ["now", "search"])
         keep(
-            "max_backtracks", whole_number("max_backtracks", self.max_backtracks, least=0, most=20)
+            self,
+            max_backtracks=whole_number("max_backtracks", self.max_backtracks, least=0, most=20),
         )
         for name in ("tolerance", "initial_duration", "sample_time"):
-            keep(name, finite_number(name, getattr(self, name), above=0.0))
+            keep(self, **{name: finite_number(name, getattr(self, name), above=0.0)})
         for name in ("shrink", "descent"):
             value = finite_number(name, getattr(self, name), least=0.0)
             if not value < 1 or (name == "shrink" and value == 0):
                 raise ProblemError(f"`{name}` must be between 0 and 1; got {value:g}")
-            keep(name, value)
+            keep(self, **{name: value})
 
     def efforts(self, values: np.ndarray) -> np.ndarray:
         """Return the control efforts ``u^T R u`` (N,) of the control vectors `values` (N, m).

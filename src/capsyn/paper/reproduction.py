@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from capsyn import problems
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
+from capsyn.modelling.grid import Grid
 from capsyn.paper import pendulum as paper_pendulum
 from capsyn.paper import tanks as paper_tanks
 from capsyn.paper.cases import CASES, Row, synthesize_case
@@ -133,7 +134,7 @@ def _counts(threads: int | None) -> list[Row]:
 
 
 def _worst_cases() -> str:
-    return " / ".join(f"{worst_case_solves((9, 9), (2, 2), level):,}" for level in (4, 5))
+    return " / ".join(f"{worst_case_solves(Grid((9, 9), (2, 2), level)):,}" for level in (4, 5))
 
 
 def _table(rows: Sequence[Row]) -> list[str]:

@@ -19,7 +19,7 @@ from capsyn.plots.figure import (
     save_figure,
 )
 from capsyn.policies.colors import symbol_colors
-from capsyn.policies.policy import DecisionTree, Policy
+from capsyn.policies.policy import Policy
 from capsyn.validation import describe, finite_number
 
 if TYPE_CHECKING:
@@ -101,8 +101,7 @@ def plot_policy(
             frameon=False,
         )
     where = ", ".join(f"{domain.names[i]} = {point[i]:g}" for i in others)
-    kind = f", {policy.guarantee.mode} tree" if isinstance(policy, DecisionTree) else ""
-    ax.set_title(literal(policy.name + kind + (f" at {where}" if where else "")))
+    ax.set_title(literal(policy.title + (f" at {where}" if where else "")))
     return ax
 
 

@@ -16,14 +16,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from capsyn.cells.affine_leaves import ROW_ARRAYS, AffineLeaves
-from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.split_tree import SplitTree
+from capsyn.cells.cell_tree import CELL_ARRAYS, SPLIT_ARRAYS, CellTree
+from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.execution.answers import digest
 from capsyn.execution.files import atomic_write
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.grid import MAX_COUNT, grid_settings
+from capsyn.modelling.grid import MAX_COUNT, Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import Target
 from capsyn.policies.guarantee import Guarantee
@@ -37,9 +37,6 @@ FORMAT = "capsyn-policy"
 VERSION = 5
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
 split along some axes only 5."""
-CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
-SPLIT_ARRAYS = {"splits": np.uint16}
-TREE_ARRAYS = {"split": np.int32, "threshold": np.int32, "second": np.int32, "planes": np.int32}
 ARRAYS = [
     set(TREE_ARRAYS),
     *({*CELL_ARRAYS, *rows, *splits} for rows in ((), ROW_ARRAYS) for splits in ((), SPLIT_ARRAYS)),
@@ -78,7 +75,7 @@ SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost
 
 def save(policy: Any, path: str | os.PathLike[str]) -> None:
     """Write a policy file atomically; the same policy gives the same bytes."""
-    content, arrays = content_of(policy), arrays_of(policy)
+    content, arrays = content_of(policy), policy.cells.arrays()
     document = {
         "format": FORMAT,
         "version": _least_version(arrays, policy.gaps),
@@ -105,19 +102,9 @@ def content_of(policy: Any) -> dict[str, Any]:
     """Return what a policy's file says of it beside its arrays, as plain data."""
     target = policy.target
     kind = {Ball: "ball", Box: "box", Program: "program", type(None): ""}[type(target)]
-    structure: dict[str, Any]
-    cells = policy.cells
-    if isinstance(cells, SplitTree):
-        structure = {"counts": list(cells.counts), "guarantee": policy.guarantee.to_json()}
-    else:
-        structure = {
-            "partitions": list(cells.partitions),
-            "refinement": list(cells.refinement),
-            "max_level": cells.max_level,
-        }
-    if policy.gaps:
-        structure["gaps"] = True
-    return structure | {
+    return {
+        **policy.structure(),
+        **({"gaps": True} if policy.gaps else {}),
         "name": policy.name,
         "domain": policy.domain.to_json(),
         "alphabet": policy.alphabet.to_json(),
@@ -134,24 +121,13 @@ def content_of(policy: Any) -> dict[str, Any]:
 
 def content_hash(policy: Any) -> str:
     """Return the SHA-256 of what the policy is, the same that its file carries."""
-    return digest(arrays_of(policy), _canonical(content_of(policy)))
-
-
-def arrays_of(policy: Any) -> dict[str, np.ndarray]:
-    """Return the arrays of a policy by their names in its file."""
-    cells = policy.cells
-    if isinstance(cells, SplitTree):
-        return {name: getattr(cells, name) for name in TREE_ARRAYS}
-    arrays = {name: getattr(cells, name) for name in CELL_ARRAYS}
-    if cells.splits is not None:
-        arrays["splits"] = cells.splits
-    return arrays | ({} if cells.affine is None else cells.affine.arrays())
+    return digest(policy.cells.arrays(), _canonical(content_of(policy)))
 
 
 def _least_version(arrays: dict[str, np.ndarray], gaps: bool) -> int:
     """Return the first version that has files with such arrays, and with gaps."""
-    found = {5: "splits" in arrays, 4: gaps, 3: "row_starts" in arrays, 2: "split" in arrays}
-    return next((version for version, needed in found.items() if needed), 1)
+    needed = {5: "splits" in arrays, 4: gaps, 3: "row_starts" in arrays, 2: "split" in arrays}
+    return next((version for version, news in needed.items() if news), 1)
 
 
 def load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) -> Made:
@@ -244,8 +220,8 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     settings, model = content["settings"], content["model"]
     if model is not None:
         model = Model.from_json(model, domain.n, alphabet.m, len(alphabet))
-    given = {key: content[key] for key in ("name", "default", "outside", "min_dwell", "horizon")}
-    given |= {
+    fields = {key: content[key] for key in ("name", "default", "outside", "min_dwell", "horizon")}
+    fields |= {
         "domain": domain,
         "alphabet": alphabet,
         "target": _target(content["target"]),
@@ -259,18 +235,15 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)
         domain.check_resolution(counts)
         guarantee = Guarantee(**content["guarantee"])
-        return given | {"cells": SplitTree(counts, **arrays), "guarantee": guarantee}
-    partitions, refinement, max_level = grid_settings(
-        content["partitions"], content["refinement"], content["max_level"], domain.n
-    )
+        return fields | {"cells": SplitTree(counts, **arrays), "guarantee": guarantee}
+    grid = Grid.of(content["partitions"], content["refinement"], content["max_level"], domain.n)
     affine = None
     if "row_starts" in arrays:
         affine = AffineLeaves.of_arrays(len(alphabet) + 1, arrays)
+    domain.check_resolution(grid.counts)
     entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
-    splits = arrays.get("splits")
-    tree = CellTree(partitions, refinement, max_level, entries, mixed, labels, affine, splits)
-    domain.check_resolution(tree.counts)
-    return given | {"cells": tree}
+    tree = CellTree(grid, entries, mixed, labels, affine, arrays.get("splits"))
+    return fields | {"cells": tree}
 
 
 def _settings(data: dict[str, Any]) -> SsacSettings:
@@ -314,19 +287,19 @@ def _evidence(document: dict[str, Any]) -> dict[str, Any]:
     return evidence
 
 
-def _is_evidence(kind: str, found: Any) -> bool:
+def _is_evidence(kind: str, data: Any) -> bool:
     """Return whether plain data has the figures of a kind of evidence, and they make sense."""
-    if kind not in EVIDENCE or not isinstance(found, dict) or not _is_clean(found):
+    if kind not in EVIDENCE or not isinstance(data, dict) or not _is_clean(data):
         return False
-    counts, shares = ([found.get(name) for name in names] for names in EVIDENCE[kind])
+    counts, shares = ([data.get(name) for name in names] for names in EVIDENCE[kind])
     numbers = [count for count in counts if type(count) is int]
     return (
         len(numbers) == len(counts)
         and numbers == sorted(numbers, reverse=True)  # no more successes than trials
         and min(numbers, default=0) >= 0
         and all(isinstance(share, (int, float)) and 0 <= share <= 1 for share in shares)
-        and found.get("low", 0) <= found.get("high", 1)
-        and isinstance(found.get("conditions", {}), dict)
+        and data.get("low", 0) <= data.get("high", 1)
+        and isinstance(data.get("conditions", {}), dict)
     )
 
 
@@ -343,15 +316,15 @@ def _is_clean(value: Any) -> bool:
 
 def add_evidence(policy: Any, kinds: dict[str, Any]) -> dict[str, Any]:
     """Return the evidence of a policy with some kinds added; see `Policy.with_evidence`."""
-    for kind, found in kinds.items():
+    for kind, data in kinds.items():
         try:
-            _canonical(found)
+            _canonical(data)
         except (TypeError, ValueError):
-            found = None
-        if not _is_evidence(kind, found):
+            data = None
+        if not _is_evidence(kind, data):
             raise ProblemError(
                 f"`{kind}` must be what to_json() of evidence of a kind ({', '.join(EVIDENCE)}) "
-                f"gives; got {describe(found)}"
+                f"gives; got {describe(data)}"
             )
     content = content_hash(policy)
     known = policy.evidence if policy.evidence.get("sha256") == content else {}

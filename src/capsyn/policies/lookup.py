@@ -20,58 +20,58 @@ from capsyn.native.source import hand_written, pointer
 COMPILED_FROM = 50_000
 """Batches of this size are looked up by the compiled kernel where there is a compiler."""
 OUTSIDE, NOT_FINITE = -2, -3
-"""What `LookupKernel` writes for states outside the domain, or not finite."""
+"""Leaf numbers of states outside the domain, or not finite: `LookupKernel` tells these apart, the
+NumPy lookup does not and gives both `OUTSIDE`."""
+GAP = OUTSIDE
+"""Leaf number of states in a gap: they are outside, although in the domain."""
+NO_AFFINE = 2**63 - 1
+"""Number of the first affine leaf where there is none: beyond all leaf numbers."""
+LOOKUP_ARRAYS = {
+    "lower": np.float64,
+    "upper": np.float64,
+    "periodic": np.uint8,
+    "counts": np.int64,
+    "partitions": np.int64,
+    "refinement": np.int64,
+    "entries": np.int32,
+    "splits": np.uint16,
+    "nodes": np.int32,
+    "planes": np.int32,
+    "starts": np.int32,
+    **ROW_ARRAYS,
+}
+"""The arrays that lookup.c reads, in its order; those of other cells are null there."""
 
 
 class TreeArguments(ctypes.Structure):
     """The ``tree`` of lookup.c: where the arrays of a domain and its tree lie."""
 
     _fields_ = [
-        *(
-            (name, ctypes.c_void_p)
-            for name in "lower upper periodic counts partitions refinement entries splits nodes "
-            "planes starts".split()
-        ),
-        ("oblique", ctypes.c_int64),
-        ("shift", ctypes.c_int64),
-        ("affine", ctypes.c_int64),
-        *(
-            (name, ctypes.c_void_p)
-            for name in "row_starts row_symbols row_constants row_slopes".split()
-        ),
+        *((name, ctypes.c_void_p) for name in LOOKUP_ARRAYS if name not in ROW_ARRAYS),
+        *((name, ctypes.c_int64) for name in ("oblique", "shift", "affine")),
+        *((name, ctypes.c_void_p) for name in ROW_ARRAYS),
     ]
 
     @staticmethod
     def of(domain: Box, cells: CellTree | SplitTree) -> TreeArguments:
         """Return the arguments, which keep the arrays alive."""
-        arrays = {
-            "lower": np.ascontiguousarray(domain.lower),
-            "upper": np.ascontiguousarray(domain.upper),
-            "periodic": np.array(domain.periodic, dtype=np.uint8),
-            "counts": np.array(cells.counts, dtype=np.int64),
+        values = {
+            "affine": NO_AFFINE,
+            "lower": domain.lower,
+            "upper": domain.upper,
+            "periodic": np.array(domain.periodic),
+            "counts": np.array(cells.counts),
+            **cells.lookup_arguments(),
         }
-        made = TreeArguments(affine=2**63 - 1)
-        if isinstance(cells, CellTree):
-            arrays["partitions"] = np.array(cells.partitions, dtype=np.int64)
-            arrays["refinement"] = np.array(cells.refinement, dtype=np.int64)
-            arrays["entries"] = np.ascontiguousarray(cells.entries, dtype=np.int32)
-            if cells.splits is not None:
-                arrays["splits"] = np.ascontiguousarray(cells.splits, dtype=np.uint16)
-            if cells.affine is not None:
-                made.affine = cells.affine.first
-                for name, values in cells.affine.arrays().items():
-                    arrays[name] = np.ascontiguousarray(values, dtype=ROW_ARRAYS[name])
-        else:
-            arrays["nodes"], arrays["planes"] = (
-                cells.rows,
-                np.ascontiguousarray(cells.planes, dtype=np.int32),
-            )
-            made.shift, arrays["starts"] = cells.starts
-            made.oblique = bool(len(cells.planes))
-        for name, array in arrays.items():
-            setattr(made, name, array.ctypes.data)
-        made.arrays = arrays
-        return made
+        arrays = {
+            name: np.ascontiguousarray(values.pop(name), dtype=dtype)
+            for name, dtype in LOOKUP_ARRAYS.items()
+            if name in values
+        }
+        pointers = {name: array.ctypes.data for name, array in arrays.items()}
+        tree = TreeArguments(**values, **pointers)
+        tree.arrays = arrays
+        return tree
 
 
 @dataclass(frozen=True)

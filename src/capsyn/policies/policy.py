@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import os
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,13 +18,9 @@ from capsyn.modelling.domain import Box
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import Target, check_target
 from capsyn.policies.guarantee import Guarantee
-from capsyn.policies.lookup import lookup_kernel
+from capsyn.policies.lookup import GAP, OUTSIDE, lookup_kernel
 from capsyn.programs.model import Model
-from capsyn.validation import describe, finite_number, state_array
-
-if TYPE_CHECKING:
-    pass
-
+from capsyn.validation import describe, finite_number, keep, read_only, state_array
 
 SAMPLES = 100_000
 """States at which the volumes of symbols are estimated where planes bound them."""
@@ -93,19 +89,16 @@ class Policy:
     _structure: ClassVar[type] = CellTree
 
     def __post_init__(self) -> None:
-        def keep(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
         if not isinstance(self.name, str) or not self.name.isprintable():
             raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
-        keep("default", self.alphabet.control("default", self.default))
-        keep("outside", check_outside(self.outside, self.alphabet))
-        keep("min_dwell", finite_number("min_dwell", self.min_dwell, least=0.0))
+        keep(self, default=self.alphabet.control("default", self.default))
+        keep(self, outside=check_outside(self.outside, self.alphabet))
+        keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
         check_target(self.target, self.domain)
         if not isinstance(self.gaps, bool):
             raise ProblemError(f"`gaps` must be True or False; got {describe(self.gaps)}")
         if self.horizon is not None:
-            keep("horizon", finite_number("horizon", self.horizon, above=0.0))
+            keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         if self.settings is not None:
             self.settings.efforts(self.alphabet.values)
         if not isinstance(self.cells, self._structure):
@@ -163,7 +156,7 @@ class Policy:
         else:
             labels = kernel(states, self.domain, self.cells, nearest)
         if self.gaps:
-            labels[labels == len(self.alphabet)] = -2
+            labels[labels == len(self.alphabet)] = GAP
         return labels
 
     def covers(self, states: Any) -> Any:
@@ -181,10 +174,10 @@ class Policy:
     def _labels(self, states: np.ndarray, nearest: bool) -> np.ndarray:
         """Return leaf numbers of states (B, n), negative for states outside or not finite."""
         finite = np.isfinite(states).all(axis=1)
-        found = finite if nearest else self.domain.contains(states)
-        labels = np.full(len(states), -2, dtype=np.int32)
-        steps = self.domain.locate(states[found], self.cells.counts)
-        labels[found] = self.cells.labels(steps)
+        covered = finite if nearest else self.domain.contains(states)
+        labels = np.full(len(states), OUTSIDE, dtype=np.int32)
+        steps = self.domain.locate(states[covered], self.cells.counts)
+        labels[covered] = self.cells.labels(steps)
         return labels
 
     def _raise_outside(self, state: np.ndarray, index: int | None) -> None:
@@ -216,8 +209,7 @@ class Policy:
     def controls(self) -> np.ndarray:
         """Control vectors (N + 1, m) of the symbols, the default control last [input units]."""
         table = np.vstack([self.alphabet.values, self.default])
-        table.flags.writeable = False
-        return table
+        return read_only(table)
 
     def symbol_name(self, symbol: int) -> str:
         """Return the name of a symbol index; -1 is ``default``."""
@@ -237,16 +229,22 @@ class Policy:
 
     def _sampled_shares(self) -> np.ndarray:
         steps = np.random.default_rng(0).integers(self.cells.counts, size=(SAMPLES, self.domain.n))
-        found = np.bincount(self.cells.labels(steps), minlength=len(self.alphabet) + 1)
-        return found / SAMPLES
+        drawn = np.bincount(self.cells.labels(steps), minlength=len(self.alphabet) + 1)
+        return drawn / SAMPLES
 
     @property
     def has_planes(self) -> bool:
         """Whether planes that are oblique to the axes bound symbols: affine leaves, or splits."""
-        cells = self.cells
-        return (
-            (cells.affine is not None) if isinstance(cells, CellTree) else bool(len(cells.planes))
-        )
+        return self.cells.has_planes
+
+    @property
+    def title(self) -> str:
+        """The name, and of a decision tree its mode."""
+        return self.name
+
+    def structure(self) -> dict[str, Any]:
+        """Return what the file says of the cells beside their arrays, as plain data."""
+        return self.cells.structure()
 
     @functools.cached_property
     def mixed_share(self) -> float:
@@ -356,6 +354,15 @@ class DecisionTree(Policy):
     def depth(self) -> int:
         """Most comparisons that a lookup takes."""
         return self.cells.depth
+
+    @property
+    def title(self) -> str:
+        """The name and the mode."""
+        return f"{self.name}, {self.guarantee.mode} tree"
+
+    def structure(self) -> dict[str, Any]:
+        """Return what the file says of the tree beside its arrays, and its guarantee."""
+        return super().structure() | {"guarantee": self.guarantee.to_json()}
 
     @property
     def mixed_share(self) -> float:

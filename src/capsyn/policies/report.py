@@ -11,14 +11,17 @@ from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import describe_target
 from capsyn.policies.file import content_hash
 from capsyn.policies.guarantee import CONFIDENCE, Guarantee
-from capsyn.policies.policy import DecisionTree, Policy
+from capsyn.policies.policy import DecisionTree, Policy, cell_tree
+
+PER_AXIS = ("partitions", "refinement")
+"""What the structure of cells has one number of for each axis."""
 
 
 def report(policy: Policy) -> dict[str, Any]:
     """Return the figures of a policy, or of a decision tree, as plain data."""
     cells, domain, alphabet = policy.cells, policy.domain, policy.alphabet
     shares, digest = policy.volume_shares.tolist(), content_hash(policy)
-    names = [*alphabet.names, "default"]
+    names, structure = [*alphabet.names, "default"], cells.structure()
     return {
         "name": policy.name,
         "states": [
@@ -29,7 +32,7 @@ def report(policy: Policy) -> dict[str, Any]:
                 "upper": domain.upper[i],
                 "periodic": domain.periodic[i],
                 "steps": cells.counts[i],
-                **(_grid(cells, i) if isinstance(cells, CellTree) else {}),
+                **{key: structure[key][i] for key in PER_AXIS if key in structure},
             }
             for i in range(domain.n)
         ],
@@ -42,8 +45,7 @@ def report(policy: Policy) -> dict[str, Any]:
         "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
         "gaps": policy.gaps,
         "unused_symbols": [names[k] for k in range(len(alphabet)) if not shares[k]],
-        **(_cells(policy, cells) if isinstance(cells, CellTree) else {}),
-        **(_tree(policy) if isinstance(policy, DecisionTree) else {}),
+        **(_tree(policy) if isinstance(policy, DecisionTree) else _cells(policy)),
         "outside": policy.outside
         if isinstance(policy.outside, str)
         else policy.symbol_name(policy.outside),
@@ -57,10 +59,6 @@ def report(policy: Policy) -> dict[str, Any]:
     }
 
 
-def _grid(cells: CellTree, axis: int) -> dict[str, int]:
-    return {"partitions": cells.partitions[axis], "refinement": cells.refinement[axis]}
-
-
 def _holds_back(settings: SsacSettings | None) -> str:
     """Return which settings keep the steepest symbol from being chosen."""
     if settings is None:
@@ -71,7 +69,8 @@ def _holds_back(settings: SsacSettings | None) -> str:
     return f"{wanted} holds it back" + (", or control_weight" if settings.control_weight else "")
 
 
-def _cells(policy: Policy, cells: CellTree) -> dict[str, Any]:
+def _cells(policy: Policy) -> dict[str, Any]:
+    cells = cell_tree(policy)
     return {
         "max_level": cells.max_level if cells.affine is None else _most_times(cells),
         "adaptive": cells.splits is not None,

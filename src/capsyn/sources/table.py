@@ -14,9 +14,9 @@ from capsyn.cells.masks import preferred, several
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import LARGEST, Box
-from capsyn.modelling.grid import MAX_COUNT
+from capsyn.modelling.grid import MAX_COUNT, Grid, grid_places
 from capsyn.policies.policy import Policy
-from capsyn.validation import describe, finite_array
+from capsyn.validation import describe, finite_array, keep, read_only
 
 MOST_POINTS = 1 << 24
 """Most points of a grid."""
@@ -74,10 +74,7 @@ class Table:
                 f"`masks` must hold symbols 0 to {len(self.alphabet) - 1}; got "
                 f"{int(masks[tuple(point)]):#b} at state {_text(first + step * point)}"
             )
-        masks = masks.copy()
-        masks.flags.writeable = False
-        for key, value in {"first": first, "step": step, "masks": masks}.items():
-            object.__setattr__(self, key, value)
+        keep(self, first=first, step=step, masks=read_only(masks.copy()))
         self.box()
 
     @staticmethod
@@ -190,9 +187,9 @@ class Table:
         masks = np.where(self.masks == 0, gap, self.masks)
         gaps = bool((self.masks == 0).any())
         padded = [gaps and outside != "nearest" and not p for p in self.box().periodic]
-        layouts = list(_layouts(self.counts, padded))
-        partitions, refinement, level = min(layouts, key=lambda x: _entry_count(masks, gap, *x))
-        masks = _padded(masks, gap, partitions, refinement, level)
+        grids = list(_grids(self.counts, padded))
+        grid = min(grids, key=lambda grid: _entry_count(masks, gap, grid))
+        masks = _padded(masks, gap, grid)
         domain = self._box(masks.shape)
         domain.check_resolution(masks.shape)
         return Policy(
@@ -200,7 +197,7 @@ class Table:
             domain=domain,
             alphabet=self.alphabet,
             default=np.zeros(self.alphabet.m) if default is None else default,
-            cells=_merged(masks, partitions, refinement, level, len(self.alphabet)),
+            cells=_merged(masks, grid, len(self.alphabet)),
             outside=outside,
             min_dwell=min_dwell,
             statistics={
@@ -269,13 +266,9 @@ def check_points(counts: Sequence[int]) -> None:
         raise ProblemError(f"a table must have at most {MOST_POINTS:,} points; got {shape}")
 
 
-Layout = tuple[tuple[int, ...], tuple[int, ...], int]
-"""Partitions, refinement and levels of cells."""
-
-
-def _layouts(counts: tuple[int, ...], padded: Sequence[bool]) -> Iterator[Layout]:
+def _grids(counts: tuple[int, ...], padded: Sequence[bool]) -> Iterator[Grid]:
     """Yield what cells may be like: no levels, or some with blocks that fit or are padded."""
-    yield counts, (2,) * len(counts), 0
+    yield Grid(counts, (2,) * len(counts), 0)
     for level in range(1, max(counts).bit_length()):
         partitions, refinement = [], []
         for count, free in zip(counts, padded):
@@ -285,9 +278,10 @@ def _layouts(counts: tuple[int, ...], padded: Sequence[bool]) -> Iterator[Layout
             partitions.append(-(-count // r**level))
             refinement.append(r)
         else:
-            sizes = [q * r**level for q, r in zip(partitions, refinement)]
+            grid = Grid(tuple(partitions), tuple(refinement), level)
+            sizes = grid.counts
             if math.prod(sizes) <= 2 * math.prod(counts) and max(sizes) <= MAX_COUNT:
-                yield tuple(partitions), tuple(refinement), level
+                yield grid
 
 
 def _root(count: int, level: int) -> int | None:
@@ -297,24 +291,17 @@ def _root(count: int, level: int) -> int | None:
     )
 
 
-def _padded(
-    masks: np.ndarray,
-    gap: np.uint64,
-    partitions: tuple[int, ...],
-    refinement: tuple[int, ...],
-    level: int,
-) -> np.ndarray:
-    sizes = [q * r**level for q, r in zip(partitions, refinement)]
-    more = [(0, size - k) for size, k in zip(sizes, masks.shape)]
+def _padded(masks: np.ndarray, gap: np.uint64, grid: Grid) -> np.ndarray:
+    more = [(0, size - k) for size, k in zip(grid.counts, masks.shape)]
     return np.pad(masks, more, constant_values=gap)
 
 
-def _pyramid(masks: np.ndarray, refinement: tuple[int, ...], level: int) -> list[np.ndarray]:
+def _pyramid(masks: np.ndarray, grid: Grid) -> list[np.ndarray]:
     """Return the mask of every cell, coarsest level first; 0 where those below it differ."""
     levels = [masks]
-    for _ in range(level):
+    for _ in range(grid.max_level):
         below = levels[-1]
-        shape = [part for k, r in zip(below.shape, refinement) for part in (k // r, r)]
+        shape = [part for k, r in zip(below.shape, grid.refinement) for part in (k // r, r)]
         inner = tuple(range(1, 2 * below.ndim, 2))
         blocks = below.reshape(shape)
         first = blocks[(slice(None), 0) * below.ndim]
@@ -323,35 +310,20 @@ def _pyramid(masks: np.ndarray, refinement: tuple[int, ...], level: int) -> list
     return levels[::-1]
 
 
-def _entry_count(
-    masks: np.ndarray,
-    gap: np.uint64,
-    partitions: tuple[int, ...],
-    refinement: tuple[int, ...],
-    level: int,
-) -> int:
-    """Return how many entries the cells of a layout have."""
-    levels = _pyramid(_padded(masks, gap, partitions, refinement, level), refinement, level)
+def _entry_count(masks: np.ndarray, gap: np.uint64, grid: Grid) -> int:
+    """Return how many entries the cells of a grid have."""
+    levels = _pyramid(_padded(masks, gap, grid), grid)
     blocks = sum(int(np.count_nonzero(cells == 0)) for cells in levels)
-    return math.prod(partitions) + blocks * math.prod(refinement)
+    return grid.roots + blocks * grid.children
 
 
-def _merged(
-    masks: np.ndarray,
-    partitions: tuple[int, ...],
-    refinement: tuple[int, ...],
-    level: int,
-    gap: int,
-) -> CellTree:
+def _merged(masks: np.ndarray, grid: Grid, gap: int) -> CellTree:
     """Return the cells of a grid of masks; label `gap` where its bit is set."""
-    n = masks.ndim
-    size = math.prod(refinement) if level else 0
-    children = np.stack(np.unravel_index(np.arange(size), refinement), axis=1)
-    cells = np.stack(np.unravel_index(np.arange(math.prod(partitions)), partitions), axis=1)
+    children, cells = grid_places(grid.split(grid.max_level)), grid_places(grid.partitions)
     entries, mixed, sets = [], [], []
     start = 0
-    for grid in _pyramid(masks, refinement, level):
-        own = grid[tuple(cells.T)]
+    for layer in _pyramid(masks, grid):
+        own = layer[tuple(cells.T)]
         split = own == 0
         end = start + len(own)
         labels = preferred(own, range(gap + 1)).astype(np.int64)
@@ -361,11 +333,9 @@ def _merged(
         mixed.append((start + free).astype(np.int32))
         sets.append(own[free])
         start = end
-        cells = (cells[split][:, None, :] * refinement + children).reshape(-1, n)
+        cells = (cells[split][:, None, :] * grid.refinement + children).reshape(-1, grid.n)
     return CellTree(
-        partitions,
-        refinement,
-        level,
+        grid,
         np.concatenate(entries),
         np.concatenate(mixed),
         np.concatenate(sets),

@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 import functools
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from capsyn.subdivision.cell_points import CellPoints
+from capsyn.modelling.grid import grid_places
+from capsyn.subdivision.cell_points import FINE, CellPoints
 from capsyn.subdivision.lattice_points import LatticePoints
-from capsyn.subdivision.limits import Limits
-from capsyn.subdivision.propositions import worst_case_solves
+from capsyn.subdivision.plan import SubdivisionPlan
 
-FINE = 8
-"""Lattice units along the edge of a finest cell: of vertices, centres and edge midpoints, and of
-points a quarter of the way from these to the centre."""
 ROLES = ("vertices", "centers", "others", "quarter")
 """What a solved point was first: vertex, centre, other test point, or point of the quarter rule."""
-
-
-def grid_places(split: Sequence[int] | np.ndarray) -> np.ndarray:
-    """Return the integer positions (children, n) of the cells of a block in C order."""
-    shape = tuple(int(k) for k in split)
-    return np.stack(np.unravel_index(np.arange(math.prod(shape)), shape), axis=1)
 
 
 @dataclass(frozen=True)
@@ -133,62 +121,28 @@ class SubdivisionTask:
 
     Parameters
     ----------
-    partitions, refinement : (n,) ints
-        Cells of the root grid, and children of a split cell, per axis.
-    max_level : int
-        Most times that a cell is split along an axis.
-    test_points : CellPoints
-        Which points of a cell are tested.
-    seed : int
-        Seed of random test points.
+    plan : SubdivisionPlan
+        What is asked for.
     order : list of int
         Symbols and the default, most preferred first, to break ties.
     points : LatticePoints
         Where test points are solved.
-    limits : Limits
-        What it may take.
+    plain : bool
+        Whether scores are mere indicators of labels.
     """
 
-    partitions: tuple[int, ...]
-    refinement: tuple[int, ...]
-    max_level: int
-    test_points: CellPoints
-    seed: int
+    plan: SubdivisionPlan
     order: list[int]
     points: LatticePoints
-    limits: Limits
+    plain: bool
 
-    @property
-    def n(self) -> int:
-        """Number of axes."""
-        return len(self.partitions)
+    @functools.cached_property
+    def offsets(self) -> np.ndarray:
+        """The fixed test points (P, n) of a cell, in its halves."""
+        return self.plan.points.offsets(self.plan.grid.n)
 
     @functools.cached_property
     def blocks(self) -> CellBlocks:
         """Where blocks get their test points."""
-        return CellBlocks(self.points, self.test_points, self.n, self.seed)
-
-    def statistics(self, roles: np.ndarray, stopped: str, adaptive: bool = False) -> dict[str, Any]:
-        """Return the counts of what was solved as plain data.
-
-        `roles` counts solves by `ROLES`; `stopped` names the limit that ended the work, if any;
-        `adaptive`: cells were split along some axes only.
-        """
-        points = self.points
-        return ({"stopped_by": stopped} if stopped not in ("", "max_solves") else {}) | {
-            "solves": points.count,
-            "solves_by_role": dict(zip(ROLES, roles.tolist())),
-            "stopped_by_max_solves": stopped == "max_solves",
-            "indifferent_points": points.indifferent,
-            "not_finite_points": points.not_finite,
-            "not_finite_example": points.example,
-            "test_points": str(self.test_points),
-            "seed": self.seed,
-            "worst_case_solves": worst_case_solves(
-                self.partitions,
-                self.refinement,
-                self.max_level,
-                self.test_points.interior(self.n),
-                adaptive,
-            ),
-        }
+        plan = self.plan
+        return CellBlocks(self.points, plan.points, plan.grid.n, plan.seed)

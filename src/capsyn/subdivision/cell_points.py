@@ -14,6 +14,9 @@ from capsyn.errors import ProblemError
 from capsyn.validation import describe
 
 NAMES = ("vertices", "center", "edge_midpoints", "faces", "random")
+FINE = 8
+"""Lattice units along the edge of a finest cell: of vertices, centres and edge midpoints, and of
+points a quarter of the way from these to the centre."""
 
 
 @dataclass(frozen=True)

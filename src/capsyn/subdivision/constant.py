@@ -9,7 +9,6 @@ levels.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -17,16 +16,18 @@ from typing import Any
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.masks import most_voted, preferred, several
+from capsyn.cells.masks import most_voted, preferred
 from capsyn.errors import SynthesisError
-from capsyn.subdivision.cell_blocks import FINE, ROLES, SubdivisionTask, grid_places
+from capsyn.modelling.grid import MAX_COUNT, grid_places
+from capsyn.subdivision.cell_blocks import SubdivisionTask
+from capsyn.subdivision.cell_points import FINE
 from capsyn.subdivision.lattice_points import MANY, Question
+from capsyn.subdivision.ledger import QUARTER, Ledger, QuarterRule, Tied
 from capsyn.subdivision.propositions import (
     BYTES_PER_ENTRY,
     BYTES_PER_MIXED,
     block_bytes,
     block_parents,
-    too_few_solves,
 )
 
 
@@ -82,50 +83,36 @@ class ConstantSubdivision:
     """
 
     def __init__(self, task: SubdivisionTask) -> None:
-        self._task, self._points, self._blocks = task, task.points, task.blocks
-        self._n, self._q, self._r = task.n, task.partitions, task.refinement
-        self._max_level, self._test_points, self._order = (
-            task.max_level,
-            task.test_points,
-            task.order,
-        )
-        self._offsets = task.test_points.offsets(task.n)
-        self._movable = np.flatnonzero((self._offsets != 1).any(axis=1))  # by the quarter rule
-        self._roles = np.zeros(len(ROLES), dtype=np.int64)
-        self._solves = np.zeros(task.max_level + 1, dtype=np.int64)  # of test points
+        self._task, self._points, self._order = task, task.points, task.order
+        self._grid, self._max_level = task.plan.grid, task.plan.grid.max_level
+        self._ledger = Ledger(task, self._max_level + 1)  # by level it has test points only
+        self._rule = QuarterRule(task, self._ledger)
         self._levels: list[_Level] = []
-        self._limits = task.limits
         self._held = 0  # bytes beside the solved points
-        self._started = time.perf_counter()
-        self._stopped = ""
 
     def run(self) -> CellTree:
         """Return the cells."""
-        parents = self._points.encode(
-            np.zeros((1, self._n), dtype=np.int64), grid_places(self._q) * self._size(0)
-        )[0]
+        parents = self._keys(grid_places(self._grid.partitions) * self._size(0))
         start = 0
         for level in range(self._max_level + 1):
-            cells = math.prod(self._split(level)) * len(parents)
-            if start + cells > 2**31 - 1:
+            cells = self._children(level) * len(parents)
+            if start + cells > MAX_COUNT:
                 raise SynthesisError(f"level {level} has more cells than 32-bit entries can number")
-            found = self._level(parents, level)
-            if found is None:
+            labelled = self._level(parents, level)
+            if labelled is None:
                 break
             if level:  # the mixed cells of the level above are split after all
-                self._link(self._levels[-1], start, len(found.entries))
-            self._levels.append(found)
-            start += len(found.entries)
-            parents, found.corners = found.corners, found.corners[:0]
-            if self._stopped or not len(parents):
+                self._link(self._levels[-1], start, len(labelled.entries))
+            self._levels.append(labelled)
+            start += len(labelled.entries)
+            parents, labelled.corners = labelled.corners, labelled.corners[:0]
+            if self._ledger.stopped or not len(parents):
                 break
         self._points.check_finite(self._points.count)
         starts = np.cumsum([0] + [len(x.entries) for x in self._levels[:-1]])
         mixed = [x.mixed + start for x, start in zip(self._levels, starts)]
         return CellTree(
-            self._q,
-            self._r,
-            self._max_level,
+            self._grid,
             np.concatenate([x.entries for x in self._levels]),
             np.concatenate(mixed).astype(np.int32),
             np.concatenate([x.seen for x in self._levels]).astype(np.uint64),
@@ -134,30 +121,31 @@ class ConstantSubdivision:
     def statistics(self) -> dict[str, Any]:
         """Return the counts of the subdivision as plain data."""
         leaves = [len(x.entries) - x.split for x in self._levels]
-        return self._task.statistics(self._roles, self._stopped) | {
+        return self._ledger.statistics() | {
             "cells": sum(leaves),
             "leaves_by_level": leaves,
             "mixed_cells": sum(len(x.mixed) for x in self._levels),
             "levels": [
                 {"cells": len(x.entries), "mixed": x.count, "solves": solves}
-                for x, solves in zip(self._levels, self._solves.tolist())
+                for x, solves in zip(self._levels, self._ledger.solves.tolist())
             ],
         }
 
-    def _split(self, level: int) -> tuple[int, ...]:
-        """Return into how many children, per axis, the parents of a level's cells are split.
-
-        The cells of the root grid are their own parents.
-        """
-        return self._r if level else (1,) * self._n
+    def _children(self, level: int) -> int:
+        """Return the cells of a level that have one parent."""
+        return math.prod(self._grid.split(level))
 
     def _size(self, level: int) -> np.ndarray:
         """Return the edge lengths (n,) of the cells of a level [lattice units]."""
-        return FINE * np.array([r ** (self._max_level - level) for r in self._r], dtype=np.int64)
+        return FINE * self._grid.sizes(level)
+
+    def _keys(self, corners: np.ndarray) -> np.ndarray:
+        """Return the keys (K,) of lattice points (K, n)."""
+        return self._points.encode(np.zeros((1, self._grid.n), dtype=np.int64), corners)[0]
 
     def _link(self, above: _Level, start: int, cells: int) -> None:
         """Split the first mixed cells of a level into `cells` new ones from entry `start` on."""
-        children = math.prod(self._r)
+        children = self._grid.children
         split = cells // children
         above.entries[above.mixed[:split]] = start + children * np.arange(split)
         above.mixed, above.seen = above.mixed[split:], above.seen[split:]
@@ -170,24 +158,25 @@ class ConstantSubdivision:
         """
         self._held = sum(map(_bytes, self._levels))
         sizes = len(parents), self._need(level), self._leave(level), self._taken
-        step = block_parents(self._limits, *sizes)
+        step = block_parents(self._task.plan.limits, *sizes)
         parts = [parents[i : i + step] for i in range(0, len(parents), step)]
-        cells = math.prod(self._split(level)) * len(parents)
+        cells = self._children(level) * len(parents)
         quarter = level < self._max_level
         stop: Callable[[int, int], bool] | None = self._used_up
-        tests = len(parents) * self._test_points.in_block(self._split(level))
-        tied = cells * len(self._movable) * quarter
-        if len(parts) > 1 and tests + tied > self._left:  # else they suffice, surely
+        tests = len(parents) * self._tests_of(level)
+        tied = cells * len(self._rule.movable) * quarter
+        ledger = self._ledger
+        if len(parts) > 1 and tests + tied > ledger.left:  # else they suffice, surely
             tests = self._count(parts, level)
-            if self._exceeds(tests, level):
+            if ledger.exceeds(tests, level):
                 return None
-            if quarter and tests + tied > self._left:
+            if quarter and tests + tied > ledger.left:
                 parts, quarter = self._solve_first(parts, level, cells)
                 stop = None
         done: list[_Level] = []
         for block in self._tests(parts, level, stop):
             question = self._points.ask(block.keys.ravel())
-            if self._exceeds(int(question.new.sum()), level):
+            if ledger.exceeds(int(question.new.sum()), level):
                 break
             masks = self._solve(block, question, level, cells)
             done.append(self._label(block, masks, level, cells, quarter))
@@ -203,55 +192,36 @@ class ConstantSubdivision:
 
         Below the root grid no more once ``stop(parents, level)`` says so.
         """
-        rng, split = self._blocks.stream(level), np.array(self._split(level))
+        blocks, split = self._task.blocks, np.array(self._grid.split(level))
+        rng, size = blocks.stream(level), self._size(level)
         for part in parts:
             if level and stop and stop(len(part), level):
                 return
             corners = self._points.places(part)
-            yield _Block(corners, *self._blocks.keys(corners, split, self._size(level), rng))
+            yield _Block(corners, *blocks.keys(corners, split, size, rng))
 
     def _need(self, level: int) -> int:
         """Return the bytes that labelling the children of one cell takes."""
-        return block_bytes(self._test_points, self._split(level), self._points.dtype(0).nbytes)
+        plan = self._task.plan
+        return block_bytes(plan.points, plan.grid.split(level), self._points.dtype(0).nbytes)
+
+    def _tests_of(self, level: int) -> int:
+        """Return the test points of the children of one cell."""
+        return self._task.plan.points.in_block(self._grid.split(level))
 
     def _used_up(self, parents: int, level: int) -> bool:
         """Return whether time or memory does not suffice for a block of so many parents."""
-        seconds = self._limits.max_seconds
-        if seconds is not None and time.perf_counter() - self._started > seconds:
-            self._stopped = "max_seconds"
-        if self._too_large(parents, level):
-            self._stopped = "max_memory"
-        return self._stopped in ("max_seconds", "max_memory")
+        return self._ledger.used_up(self._taken + parents * self._need(level))
 
     @property
     def _taken(self) -> int:
         """Bytes that are taken between blocks."""
         return self._points.count * self._points.point_bytes + self._held
 
-    def _too_large(self, parents: int, level: int, more: int = 0) -> bool:
-        """Return whether memory, `more` bytes of it taken, does not suffice for such a block."""
-        bound = self._limits.max_memory
-        return bound is not None and self._taken + more + parents * self._need(level) > bound
-
     def _leave(self, level: int) -> int:
         """Return the bytes that the children of one cell leave at worst."""
-        points = self._test_points.in_block(self._split(level)) * self._points.point_bytes
-        return points + math.prod(self._split(level)) * (BYTES_PER_ENTRY + BYTES_PER_MIXED)
-
-    @property
-    def _left(self) -> float:
-        """Solves that are left."""
-        allowed = self._limits.max_solves
-        return math.inf if allowed is None else allowed - self._points.count
-
-    def _exceeds(self, new: int, level: int = 1) -> bool:
-        """Return whether so many solves are more than are left."""
-        if new <= self._left:
-            return False
-        if level == 0:
-            raise too_few_solves(new, self._limits.max_solves, self._q, self._test_points)
-        self._stopped = self._stopped or "max_solves"
-        return True
+        points = self._tests_of(level) * self._points.point_bytes
+        return points + self._children(level) * (BYTES_PER_ENTRY + BYTES_PER_MIXED)
 
     def _count(self, parts: list[np.ndarray], level: int) -> int:
         """Return how many test points of blocks are new.
@@ -262,7 +232,8 @@ class ConstantSubdivision:
         new = self._points.unsolved()
 
         def stop(parents: int, level: int) -> bool:
-            return len(new) > self._left or self._too_large(parents, level, new.nbytes)
+            needed = self._taken + new.nbytes + parents * self._need(level)
+            return len(new) > self._ledger.left or self._ledger.too_large(needed)
 
         for block in self._tests(parts, level, stop):
             new.add(block.keys.ravel())
@@ -277,7 +248,7 @@ class ConstantSubdivision:
         the quarter rule. Memory is charged with all that they will leave.
         """
         held, point = self._held, self._points.point_bytes
-        children = math.prod(self._split(level))
+        children = self._children(level)
         labels = self._held = held + len(parts[0]) * self._leave(level)  # it will be made anew
         tied, reached = self._points.unsolved(), 0
         for block in self._tests(parts, level, self._used_up):
@@ -287,13 +258,13 @@ class ConstantSubdivision:
             labels += BYTES_PER_ENTRY * children * len(block.parents) + BYTES_PER_MIXED * mixed
             self._held = labels + tied.nbytes + len(tied) * point
         self._held = held
-        return parts[:reached], not self._exceeds(len(tied))
+        return parts[:reached], not self._ledger.exceeds(len(tied))
 
     def _solve(self, block: _Block, question: Question, level: int, cells: int) -> np.ndarray:
         """Return the masks (U, M) of a block's test points."""
         shape = block.keys.shape
-        self._solves[level] += int(question.new.sum())
-        self._count_roles(block.roles[question.samples // shape[1]])
+        roles = block.roles[question.samples // shape[1]]
+        self._ledger.enter(roles, np.full(len(roles), level))
         block.keys = block.keys[:0]
         return self._points.answer(question, level, self._max_level, cells).reshape(shape)
 
@@ -302,9 +273,9 @@ class ConstantSubdivision:
         masks = self._solve(block, self._points.ask(block.keys.ravel()), level, cells)
         masks = masks[block.table.T]
         common = np.bitwise_and.reduce(masks, axis=0)
-        keys, child, parent = self._tied(common, masks, block.parents, level)
-        common[child, parent] = 0
-        return keys, int(np.sum(common == 0))
+        tied = self._tied(common, masks, block.parents, level)
+        common[tied.cells] = 0
+        return tied.keys, int(np.sum(common == 0))
 
     def _label(
         self, block: _Block, masks: np.ndarray, level: int, cells: int, quarter: bool
@@ -323,30 +294,21 @@ class ConstantSubdivision:
         entries[mixed] = -1 - labels
         deeper = slice(None) if level < self._max_level else slice(0)
         corners = self._corners(block.parents, child[deeper], parent[deeper], level)
-        keys = self._points.encode(np.zeros((1, self._n), dtype=np.int64), corners)[0]
-        return _Level(entries, mixed, seen, keys, len(mixed))
+        return _Level(entries, mixed, seen, self._keys(corners), len(mixed))
 
     def _corners(
         self, parents: np.ndarray, child: np.ndarray, parent: np.ndarray, level: int
     ) -> np.ndarray:
         """Return the lower corners (K, n) of children of parents."""
-        return parents[parent] + grid_places(self._split(level))[child] * self._size(level)
+        return parents[parent] + grid_places(self._grid.split(level))[child] * self._size(level)
 
-    def _count_roles(self, roles: np.ndarray) -> None:
-        self._roles += np.bincount(roles, minlength=len(ROLES))
+    def _tied(self, common: np.ndarray, masks: np.ndarray, parents: np.ndarray, level: int) -> Tied:
+        """Return what the quarter rule is for, of the children of parents (M, n)."""
 
-    def _tied(
-        self, common: np.ndarray, masks: np.ndarray, parents: np.ndarray, level: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the keys of the quarter rule, and the child and the parent of each.
+        def places(child: np.ndarray, parent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return self._corners(parents, child, parent, level), self._size(level)
 
-        Only fixed points are looked at again; the centre stays where it is.
-        """
-        point, child, parent = np.nonzero(several(masks[self._movable]) & (common != 0))
-        corners = self._corners(parents, child, parent, level)
-        offsets = self._offsets[self._movable[point]]
-        keys = self._blocks.quarter_keys(corners, self._size(level), offsets)
-        return keys, child, parent
+        return self._rule.tied(common, masks, places)
 
     def _quarter_rule(
         self, common: np.ndarray, masks: np.ndarray, parents: np.ndarray, level: int, cells: int
@@ -356,17 +318,12 @@ class ConstantSubdivision:
         Where that would exceed the solves that are allowed, this level is the last and goes
         without.
         """
-        keys, child, parent = self._tied(common, masks, parents, level)
-        if not len(keys):
-            return common
-        question = self._points.ask(keys)
-        if self._exceeds(int(question.new.sum())):
-            return common
-        self._count_roles(np.full(question.new.sum(), ROLES.index("quarter")))
-        moved = self._points.answer(question, level, self._max_level, cells, quarter=True)
-        common = common.copy()
-        np.bitwise_and.at(common, (child, parent), moved)
-        return common
+
+        def solve(question: Question) -> np.ndarray:
+            self._ledger.enter(np.full(question.new.sum(), QUARTER))
+            return self._points.answer(question, level, self._max_level, cells, quarter=True)
+
+        return self._rule.applied(common, self._tied(common, masks, parents, level), solve)
 
 
 def _bytes(level: _Level) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import NamedTuple
@@ -13,7 +12,7 @@ from capsyn.cells.affine_leaves import LARGEST_SUM, AffineLeaves
 from capsyn.cells.cell_tree import CellTree, ragged
 from capsyn.cells.masks import masks_of_members, several
 from capsyn.errors import ProblemError
-from capsyn.modelling.grid import lattice_counts
+from capsyn.modelling.grid import Grid
 from capsyn.subdivision.affine_fit import Fits
 
 LATTICE, FEW, MANY = 2**14, 2**12, 2**18
@@ -25,33 +24,28 @@ MOST_STEPS = LARGEST_SUM // 16
 """Most steps of the lattice, all axes together: slopes are whole numbers, and need some size."""
 
 
-def lattice_level(partitions: tuple[int, ...], refinement: tuple[int, ...], max_level: int) -> int:
-    """Return the level whose cells are the lattice steps of rows.
+def row_grid(grid: Grid) -> Grid:
+    """Return the grid, at the level whose cells are the lattice steps of rows.
 
     Raises
     ------
     ProblemError
         Rows of whole numbers could not follow so many steps.
     """
-    level = max_level
-    while min(refinement) ** (level - max_level) < LEAST_STEPS:
-        level += 1
-    if sum(lattice_counts(partitions, refinement, level)) > MOST_STEPS:
-        finer = level - max_level
-        fits = [
-            k
-            for k in range(max_level)
-            if sum(lattice_counts(partitions, refinement, k + finer)) <= MOST_STEPS
-        ]
+    finer = 0
+    while min(grid.refinement) ** finer < LEAST_STEPS:
+        finer += 1
+    rows = grid.at(grid.max_level + finer)
+    if sum(rows.counts) > MOST_STEPS:
+        levels = range(grid.max_level)
+        fits = [k for k in levels if sum(grid.at(k + finer).counts) <= MOST_STEPS]
         advice = f"max_level <= {fits[-1]} fits" if fits else "use fewer partitions"
-        raise ProblemError(f"`max_level` {max_level} is too high for affine leaves: {advice}")
+        raise ProblemError(f"`max_level` {grid.max_level} is too high for affine leaves: {advice}")
     while True:
-        least = min(lattice_counts(partitions, refinement, level))
-        if max(lattice_counts(partitions, refinement, level + 1)) > (
-            MANY if least < FEW else LATTICE
-        ):
-            return level
-        level += 1
+        next_finer = rows.at(rows.max_level + 1)
+        if max(next_finer.counts) > (MANY if min(rows.counts) < FEW else LATTICE):
+            return rows
+        rows = next_finer
 
 
 @dataclass(eq=False)
@@ -146,52 +140,41 @@ class GrowingCells:
     def groups(self, chosen: np.ndarray, refinement: tuple[int, ...]) -> list[SplitCells]:
         """Return some cells (M,), those together that are split along the same axes."""
         kinds, kind = np.unique(self.axes[chosen], axis=0, return_inverse=True)
-        found = []
+        groups = []
         for k, axes in enumerate(kinds):
             here = chosen[kind.ravel() == k]
             times = (self.times[here] + axes).astype(np.int8)
             factors = np.where(axes, refinement, 1)
-            found.append(SplitCells(here, factors, self.corner[here], times, self.level[here] + 1))
-        return found
+            groups.append(SplitCells(here, factors, self.corner[here], times, self.level[here] + 1))
+        return groups
 
-    def by_level(self, roots: int, refinement: tuple[int, ...]) -> Iterator[np.ndarray]:
+    def by_level(self, grid: Grid) -> Iterator[np.ndarray]:
         """Yield the cells (M,) of each level in the order of a `CellTree`."""
-        here = np.arange(roots)
+        here = np.arange(grid.roots)
         while here.size:
             yield here
             split = here[self.child[here] >= 0]
-            parent, number = ragged(self.children(split, refinement))
+            parent, number = ragged(self.children(split, grid.refinement))
             here = self.child[split][parent] + number
 
-    def tree(
-        self,
-        partitions: tuple[int, ...],
-        refinement: tuple[int, ...],
-        level: int,
-        first: int,
-        rows: list[Rows],
-        adaptive: bool,
-    ) -> CellTree:
-        """Return the cells as a tree on the lattice of a level.
+    def tree(self, grid: Grid, first: int, rows: list[Rows], adaptive: bool) -> CellTree:
+        """Return the cells as a tree on the lattice of a grid.
 
         Affine leaves have numbers from `first` on. Where `adaptive`, cells may be split along some
         axes only.
         """
-        roots = math.prod(partitions)
-        order = np.concatenate(list(self.by_level(roots, refinement)))
+        order = np.concatenate(list(self.by_level(grid)))
         split = self.child[order] >= 0
         entries = -1 - self.label[order].astype(np.int64)
-        counts = self.children(order[split], refinement)
-        entries[split] = roots + np.cumsum(counts) - counts
+        counts = self.children(order[split], grid.refinement)
+        entries[split] = grid.roots + np.cumsum(counts) - counts
         affine = np.flatnonzero(~split & (self.label[order] < 0))
         entries[affine] = -1 - (first + np.arange(len(affine)))
         mixed = np.flatnonzero(~split & (self.seen[order] != 0))
         bits = np.uint16(1) << np.arange(self.axes.shape[1], dtype=np.uint16)
         splits = (self.axes[order] @ bits).astype(np.uint16) * split if adaptive else None
         return CellTree(
-            partitions,
-            refinement,
-            level,
+            grid,
             entries.astype(np.int32),
             mixed.astype(np.int32),
             self.seen[order[mixed]],

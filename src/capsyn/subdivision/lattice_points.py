@@ -138,12 +138,12 @@ class LatticePoints:
             parts = np.ascontiguousarray(keys).view(">i8")
             parts = parts.reshape(len(keys), self._strides.shape[1])
             words = list(parts.T.astype(np.int64))
-        found = np.empty((len(keys), self._domain.n), dtype=np.int64)
+        points = np.empty((len(keys), self._domain.n), dtype=np.int64)
         for i, word in enumerate(self._word):
             stride = self._strides[i, word]
-            found[:, i] = words[word] // stride
-            words[word] = words[word] - found[:, i] * stride
-        return found
+            points[:, i] = words[word] // stride
+            words[word] = words[word] - points[:, i] * stride
+        return points
 
     def unsolved(self) -> UnsolvedKeys:
         """Return a set, empty as yet, of keys that are yet to be solved."""
@@ -184,12 +184,12 @@ class LatticePoints:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the masks (K,) and scores (K, V, S) of a question's keys; NaN where unknown."""
         keys = question.distinct[question.new]
-        found = self._solve(keys, level, max_level, cells, quarter)
-        self._pending = (question.places[question.new], keys, *found)
+        solved = self._solve(keys, level, max_level, cells, quarter)
+        self._pending = (question.places[question.new], keys, *solved)
         self.count += len(keys)
         rows = np.cumsum(question.first, dtype=np.int32) - 1
         answers = []
-        for kept, new in zip((self._masks, self._scores), found):
+        for kept, new in zip((self._masks, self._scores), solved):
             answer = np.empty((len(question.order), *kept.shape[1:]), dtype=kept.dtype)
             if answer.size:
                 known = kept[question.places]
@@ -219,12 +219,12 @@ class LatticePoints:
         missing = np.zeros(len(keys), dtype=bool)
 
         def work(part: slice) -> int:
-            found = self._label(self._states(keys[part]))
+            answer = self._label(self._states(keys[part]))
             if self._scored:
-                found, scores[part.start] = found
-            missing[part] = found == 0
-            masks[part] = found
-            return len(found)
+                answer, scores[part.start] = answer
+            missing[part] = answer == 0
+            masks[part] = answer
+            return len(answer)
 
         done = 0
         for count in self._map(work, parts):
@@ -295,9 +295,9 @@ def key_strides(extents: Sequence[int]) -> tuple[np.ndarray, list[int]]:
         word.append(word[-1] if fits else word[-1] + 1)
         product = product * extent if fits else extent
     words = [word[-1] - w for w in reversed(word)]
-    found = np.zeros((len(extents), words[-1] + 1), dtype=np.int64)
-    found[np.arange(len(extents)), words] = strides[::-1]
-    return found, words
+    table = np.zeros((len(extents), words[-1] + 1), dtype=np.int64)
+    table[np.arange(len(extents)), words] = strides[::-1]
+    return table, words
 
 
 def inserted(array: np.ndarray, places: np.ndarray, values: np.ndarray) -> None:
@@ -337,10 +337,10 @@ class UnsolvedKeys:
     def add(self, keys: np.ndarray) -> None:
         """Put those of the keys (K,) in that are not solved."""
         question = self._points.ask(keys)
-        found = question.distinct[question.new]
-        places = np.searchsorted(self._keys, found)
-        other = self._keys[places] != found
-        inserted(self._keys, places[other], found[other])
+        unsolved = question.distinct[question.new]
+        places = np.searchsorted(self._keys, unsolved)
+        other = self._keys[places] != unsolved
+        inserted(self._keys, places[other], unsolved[other])
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.execution.memory import available_memory
 from capsyn.modelling.domain import Box
-from capsyn.modelling.grid import grid_settings, lattice_counts
-from capsyn.subdivision.cell_points import CellPoints
+from capsyn.modelling.grid import Grid
+from capsyn.subdivision.cell_points import FINE, CellPoints
 from capsyn.subdivision.limits import Limits
 from capsyn.validation import describe
 
@@ -64,23 +64,19 @@ def level_for_precision(
         raise ProblemError(
             f"`precision` must be {domain.n} positive number(s); got {describe(precision)}"
         )
-    q, r, _ = grid_settings(partitions, refinement, 0, domain.n)
+    grid = Grid.of(partitions, refinement, 0, domain.n)
     level = 0
     while any(
-        width / (cells * factor**level) > delta
-        for width, delta, cells, factor in zip(domain.widths.tolist(), wanted.tolist(), q, r)
+        width / cells > delta
+        for width, delta, cells in zip(
+            domain.widths.tolist(), wanted.tolist(), grid.at(level).counts
+        )
     ):
         level += 1
     return level
 
 
-def worst_case_solves(
-    partitions: Sequence[int],
-    refinement: Sequence[int],
-    max_level: int,
-    interior_points: int = 1,
-    adaptive: bool = False,
-) -> int:
+def worst_case_solves(grid: Grid, interior_points: int = 1, adaptive: bool = False) -> int:
     """Return the number of solves of Proposition 2, eq. (10), counted as the paper does.
 
     It bounds the test points; those of the quarter rule, random ones of the levels between, and
@@ -88,28 +84,21 @@ def worst_case_solves(
 
     Parameters
     ----------
-    partitions, refinement : (n,) ints
-        Cells of the root grid, and children of a split cell, per axis.
-    max_level : int
-        Most times that a cell is split along an axis.
+    grid : Grid
+        The grid of cells.
     interior_points : int
         Test points of a cell beside its vertices.
     adaptive : bool
         Cells are split along some axes only: one after the other, this makes fewer than twice as
         many cells as there are finest ones.
     """
-    counts = lattice_counts(tuple(partitions), tuple(refinement), max_level)
-    vertices = math.prod(count + 1 for count in counts)
-    cells = (1 + math.prod(refinement) ** max_level) * math.prod(partitions)
-    if adaptive:
-        cells = 2 * math.prod(counts)
+    vertices = math.prod(count + 1 for count in grid.counts)
+    cells = 2 * grid.cells if adaptive else grid.roots + grid.cells
     return vertices + cells * interior_points
 
 
 def worst_case_memory(
-    partitions: Sequence[int],
-    refinement: Sequence[int],
-    max_level: int,
+    grid: Grid,
     test_points: CellPoints,
     n_symbols: int,
     max_solves: int | None = None,
@@ -119,10 +108,8 @@ def worst_case_memory(
 
     Parameters
     ----------
-    partitions, refinement : (n,) ints
-        Cells of the root grid, and children of a split cell, per axis.
-    max_level : int
-        Most times that a cell is split along an axis.
+    grid : Grid
+        The grid of cells.
     test_points : CellPoints
         Test points of a cell.
     n_symbols : int
@@ -132,22 +119,19 @@ def worst_case_memory(
     room : int, optional
         What a block of cells may take [bytes], where levels are labelled block by block.
     """
-    n, root = len(partitions), math.prod(partitions)
-    split = tuple(refinement) if max_level else (1,) * n
+    split, cells = grid.split(grid.max_level), grid.cells
     children = math.prod(split)
-    cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
-    solves = worst_case_solves(partitions, refinement, max_level, test_points.interior(n))
+    solves = worst_case_solves(grid, test_points.interior(grid.n))
     if max_solves is not None:
         solves = min(solves, max_solves)
-        cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
+        cells = min(cells, max(grid.roots, max_solves * _cells_per_solve(test_points, children)))
     need = block_bytes(test_points, split, mask_bytes(n_symbols))
     step = -(-cells // children) * need
     layout = layout_bytes(test_points, split)
     whole = BYTES_PER_SOLVE * solves + step + layout
     if room is None:
         return whole
-    lattice = math.prod(8 * k for k in lattice_counts(tuple(partitions), tuple(refinement), 0))
-    words = 1 + (lattice * children**max_level).bit_length() // 56
+    words = 1 + (FINE**grid.n * grid.cells).bit_length() // 56
     kept = (8 * words + mask_bytes(n_symbols)) * solves + BYTES_PER_BLOCK_CELL * cells
     return min(whole, kept + max(need, min(step, room)) + layout)
 
@@ -224,9 +208,7 @@ def memory_bound(limits: Limits) -> int:
 
 
 def worst_case_rounds_memory(
-    partitions: Sequence[int],
-    refinement: Sequence[int],
-    max_level: int,
+    grid: Grid,
     test_points: CellPoints,
     labels: int,
     max_solves: int | None = None,
@@ -238,19 +220,16 @@ def worst_case_rounds_memory(
     round, the root grid being one. Where `adaptive`, splits along one axis after the other make
     more cells, and more of their inner points.
     """
-    n, children, root = len(partitions), math.prod(refinement), math.prod(partitions)
-    cells = math.prod(lattice_counts(tuple(partitions), tuple(refinement), max_level))
-    interior = test_points.interior(n)
-    solves = worst_case_solves(partitions, refinement, max_level, interior, adaptive)
-    if adaptive:
-        cells *= 2
+    cells = 2 * grid.cells if adaptive else grid.cells
+    solves = worst_case_solves(grid, test_points.interior(grid.n), adaptive)
     if max_solves is not None:
         solves = min(solves, max_solves)
-        cells = min(cells, max(root, max_solves * _cells_per_solve(test_points, children)))
-    first = root * test_points.in_block((1,) * n) * (BYTES_PER_KEY + BYTES_PER_SCORE * labels)
-    split = tuple(refinement) if max_level else (1,) * n
-    own = max(first, round_bytes(test_points, split, labels))
-    return rounds_memory(solves, min(cells, 4 * solves), labels, n) + own
+        most_cells = max_solves * _cells_per_solve(test_points, grid.children)
+        cells = min(cells, max(grid.roots, most_cells))
+    first = grid.roots * test_points.in_block(grid.split(0))
+    first *= BYTES_PER_KEY + BYTES_PER_SCORE * labels
+    own = max(first, round_bytes(test_points, grid.split(grid.max_level), labels))
+    return rounds_memory(solves, min(cells, 4 * solves), labels, grid.n) + own
 
 
 def round_bytes(test_points: CellPoints, split: Sequence[int], labels: int) -> int:
@@ -270,29 +249,30 @@ def rounds_memory(solves: int, cells: int, labels: int, n: int) -> int:
 
 
 def too_few_solves(
-    needed: int, allowed: int | None, partitions: Sequence[int], test_points: CellPoints
+    needed: int, allowed: int | None, grid: Grid, test_points: CellPoints
 ) -> ProblemError:
     """Return the error of a budget of solves that does not do for the root grid."""
     return ProblemError(
         f"`max_solves` must be at least the {needed} solves of level 0; got {allowed}: "
-        + _fewer_partitions(partitions, allowed or 0, test_points.in_block)
+        + _fewer_partitions(
+            grid, allowed or 0, lambda fewer: test_points.in_block(fewer.partitions)
+        )
     )
 
 
-def _fewer_partitions(
-    partitions: Sequence[int], bound: int, need: Callable[[Sequence[int]], int]
-) -> str:
+def _fewer_partitions(grid: Grid, bound: int, need: Callable[[Grid], int]) -> str:
     """Return the advice of the largest root grid whose `need` is within a bound."""
-    k = bisect.bisect_right(
-        range(1, max(partitions)), bound, key=lambda k: need([min(q, k) for q in partitions])
-    )
+
+    def fewer(most: int) -> Grid:
+        return Grid(tuple(min(q, most) for q in grid.partitions), grid.refinement, 0)
+
+    choices = range(1, max(grid.partitions))
+    k = bisect.bisect_right(choices, bound, key=lambda most: need(fewer(most)))
     return f"use fewer partitions: {k} per axis fit at level 0" if k else "no root grid fits"
 
 
 def check_memory(
-    partitions: tuple[int, ...],
-    refinement: tuple[int, ...],
-    max_level: int,
+    grid: Grid,
     test_points: CellPoints,
     n_symbols: int,
     limits: Limits,
@@ -306,39 +286,33 @@ def check_memory(
     limit = available_memory() if limits.memory_limit is None else limits.memory_limit
     room = block_room(limits)
 
-    def need(level: int, q: Sequence[int] = partitions, most: int | None = None) -> int:
-        solves = limits.max_solves if most is None else most
+    def need(grid: Grid, solves: int | None = limits.max_solves) -> int:
         if affine or adaptive:
             labels = n_symbols + 1 if affine else 0
-            return worst_case_rounds_memory(
-                q, refinement, level, test_points, labels, solves, adaptive
-            )
-        return worst_case_memory(q, refinement, level, test_points, n_symbols, solves, room)
+            return worst_case_rounds_memory(grid, test_points, labels, solves, adaptive)
+        return worst_case_memory(grid, test_points, n_symbols, solves, room)
 
-    def fewer(bound: int) -> str:
-        return _fewer_partitions(partitions, bound, lambda q: need(0, q))
-
-    budget = limits.max_memory
-    if budget is not None and need(0) > budget:
+    budget, least, worst = limits.max_memory, need(grid.at(0)), need(grid)
+    if budget is not None and least > budget:
         raise ProblemError(
-            f"`max_memory` must be at least the {need(0):,} bytes that level 0 may take; "
-            f"got {budget:,}: {fewer(budget)}"
+            f"`max_memory` must be at least the {least:,} bytes that level 0 may take; "
+            f"got {budget:,}: {_fewer_partitions(grid, budget, need)}"
         )
-    worst = need(max_level) if budget is None else min(need(max_level), budget)
+    worst = worst if budget is None else min(worst, budget)
     if worst <= limit:
         return
-    fits = max((k for k in range(max_level) if need(k) <= limit), default=None)
-    advice = fewer(limit) if fits is None else f"max_level <= {fits} fits"
-    solves = worst_case_solves(
-        partitions, refinement, max_level, test_points.interior(len(partitions)), adaptive
-    )
+    fits = max((k for k in range(grid.max_level) if need(grid.at(k)) <= limit), default=None)
+    fewer = _fewer_partitions(grid, limit, need)
+    advice = fewer if fits is None else f"max_level <= {fits} fits"
+    solves = worst_case_solves(grid, test_points.interior(grid.n), adaptive)
     choices = range(1, min(solves, 2**40))
-    most = bisect.bisect_right(choices, limit, key=lambda k: need(max_level, most=k))
+    most = bisect.bisect_right(choices, limit, key=lambda allowed: need(grid, allowed))
     most -= most % 10 ** (len(str(most)) - 1)  # its first digit
-    enough = most >= test_points.in_block(partitions)  # for level 0
+    enough = most >= test_points.in_block(grid.partitions)  # for level 0
     bound = f"`max_solves` (at most {most:,}) or " if enough else ""
     allowed = "available" if limits.memory_limit is None else "allowed by `memory_limit`"
     raise ProblemError(
-        f"`max_level` {max_level} may take {worst / 1e9:.3g} GB at worst ({solves:.3g} solves); "
-        f"{limit / 1e9:.3g} GB is {allowed}: {advice}, or bound it with {bound}`max_memory`"
+        f"`max_level` {grid.max_level} may take {worst / 1e9:.3g} GB at worst "
+        f"({solves:.3g} solves); {limit / 1e9:.3g} GB is {allowed}: {advice}, "
+        f"or bound it with {bound}`max_memory`"
     )

@@ -59,12 +59,12 @@ class SplitAxes:
         They are those along which labels vary, of sets of labels (P, M) at the test points: maybe
         none. Where labels vary along none, all of them are.
         """
-        found = np.zeros((masks.shape[1], len(self.pairs)), dtype=bool)
+        varying = np.zeros((masks.shape[1], len(self.pairs)), dtype=bool)
         for i, (pairs, triples) in enumerate(zip(self.pairs, self.triples)):
             for a, b in [*pairs, *triples[:, :2], *triples[:, 1:]]:
-                found[:, i] |= masks[a] & masks[b] == 0
-        found[~found.any(axis=1)] = True
-        return found & can
+                varying[:, i] |= masks[a] & masks[b] == 0
+        varying[~varying.any(axis=1)] = True
+        return varying & can
 
     def by_residuals(self, residuals: np.ndarray, can: np.ndarray) -> np.ndarray:
         """Return the axes (M, n) along which cells are split, of those along which they `can` be.

@@ -7,14 +7,13 @@ cells or levels share is solved once.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from capsyn.cells.cell_tree import MAX_MASKED
 from capsyn.cells.masks import (
     Label,
     Scored,
@@ -29,21 +28,17 @@ from capsyn.execution.checkpoint import Remembered
 from capsyn.execution.processors import pool_of
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
-from capsyn.modelling.grid import grid_settings, lattice_counts
+from capsyn.modelling.grid import Grid
 from capsyn.policies.policy import Policy
-from capsyn.subdivision.cell_blocks import FINE, SubdivisionTask
-from capsyn.subdivision.cell_points import CellPoints
+from capsyn.subdivision.cell_blocks import SubdivisionTask
 from capsyn.subdivision.constant import ConstantSubdivision
-from capsyn.subdivision.growing_cells import lattice_level
 from capsyn.subdivision.lattice_points import LatticePoints, Progress
 from capsyn.subdivision.limits import Limits
-from capsyn.subdivision.propositions import block_room, check_memory
-from capsyn.subdivision.rounds import LeafRule, RoundSubdivision
-from capsyn.validation import describe, finite_number, is_list, one_of, whole_number
+from capsyn.subdivision.plan import SubdivisionPlan
+from capsyn.subdivision.rounds import RoundSubdivision
+from capsyn.validation import describe, is_list, one_of, whole_number
 
 RETURNS = ("symbols", "masks", "scores", "masks+scores")
-LEAVES = ("constant", "affine")
-REFINE = ("isotropic", "adaptive")
 
 
 def subdivide(
@@ -165,42 +160,66 @@ def subdivide(
     alphabet = symbols
     if not isinstance(alphabet, Alphabet):
         alphabet = Alphabet(range(whole_number("symbols", symbols, least=1)))
-    n_symbols = len(alphabet)
-    q, r, max_level = grid_settings(partitions, refinement, max_level, domain.n)
-    leaf_error = checked_leaf_error(leaf_error)
-    limits = Limits.of(max_solves, max_seconds, max_memory, memory_limit)
-    in_rounds = leaves == "affine" or refine == "adaptive"
-    if isinstance(label, Remembered) and not in_rounds:  # its chunks are those of blocks
-        room = label.checkpoint.settle("block_memory", block_room(limits))
-        limits = dataclasses.replace(limits, room=room)
-    points, lattice = check_size(
-        domain, n_symbols, q, r, max_level, test_points, limits, leaves, refine
+    plan = SubdivisionPlan.of(
+        Grid.of(partitions, refinement, max_level, domain.n),
+        Limits.of(max_solves, max_seconds, max_memory, memory_limit),
+        leaves=leaves,
+        leaf_error=leaf_error,
+        refine=refine,
+        test_points=test_points,
+        seed=seed,
     )
+    plan.check(domain, len(alphabet))
+    labelling = Labelling(label, returns, preference, threads, progress)
+    return carry_out(plan, labelling, domain, alphabet, outside, name)
+
+
+@dataclass(frozen=True)
+class Labelling:
+    """What labels states, and how it is called; see `subdivide`."""
+
+    label: Callable[[np.ndarray], Any]
+    returns: str = "symbols"
+    preference: Sequence[int] | None = None
+    threads: int = 1
+    progress: Callable[[Progress], None] | None = None
+
+
+def carry_out(
+    plan: SubdivisionPlan,
+    labelling: Labelling,
+    domain: Box,
+    alphabet: Alphabet,
+    outside: Outside = "error",
+    name: str = "policy",
+) -> Policy:
+    """Return the policy of a plan that was checked for a domain and so many symbols.
+
+    The other arguments, and errors, are those of `subdivide`.
+    """
+    label, returns, n_symbols = labelling.label, labelling.returns, len(alphabet)
     one_of("returns", returns, list(RETURNS))
-    seed = whole_number("seed", seed, least=0)
-    threads = whole_number("threads", threads, least=1)
-    order = list(range(n_symbols + 1)) if preference is None else _order(preference, n_symbols)
+    threads = whole_number("threads", labelling.threads, least=1)
+    order = _order(labelling.preference, n_symbols)
     outside = check_outside(outside, alphabet)
-    affine, adaptive = leaves == "affine", refine == "adaptive"
-    labels = _scored(label, returns, n_symbols) if affine else _masks(label, returns, n_symbols)
+    if isinstance(label, Remembered) and not plan.in_rounds:  # its chunks are those of blocks
+        plan = plan.with_room(label.checkpoint.settle("block_memory", plan.room))
     started = time.perf_counter()
     with pool_of(threads) as pool:
-        store = LatticePoints(
-            labels,
+        points = LatticePoints(
+            (_scored if plan.affine else _masks)(label, returns, n_symbols),
             domain,
-            lattice,
+            plan.lattice,
             n_symbols,
             pool if threads > 1 else None,
-            progress,
-            affine,
-            limits.max_solves if in_rounds else None,
+            labelling.progress,
+            plan.affine,
+            plan.limits.max_solves if plan.in_rounds else None,
         )
-        task = SubdivisionTask(q, r, max_level, points, seed, order, store, limits)
-        rule = LeafRule(affine, leaf_error, not returns.endswith("scores"), adaptive)
-        work: ConstantSubdivision | RoundSubdivision = (
-            RoundSubdivision(task, rule) if in_rounds else ConstantSubdivision(task)
-        )
+        task = SubdivisionTask(plan, order, points, plain=not returns.endswith("scores"))
+        work = RoundSubdivision(task) if plan.in_rounds else ConstantSubdivision(task)
         cells = work.run()
+    seconds = time.perf_counter() - started
     return Policy(
         name=name,
         domain=domain,
@@ -209,56 +228,8 @@ def subdivide(
         cells=cells,
         outside=outside,
         statistics=work.statistics(),
-        timings={
-            "label": store.seconds,
-            "subdivide": time.perf_counter() - started - store.seconds,
-        },
+        timings={"label": points.seconds, "subdivide": seconds - points.seconds},
     )
-
-
-def checked_leaf_error(value: Any) -> float:
-    """Return a `leaf_error` that is a share."""
-    leaf_error = finite_number("leaf_error", value, least=0.0)
-    if leaf_error > 1:
-        raise ProblemError(f"`leaf_error` must be between 0 and 1; got {leaf_error:g}")
-    return leaf_error
-
-
-def check_size(
-    domain: Box,
-    n_symbols: int,
-    partitions: tuple[int, ...],
-    refinement: tuple[int, ...],
-    max_level: int,
-    test_points: str,
-    limits: Limits,
-    leaves: str = "constant",
-    refine: str = "isotropic",
-) -> tuple[CellPoints, tuple[int, ...]]:
-    """Return the test points, and the lattice (n,), that floating point and memory can hold."""
-    one_of("leaves", leaves, list(LEAVES))
-    one_of("refine", refine, list(REFINE))
-    if refine == "adaptive" and domain.n > MAX_MASKED:
-        raise ProblemError(
-            f"`refine` 'adaptive' is for at most {MAX_MASKED} axes; the domain has {domain.n}"
-        )
-    points = CellPoints.parse(test_points)
-    lattice = tuple(FINE * k for k in lattice_counts(partitions, refinement, max_level))
-    domain.check_resolution(lattice)
-    if leaves == "affine":
-        level = lattice_level(partitions, refinement, max_level)
-        domain.check_resolution(lattice_counts(partitions, refinement, level))
-    check_memory(
-        partitions,
-        refinement,
-        max_level,
-        points,
-        n_symbols,
-        limits,
-        leaves == "affine",
-        refine == "adaptive",
-    )
-    return points, lattice
 
 
 def _masks(label: Callable[[np.ndarray], Any], returns: str, n_symbols: int) -> Label:
@@ -280,8 +251,11 @@ def _scored(label: Callable[[np.ndarray], Any], returns: str, n_symbols: int) ->
     return indicators(_masks(label, returns, n_symbols), n_symbols)
 
 
-def _order(preference: Sequence[int], n_symbols: int) -> list[int]:
+def _order(preference: Sequence[int] | None, n_symbols: int) -> list[int]:
+    """Return symbols and the default, most preferred first."""
     wanted = range(n_symbols + 1)
+    if preference is None:
+        return list(wanted)
     if not is_list(preference, len(wanted)) or any(s not in list(preference) for s in wanted):
         raise ProblemError(
             f"`preference` must name each of 0..{n_symbols} once; got {describe(preference)}"

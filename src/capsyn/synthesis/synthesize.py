@@ -26,9 +26,10 @@ from capsyn.policies.policy import Policy
 from capsyn.programs.model import Model
 from capsyn.subdivision.lattice_points import Progress
 from capsyn.subdivision.limits import Limits
-from capsyn.subdivision.subdivide import check_size, checked_leaf_error, subdivide
+from capsyn.subdivision.plan import SubdivisionPlan
+from capsyn.subdivision.subdivide import Labelling, carry_out
 from capsyn.synthesis.labelling import answerer
-from capsyn.validation import BACKENDS, describe, one_of, whole_number
+from capsyn.validation import BACKENDS, describe, one_of
 
 SAMPLES = 2048
 """Random states by which the controller is judged, see ``Policy.statistics['sample']``."""
@@ -120,90 +121,78 @@ def synthesize(
     KernelBuildError
         ``backend="c"`` without a working compiler.
     """
-    if not isinstance(problem, Problem):
-        raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
-    overrides = {
-        "partitions": partitions,
-        "refinement": refinement,
-        "max_level": max_level,
-        "settings": settings,
-        "outside": outside,
-        "min_dwell": min_dwell,
-    }
-    problem = problem.replace(**{k: v for k, v in overrides.items() if v is not None})
+    problem = _overridden(
+        problem,
+        partitions=partitions,
+        refinement=refinement,
+        max_level=max_level,
+        settings=settings,
+        outside=outside,
+        min_dwell=min_dwell,
+    )
     threads = processors(threads)
-    seed = whole_number("seed", seed, least=0)
-    leaf_error = checked_leaf_error(leaf_error)
+    plan = SubdivisionPlan.of(
+        problem.grid,
+        Limits.of(max_solves, max_seconds, max_memory, memory_limit),
+        leaves=leaves,
+        leaf_error=leaf_error,
+        refine=refine,
+        test_points=test_points,
+        seed=seed,
+    )
     one_of("backend", backend, BACKENDS)
     if executor is not None:
         check_client(executor)
-    domain = problem.domain
-    check_size(
-        domain,
-        len(problem.alphabet),
-        problem.partitions,
-        problem.refinement,
-        problem.max_level,
-        test_points,
-        Limits.of(max_solves, max_seconds, max_memory, memory_limit),
-        leaves,
-        refine,
-    )
+    plan.check(problem.domain, len(problem.alphabet))
     started = time.perf_counter()
-    model = transcribe(problem)
-    controller = problem_controller(problem, model, backend, seed)
-    ready = time.perf_counter()
-    affine = leaves == "affine"
-    asked: dict[str, Any] = {
-        "leaves": leaves,
-        "leaf_error": leaf_error,
-        "refine": refine,
-        "test_points": test_points,
-        "seed": seed,
-    }
-    method = "scored" if affine else "masks"
-    about = {
-        "name": problem.name,
-        "alphabet": problem.alphabet.to_json(),
-        "partitions": list(problem.partitions),
-        "refinement": list(problem.refinement),
-        "max_level": problem.max_level,
-        "outside": problem.outside,
-        "min_dwell": problem.min_dwell,
-        **asked,
-    }
+    controller = problem_controller(problem, transcribe(problem), backend, plan.seed)
+    prepared = time.perf_counter() - started
+    method, returns = ("scored", "masks+scores") if plan.affine else ("masks", "masks")
+    about = _asked(problem, plan)
     with answerer(controller, method, threads, backend, executor, checkpoint, about) as answers:
         controller = answers.controller
-        policy = subdivide(
-            answers.label,
-            domain,
-            problem.alphabet,
-            partitions=problem.partitions,
-            refinement=problem.refinement,
-            max_level=problem.max_level,
-            **asked,
-            returns="masks+scores" if affine else "masks",
-            preference=controller.preference,
-            outside=problem.outside,
-            name=problem.name,
-            max_solves=max_solves,
-            max_seconds=max_seconds,
-            max_memory=max_memory,
-            memory_limit=memory_limit,
-            threads=answers.threads,
-            progress=progress,
+        labelling = Labelling(
+            answers.label, returns, controller.preference, answers.threads, progress
         )
+        policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
+    timings = {"prepare": prepared, **policy.timings}
+    return _described(dataclasses.replace(policy, timings=timings), problem, controller, plan.seed)
+
+
+def _overridden(problem: Problem, **changes: Any) -> Problem:
+    """Return a problem with those fields replaced that are not None."""
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
+    return problem.replace(**{k: v for k, v in changes.items() if v is not None})
+
+
+def _asked(problem: Problem, plan: SubdivisionPlan) -> dict[str, Any]:
+    """Return what a synthesis depends on beside its controller, as plain data."""
+    return {
+        "name": problem.name,
+        "alphabet": problem.alphabet.to_json(),
+        **plan.grid.to_json(),
+        "outside": problem.outside,
+        "min_dwell": problem.min_dwell,
+        **plan.asked(),
+    }
+
+
+def _described(policy: Policy, problem: Problem, controller: BatchController, seed: int) -> Policy:
+    """Return the policy of a problem with all that it carries beside its cells."""
     _warn_not_finite(policy)
+    sample = sample_statistics(controller, problem.domain, seed)
     return dataclasses.replace(
         policy,
+        name=problem.name,
+        outside=problem.outside,
         default=problem.default,
         min_dwell=problem.min_dwell,
         target=transcribe_target(problem),
         horizon=problem.horizon,
         settings=controller.settings,
-        model=model,
-        statistics=policy.statistics | {"sample": sample_statistics(controller, domain, seed)},
-        timings={"prepare": ready - started, **policy.timings},
+        model=controller.formulation.model,
+        statistics=policy.statistics | {"sample": sample},
     )
 
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.masks import Label, holds, masks_of_symbols, preferred, several
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
@@ -301,17 +300,7 @@ class _Tally:
         uniform_wrong = self._wrong.copy()
         uniform_wrong[mixed] = 0
         islands = np.flatnonzero(uniform_wrong)
-        levels = [np.arange(tree.node_count)]  # the places of each level, which stand side by side
-        level = np.zeros(len(islands), dtype=np.int64)
-        corners = np.zeros((2, len(islands), tree.n), dtype=np.int64)
-        if isinstance(tree, CellTree):
-            levels = []
-            for k, places, lower, sizes in tree.levels():
-                levels.append(places)
-                start, end = np.searchsorted(islands, (places[0], places[-1] + 1))
-                level[start:end] = k
-                here = islands[start:end] - places[0]
-                corners[:, start:end] = lower[here], lower[here] + sizes[here]
+        levels = tree.layers()
         level_states = np.array([self._drawn[places].sum() for places in levels])
         level_wrong = np.array([self._wrong[places].sum() for places in levels])
         states, symbols = (np.concatenate(parts) for parts in zip(*self._kept))
@@ -327,14 +316,20 @@ class _Tally:
             "disagreeing_symbols": symbols,
             "island_cells": len(islands),
             "island_states": int(uniform_wrong.sum()),
-            "islands": self._islands(islands, level, *corners) if len(islands) else (),
+            "islands": self._islands(islands) if len(islands) else (),
         }
 
-    def _islands(
-        self, cells: np.ndarray, level: np.ndarray, lower: np.ndarray, upper: np.ndarray
-    ) -> tuple[Island, ...]:
+    def _islands(self, cells: np.ndarray) -> tuple[Island, ...]:
         """Return uniform cells (K,) with disagreeing states, most of these first."""
         tree, domain = cell_tree(self._policy), self._policy.domain
+        level = np.zeros(len(cells), dtype=np.int64)
+        lower, upper = np.zeros((2, len(cells), tree.n), dtype=np.int64)
+        for layer in tree.levels():  # whose places stand side by side
+            first, last = layer.places[0], layer.places[-1]
+            some = slice(*np.searchsorted(cells, (first, last + 1)))
+            here = cells[some] - first
+            level[some] = layer.level
+            lower[some], upper[some] = layer.lower[here], layer.lower[here] + layer.sizes[here]
         places, states = (np.concatenate(parts) for parts in zip(*self._examples))
         order = np.argsort(places)
         examples = states[order[np.searchsorted(places, cells, sorter=order)]]

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.faces import shared_faces
 from capsyn.errors import ProblemError
 from capsyn.policies.policy import Policy
@@ -332,14 +331,8 @@ class _Cells:
         )
 
     def _finest(self, cells: np.ndarray) -> np.ndarray:
-        tree, boxes = self.policy.cells, self.boxes
-        if not isinstance(tree, CellTree):
-            return np.ones(len(cells), dtype=bool)
-        finest = boxes.upper[cells] - boxes.lower[cells] == 1
-        if tree.splits is None:
-            return finest.all(axis=1)
-        # mixed cells are as fine as they get along the axes along which labels vary
-        return finest.any(axis=1) | np.isin(self.entries[cells], tree.mixed_cells)
+        sizes = self.boxes.upper[cells] - self.boxes.lower[cells]
+        return self.policy.cells.finest(self.entries[cells], sizes)
 
     def _differing(self, cells: np.ndarray) -> np.ndarray:
         """Return which cells are mixed or have a neighbour with another symbol."""
@@ -349,10 +342,8 @@ class _Cells:
             lambda below, above: tree.labels_at(below) != tree.labels_at(above),
             self.policy.domain.periodic,
         )
-        places = [unlike.below, unlike.above]
-        if isinstance(tree, CellTree):
-            places.append(tree.mixed_cells)
-        return np.isin(boxes.places[cells], np.concatenate(places))
+        places = np.concatenate([unlike.below, unlike.above, tree.disagreeing])
+        return np.isin(boxes.places[cells], places)
 
 
 def _largest(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
