@@ -23,6 +23,7 @@ export class CellTree {
 
   /** The parts along each axis into which cells are split along some. */
   parts(axes) {
+    if (!this.splits) return this.refinement;
     return this.refinement.map((r, axis) => ((axes >> axis) & 1 ? r : 1));
   }
 

@@ -55,7 +55,7 @@ export class SplitTree {
 
   /** Return `value(node, true)` of the leaves of a plane; see `CellTree`. */
   section({ z, i, j, columns, rows, value }) {
-    const { split, threshold, second } = this;
+    const { split, threshold, second, planes } = this;
     const across = columns.length, grid = new Int32Array(across * rows.length);
     const origin = z.map((k, axis) => (axis === i || axis === j ? 0 : k));
 
@@ -75,10 +75,12 @@ export class SplitTree {
           b0 = middle;
         } else if (axis < this.n) beyond = origin[axis] >= cut;
         else {
-          const ends = [[columns[a0], columns[a1 - 1]], [rows[b0], rows[b1 - 1]]];
-          const [least, most] = this.range(node, origin, [i, j], ends);
-          if (most < cut) beyond = false;
-          else if (least < cut) {
+          const row = (axis - this.n) * this.n, p = planes[row + i], q = planes[row + j];
+          const base = this.compared(node, origin);
+          const [xa, xb] = [p * columns[a0], p * columns[a1 - 1]];
+          const [ya, yb] = [q * rows[b0], q * rows[b1 - 1]];
+          if (base + Math.max(xa, xb) + Math.max(ya, yb) < cut) beyond = false;
+          else if (base + Math.min(xa, xb) + Math.min(ya, yb) < cut) {
             const wide = a1 - a0 > b1 - b0, a = (a0 + a1) >> 1, b = (b0 + b1) >> 1;
             go(node, a0, wide ? a : a1, b0, wide ? b1 : b);
             if (wide) a0 = a;
@@ -91,14 +93,6 @@ export class SplitTree {
     };
     go(0, 0, across, 0, rows.length);
     return grid;
-  }
-
-  /** The least and the most that an oblique split compares where two axes have ranges of steps. */
-  range(node, origin, axes, ends) {
-    const row = (this.split[node] - this.n) * this.n, base = this.compared(node, origin);
-    const products = ends.map((pair, k) => pair.map(step => this.planes[row + axes[k]] * step));
-    const total = end => products.reduce((sum, pair) => sum + end(...pair), base);
-    return [total(Math.min), total(Math.max)];
   }
 }
 
