@@ -31,10 +31,10 @@ controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points limits propositions lattice_points cell_blocks constant split_axes
     affine_fit growing_cells rounds subdivide
 automata: rectangles regions face_rates switching automaton
-simulation: plant kernel closed_loop policy_loop trial_job experiment simulate
+simulation: plant options kernel closed_loop policy_loop trial_job experiment simulate
 synthesis: remote_labels labelling synthesize
 sources: callables finite_control_set table text scots grid_files
-verification: bisection loop_derivative lyapunov agreement monte_carlo sentences
+verification: bisection loop_derivative lyapunov agreement trials monte_carlo sentences
 integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity

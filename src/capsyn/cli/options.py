@@ -131,7 +131,7 @@ def number_or_range(name: str, text: str | None) -> Any:
         return one_or_list(name, text)
     if ":" in high:
         raise ProblemError(f"{name} must be a value or a range LOW:HIGH; got '{text}'")
-    from capsyn.verification.monte_carlo import Uniform
+    from capsyn.verification.trials import Uniform
 
     return Uniform(one_or_list(name, low), one_or_list(name, high))
 

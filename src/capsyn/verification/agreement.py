@@ -21,9 +21,10 @@ from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.statistics import TOLD, check_confidence, clopper_pearson
-from capsyn.subdivision.lattice_points import CHUNK
 from capsyn.validation import BACKENDS, describe, one_of, whole_number
 
+CHUNK = 8192
+"""States that are compared at once."""
 KEPT = 10_000
 """Most disagreeing states, and most islands, that are kept; all are counted."""
 WAVE = 32
