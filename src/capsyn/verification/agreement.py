@@ -202,8 +202,8 @@ def agreement(
     with ThreadPoolExecutor(threads) as pool:
         run = map if threads == 1 else pool.map
         for wave in _waves(policy, states, seed):
-            for chunk, found in zip(wave, run(masks, wave)):
-                tally.add(chunk, found, preference)
+            for chunk, labels in zip(wave, run(masks, wave)):
+                tally.add(chunk, labels, preference)
     low, high = clopper_pearson(states - tally.wrong, states, confidence)
     return Agreement(
         symbols=(*policy.alphabet.names, "default"),
@@ -345,10 +345,10 @@ class _Tally:
         def symbol(leaf: int) -> int:
             return -1 if leaf == self._leaves - 1 else leaf
 
-        found = []
+        islands = []
         for i in np.argsort(-self._wrong[cells], kind="stable")[:KEPT]:
             seen = int(self._seen[cells[i]])
-            found.append(
+            islands.append(
                 Island(
                     level=int(level[i]),
                     lower=tuple(low[i].tolist()),
@@ -360,4 +360,4 @@ class _Tally:
                     example=tuple(examples[i].tolist()),
                 )
             )
-        return tuple(found)
+        return tuple(islands)
