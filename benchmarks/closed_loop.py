@@ -11,6 +11,7 @@ from capsyn import online_controller, problems, synthesize
 from capsyn.paper.reproduction import reproduce
 from capsyn.problems import cart_pendulum
 from capsyn.simulation.experiment import set_up
+from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
 from capsyn.verification.lyapunov import lyapunov
 
@@ -30,7 +31,8 @@ def median_of(run, rounds):
 
 def closed_loops(policy, rounds, **options):
     """Return the seconds of 1,000 trials of 15 s at 1 kHz, from start to end."""
-    experiment = set_up(policy, plant_of(policy), SECONDS, RATE, **options)
+    loop = LoopOptions(SECONDS, RATE, **options)
+    experiment = set_up(policy, plant_of(policy), loop)
     states = policy.domain.sample(TRIALS, 0)
 
     def run():

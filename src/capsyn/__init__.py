@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from capsyn.synthesis.synthesize import synthesize as synthesize
     from capsyn.verification.agreement import agreement as agreement
     from capsyn.verification.lyapunov import lyapunov as lyapunov
-    from capsyn.verification.monte_carlo import Uniform as Uniform
     from capsyn.verification.monte_carlo import monte_carlo as monte_carlo
+    from capsyn.verification.trials import Uniform as Uniform
 
 _PUBLIC = {
     "Alphabet": "modelling.alphabet",
@@ -41,7 +41,7 @@ _PUBLIC = {
     "Problem": "modelling.problem",
     "SsacSettings": "modelling.settings",
     "Trajectory": "simulation.simulate",
-    "Uniform": "verification.monte_carlo",
+    "Uniform": "verification.trials",
     "agreement": "verification.agreement",
     "compress": "compression.compress",
     "explore": "explorer.explore",

@@ -31,10 +31,10 @@ controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points limits propositions split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
 automata: rectangles regions face_rates switching automaton
-simulation: plant kernel closed_loop policy_loop trial_job experiment simulate
+simulation: plant options kernel closed_loop policy_loop trial_job experiment simulate
 synthesis: remote_labels labelling synthesize
 sources: callables finite_control_set table text scots grid_files
-verification: bisection loop_derivative lyapunov agreement monte_carlo sentences
+verification: bisection loop_derivative lyapunov agreement trials monte_carlo sentences
 integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
@@ -51,7 +51,7 @@ exports.fmu: description target
 exports: python_module dot certificate export
 explorer: policy_data program_javascript expression formulas facts page_data explore
 paper: cases figures pendulum tanks reproduction
-cli: options console printed problem_finder paper evidence compression export explore
+cli: options console loop printed problem_finder paper evidence compression export explore
     import_table doctor app
 
 __main__

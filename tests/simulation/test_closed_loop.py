@@ -13,6 +13,7 @@ from capsyn.controllers.command import NONE
 from capsyn.simulation import closed_loop, policy_loop
 from capsyn.simulation.closed_loop import new_trials
 from capsyn.simulation.experiment import set_up
+from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
 from support.closed_loops import (
     BACKENDS,
@@ -374,9 +375,8 @@ def test_trials_with_delays_of_their_own_are_the_same_in_any_group():
     delays[[31, 63, 69]] = 0.0  # the last of each block has no part of a sample
 
     def after(rows, backend):
-        experiment = set_up(
-            LINEAR, plant_of(LINEAR), 2.0, 10, backend=backend, threads=1, **options
-        )
+        loop = LoopOptions(2.0, 10, backend=backend, threads=1, **options)
+        experiment = set_up(LINEAR, plant_of(LINEAR), loop)
         trials = experiment.trials(states[rows], delays[rows], np.zeros((len(rows), 0)))
         experiment.run(trials, None, None)
         return trials[[name for name in trials.dtype.names if name not in ("queue", "parameters")]]

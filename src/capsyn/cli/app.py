@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import warnings
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -11,10 +13,11 @@ import typer
 from capsyn.cli.compression import automaton, compress
 from capsyn.cli.console import notes, print_table, progress_bars, show, working
 from capsyn.cli.doctor import doctor
-from capsyn.cli.evidence import simulate, verify
+from capsyn.cli.evidence import verify
 from capsyn.cli.explore import explore
 from capsyn.cli.export import export
 from capsyn.cli.import_table import import_table
+from capsyn.cli.loop import simulate
 from capsyn.cli.options import (
     Backend,
     Dask,
@@ -26,6 +29,7 @@ from capsyn.cli.options import (
     Threads,
     assignments,
     executor,
+    flat,
     number,
     whole_number_list,
 )
@@ -34,6 +38,7 @@ from capsyn.cli.printed import print_report
 from capsyn.errors import CapsynError, CapsynWarning, ProblemError
 
 if TYPE_CHECKING:
+    from capsyn.modelling.problem import Problem
     from capsyn.modelling.settings import SsacSettings
 
 app = typer.Typer(
@@ -74,7 +79,7 @@ def list_problems(as_json: Json = False) -> None:
     """List the built-in problems."""
     from capsyn import problems
 
-    found = [problems.get(name) for name in problems.names()]
+    built_in = [problems.get(name) for name in problems.names()]
     rows = [
         {
             "name": p.name,
@@ -83,12 +88,87 @@ def list_problems(as_json: Json = False) -> None:
             "max_level": p.max_level,
             "description": p.description,
         }
-        for p in found
+        for p in built_in
     ]
     show(as_json, rows, lambda: print_table(rows))
 
 
+@dataclass(frozen=True)
+class GridOptions:
+    """The grid of a policy, in place of the problem's own."""
+
+    max_level: Annotated[
+        int | None, typer.Option(help="Most times that a cell is split along an axis.")
+    ] = None
+    partitions: Annotated[
+        str | None, typer.Option(metavar="Q[,Q..]", help="Cells of the root grid per axis.")
+    ] = None
+    refinement: Annotated[
+        str | None, typer.Option(metavar="R[,R..]", help="Children of a split cell per axis.")
+    ] = None
+
+
+@dataclass(frozen=True)
+class SettingsOptions:
+    """Fields of `capsyn.SsacSettings`; None leaves the problem's own."""
+
+    rule: Annotated[str | None, typer.Option(help="schedule or steepest.")] = None
+    gamma: Annotated[float | None, typer.Option(help="Wanted sensitivity over cost.")] = None
+    alpha_d: Annotated[float | None, typer.Option(help="Wanted sensitivity, absolute.")] = None
+    control_weight: Annotated[float | None, typer.Option(help="Weight R of the effort.")] = None
+    on_no_descent: Annotated[str | None, typer.Option(help="best or default.")] = None
+    steps: Annotated[int | None, typer.Option(help="Integration steps over the horizon.")] = None
+    tolerance: Annotated[float | None, typer.Option(help="Of the step-doubling check.")] = None
+    precision: Annotated[str | None, typer.Option(help="double or single.")] = None
+
+    def of(self, settings: SsacSettings) -> SsacSettings | None:
+        """Return a problem's settings with these changes; None where there are none."""
+        changes = {name: value for name, value in vars(self).items() if value is not None}
+        if "alpha_d" in changes and "gamma" not in changes:
+            changes["gamma"] = type(settings).gamma  # the problem's own gamma gives way
+        if "gamma" in changes and "alpha_d" not in changes:
+            changes["alpha_d"] = None
+        return dataclasses.replace(settings, **changes) if changes else None
+
+
+@dataclass(frozen=True)
+class SubdivisionOptions:
+    """Arguments of `capsyn.synthesize` for the subdivision."""
+
+    test_points: Annotated[
+        str,
+        typer.Option(help="vertices or center+faces, then +center, +edge_midpoints, +random:R."),
+    ] = "vertices+center"
+    leaves: Annotated[str, typer.Option(help="constant, or affine for far fewer solves.")] = (
+        "constant"
+    )
+    leaf_error: Annotated[float, typer.Option(help="Of affine leaves, accepted share.")] = 0.01
+    refine: Annotated[
+        str, typer.Option(help="isotropic, or adaptive: split along the axes that matter.")
+    ] = "isotropic"
+    seed: Seed = 0
+    max_solves: Annotated[
+        int | None, typer.Option(help="Most solves; affine or adaptive cells spend them.")
+    ] = None
+    max_seconds: Annotated[
+        float | None, typer.Option(help="Stop after so long; the result depends on the machine.")
+    ] = None
+    max_memory: Annotated[
+        str | None, typer.Option(metavar="BYTES", help="Stop before so much, as 2GB.")
+    ] = None
+    memory_limit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BYTES",
+            help="Refuse what may take more at worst [default: what is available].",
+        ),
+    ] = None
+    backend: Backend = "auto"
+    threads: Threads = None
+
+
 @app.command()
+@flat
 def synth(
     problem: Annotated[
         str,
@@ -97,62 +177,20 @@ def synth(
             help="A built-in name, path/to/file.py[:name] or package.module:name.",
         ),
     ],
+    *,
     output: Annotated[
-        str | None, typer.Option("--output", "-o", metavar="FILE", help="Default: NAME.cap")
+        str | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Default: NAME.cap"),
     ] = None,
     horizon: Annotated[float | None, typer.Option(help="Prediction horizon in seconds.")] = None,
     default: Annotated[
         str | None, typer.Option(metavar="U[,U..]", help="Control of the prediction.")
     ] = None,
-    max_level: Annotated[
-        int | None, typer.Option(help="Most times that a cell is split along an axis.")
-    ] = None,
-    partitions: Annotated[
-        str | None, typer.Option(metavar="Q[,Q..]", help="Cells of the root grid per axis.")
-    ] = None,
-    refinement: Annotated[
-        str | None, typer.Option(metavar="R[,R..]", help="Children of a split cell per axis.")
-    ] = None,
-    rule: Annotated[str | None, typer.Option(help="schedule or steepest.")] = None,
-    gamma: Annotated[float | None, typer.Option(help="Wanted sensitivity over cost.")] = None,
-    alpha_d: Annotated[float | None, typer.Option(help="Wanted sensitivity, absolute.")] = None,
-    control_weight: Annotated[float | None, typer.Option(help="Weight R of the effort.")] = None,
-    on_no_descent: Annotated[str | None, typer.Option(help="best or default.")] = None,
-    steps: Annotated[int | None, typer.Option(help="Integration steps over the horizon.")] = None,
-    tolerance: Annotated[float | None, typer.Option(help="Of the step-doubling check.")] = None,
-    precision: Annotated[str | None, typer.Option(help="double or single.")] = None,
+    grid: GridOptions,
+    settings: SettingsOptions,
     outside: Outside = None,
     min_dwell: MinDwell = None,
-    test_points: Annotated[
-        str,
-        typer.Option(help="vertices or center+faces, then +center, +edge_midpoints, +random:R."),
-    ] = "vertices+center",
-    leaves: Annotated[
-        str, typer.Option(help="constant, or affine for far fewer solves.")
-    ] = "constant",
-    leaf_error: Annotated[float, typer.Option(help="Of affine leaves, accepted share.")] = 0.01,
-    refine: Annotated[
-        str, typer.Option(help="isotropic, or adaptive: split along the axes that matter.")
-    ] = "isotropic",
-    seed: Seed = 0,
-    max_solves: Annotated[
-        int | None, typer.Option(help="Most solves; affine or adaptive cells spend them.")
-    ] = None,
-    max_seconds: Annotated[
-        float | None, typer.Option(help="Stop after so long; the result depends on the machine.")
-    ] = None,
-    max_memory: Annotated[
-        str | None, typer.Option(metavar="BYTES", help="Stop before so much, as 2GB.")
-    ] = None,
-    memory_limit: Annotated[
-        str | None,
-        typer.Option(
-            metavar="BYTES",
-            help="Refuse what may take more at worst [default: what is available].",
-        ),
-    ] = None,
-    backend: Backend = "auto",
-    threads: Threads = None,
+    subdivision: SubdivisionOptions,
     dask: Dask = None,
     checkpoint: Annotated[
         str | None,
@@ -163,34 +201,10 @@ def synth(
     as_json: Json = False,
 ) -> None:
     """Make the control alphabet policy of a problem."""
-    from capsyn.cli.problem_finder import find_problem
-    from capsyn.execution.files import check_writable
     from capsyn.policies.report import report
     from capsyn.synthesis.synthesize import synthesize
 
-    if output is not None:
-        check_writable(output)
-    chosen = find_problem(problem)
-    if horizon is not None:
-        chosen = chosen.replace(horizon=horizon)
-    if default is not None:
-        chosen = chosen.replace(default=[number("--default", u) for u in default.split(",")])
-    path = output
-    if path is None:
-        path = f"{chosen.name}.cap"
-        if "/" in path:
-            raise ProblemError(f"the name '{chosen.name}' makes no file name; give one with -o")
-        check_writable(path)
-    changes = {
-        "rule": rule,
-        "gamma": gamma,
-        "alpha_d": alpha_d,
-        "control_weight": control_weight,
-        "on_no_descent": on_no_descent,
-        "steps": steps,
-        "tolerance": tolerance,
-        "precision": precision,
-    }
+    chosen, path = _chosen_problem(problem, output, horizon, default)
     with (
         executor(dask) as client,
         progress_bars() as progress,
@@ -198,23 +212,13 @@ def synth(
     ):
         policy = synthesize(
             chosen,
-            partitions=whole_number_list("--partitions", partitions),
-            refinement=whole_number_list("--refinement", refinement),
-            max_level=max_level,
-            settings=_settings(chosen.settings, changes),
+            partitions=whole_number_list("--partitions", grid.partitions),
+            refinement=whole_number_list("--refinement", grid.refinement),
+            max_level=grid.max_level,
+            settings=settings.of(chosen.settings),
             outside=outside,
             min_dwell=min_dwell,
-            test_points=test_points,
-            leaves=leaves,
-            leaf_error=leaf_error,
-            refine=refine,
-            seed=seed,
-            max_solves=max_solves,
-            max_seconds=max_seconds,
-            max_memory=max_memory,
-            memory_limit=memory_limit,
-            backend=backend,
-            threads=threads,
+            **vars(subdivision),
             executor=client,
             checkpoint=checkpoint,
             progress=progress,
@@ -222,11 +226,34 @@ def synth(
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
 
-    def told() -> None:
+    def print_policy() -> None:
         print_report(data)
         typer.echo(f"wrote {path} in {sum(policy.timings.values()):.2f} s")
 
-    show(as_json, data, told)
+    show(as_json, data, print_policy)
+
+
+def _chosen_problem(
+    text: str, output: str | None, horizon: float | None, default: str | None
+) -> tuple[Problem, str]:
+    """Return the problem that a text names, changed, and the path of its policy, checked."""
+    from capsyn.cli.problem_finder import find_problem
+    from capsyn.execution.files import check_writable
+
+    if output is not None:
+        check_writable(output)
+    problem = find_problem(text)
+    if horizon is not None:
+        problem = problem.replace(horizon=horizon)
+    if default is not None:
+        problem = problem.replace(default=[number("--default", u) for u in default.split(",")])
+    if output is not None:
+        return problem, output
+    path = f"{problem.name}.cap"
+    if "/" in path:
+        raise ProblemError(f"the name '{problem.name}' makes no file name; give one with -o")
+    check_writable(path)
+    return problem, path
 
 
 @app.command()
@@ -370,14 +397,3 @@ def _show_warning(message: Any, category: type[Warning], *rest: Any, **more: Any
         str(message) if issubclass(category, CapsynWarning) else f"{category.__name__}: {message}"
     )
     print(f"warning: {' '.join(text.split())}", file=sys.stderr)
-
-
-def _settings(settings: SsacSettings, changes: dict[str, Any]) -> SsacSettings | None:
-    import dataclasses
-
-    changes = {k: v for k, v in changes.items() if v is not None}
-    if "alpha_d" in changes and "gamma" not in changes:
-        changes["gamma"] = type(settings).gamma  # the problem's own gamma gives way
-    if "gamma" in changes and "alpha_d" not in changes:
-        changes["alpha_d"] = None
-    return dataclasses.replace(settings, **changes) if changes else None

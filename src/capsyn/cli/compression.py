@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from capsyn.cli.console import print_table, show, working
-from capsyn.cli.options import Backend, File, Json, Seed
+from capsyn.cli.options import Backend, File, Json, Seed, flat
 from capsyn.cli.printed import print_automaton, print_compression
 from capsyn.errors import ProblemError
 
-if TYPE_CHECKING:
-    from capsyn.policies.policy import Policy
 
+@dataclass(frozen=True)
+class CompressOptions:
+    """Options of ``capsyn compress``."""
 
-def compress(
-    file: File,
-    mode: Annotated[str, typer.Option(help="exact, freedom or linear.")] = "exact",
+    mode: Annotated[str, typer.Option(help="exact, freedom or linear.")] = "exact"
     output: Annotated[
         str | None,
         typer.Option(
@@ -28,105 +28,113 @@ def compress(
             help="The tree [default: FILE-MODE.cap]; with --curve a .png, .pdf or .svg picture, "
             "with a .csv beside it [default: FILE-curve.png].",
         ),
-    ] = None,
+    ] = None
     agreement: Annotated[
         float | None,
         typer.Option(help="Least agreement, for freedom and linear [default for linear: 0.99]."),
-    ] = None,
+    ] = None
     level: Annotated[
         int | None, typer.Option(help="Merge cells below this level first; not for linear.")
-    ] = None,
+    ] = None
     node_price: Annotated[
         float | None,
         typer.Option(
             help="For freedom: finest cells of disagreement that a node less is worth [default: "
             "0.5]."
         ),
-    ] = None,
+    ] = None
     curve: Annotated[
         bool, typer.Option("--curve", help="Size against agreement, by mode and level.")
-    ] = False,
-    states: Annotated[int, typer.Option(help="Random states that trees are judged at.")] = 100_000,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    as_json: Json = False,
-) -> None:
+    ] = False
+    states: Annotated[int, typer.Option(help="Random states that trees are judged at.")] = 100_000
+    seed: Seed = 0
+    backend: Backend = "auto"
+
+
+@flat
+def compress(file: File, options: CompressOptions, as_json: Json = False) -> None:
     """Make a small decision tree of a policy.
 
     Exit status 1: the tree was written, but does not reach the agreement asked for.
     """
+    if options.curve:
+        _curve(file, options, as_json)
+    else:
+        _tree(file, options, as_json)
+
+
+def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
     from capsyn.compression.compress import compress
     from capsyn.execution.files import check_writable
     from capsyn.policies.policy import Policy
     from capsyn.policies.report import report
 
-    if curve:
-        given = {"--agreement": agreement, "--level": level, "--node-price": node_price}
-        wrong = [name for name, value in given.items() if value is not None]
-        if wrong or mode != "exact":
-            raise ProblemError(
-                f"--curve tries all modes and takes no {', '.join(wrong) or '--mode'}"
-            )
-        _curve(Policy.load(file), file, output, states, seed, backend, as_json)
-        return
-    path = _beside(file, f"-{mode}.cap") if output is None else output
+    path = _beside(file, f"-{options.mode}.cap") if options.output is None else options.output
     check_writable(path)
     if Path(path).resolve() == Path(file).resolve():
         raise ProblemError(f"the output must be another file than the policy; got '{path}'")
     policy = Policy.load(file)
-    with working(f"compressing, mode {mode}"):
+    with working(f"compressing, mode {options.mode}"):
         tree = compress(
             policy,
-            mode,
-            agreement=agreement,
-            level=level,
-            node_price=node_price,
-            states=states,
-            seed=seed,
-            backend=backend,
+            options.mode,
+            agreement=options.agreement,
+            level=options.level,
+            node_price=options.node_price,
+            states=options.states,
+            seed=options.seed,
+            backend=options.backend,
         )
     tree.save(path)
     data = report(tree) | {"file": path}
 
-    def told() -> None:
+    def print_tree() -> None:
         print_compression(data, report(policy))
         typer.echo(f"wrote {path}")
 
-    show(as_json, data, told)
+    show(as_json, data, print_tree)
     if not tree.guarantee.reached:
         raise typer.Exit(1)
 
 
-def _curve(
-    policy: Policy,
-    file: str,
-    output: str | None,
-    states: int,
-    seed: int,
-    backend: str,
-    as_json: bool,
-) -> None:
+def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
     from capsyn.compression.curve import save_curve, size_curve
     from capsyn.execution.files import check_writable
     from capsyn.plots.curve import save_curve_plot
     from capsyn.plots.figure import check_format
+    from capsyn.policies.policy import Policy
 
-    picture = _beside(file, "-curve.png") if output is None else output
+    for_one = {
+        "--agreement": options.agreement,
+        "--level": options.level,
+        "--node-price": options.node_price,
+    }
+    wrong = [name for name, value in for_one.items() if value is not None]
+    if wrong or options.mode != "exact":
+        raise ProblemError(f"--curve tries all modes and takes no {', '.join(wrong) or '--mode'}")
+    policy = Policy.load(file)
+    picture = _beside(file, "-curve.png") if options.output is None else options.output
     check_format(picture)
     table = str(Path(picture).with_suffix(".csv"))
     for path in (picture, table):
         check_writable(path)
     with working("trying modes and levels") as say:
-        points = size_curve(policy, states=states, seed=seed, backend=backend, progress=say)
+        points = size_curve(
+            policy,
+            states=options.states,
+            seed=options.seed,
+            backend=options.backend,
+            progress=say,
+        )
     save_curve(points, table)
     save_curve_plot(points, policy.name, picture)
     rows = [point.to_json() for point in points]
 
-    def told() -> None:
+    def print_rows() -> None:
         print_table([_shown(row) for row in rows])
         typer.echo(f"wrote {table} and {picture}")
 
-    show(as_json, {"points": rows, "table": table, "picture": picture}, told)
+    show(as_json, {"points": rows, "table": table, "picture": picture}, print_rows)
 
 
 def _shown(row: dict[str, Any]) -> dict[str, Any]:
@@ -164,9 +172,9 @@ def automaton(
         save_automaton(machine, output)
     data = machine.to_json()
 
-    def told() -> None:
+    def print_machine() -> None:
         print_automaton(data)
         if output is not None:
             typer.echo(f"wrote {output}")
 
-    show(as_json, data, told)
+    show(as_json, data, print_machine)

@@ -116,5 +116,6 @@ def _text(value: Any) -> str:
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def _line(name: str, value: str) -> None:
+def print_line(name: str, value: str) -> None:
+    """Print what a value is called, and the value, in columns."""
     typer.echo(f"{name:<13}{value}")

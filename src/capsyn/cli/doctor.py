@@ -146,17 +146,17 @@ def _installed(name: str) -> str | None:
 
 def _version(command: str) -> str | None:
     """Return the version of a command, "unknown" if it does not tell, None if it is not there."""
-    found = shutil.which(command)
-    if found is None:
+    program = shutil.which(command)
+    if program is None:
         return None
     for option in ("--version", "-V"):
         try:
-            run = subprocess.run([found, option], capture_output=True, text=True, timeout=20)
+            run = subprocess.run([program, option], capture_output=True, text=True, timeout=20)
         except (OSError, subprocess.TimeoutExpired):
             continue
-        told = re.search(r"\d+(\.\d+)+", run.stdout + run.stderr)
-        if told:
-            return told[0]
+        version = re.search(r"\d+(\.\d+)+", run.stdout + run.stderr)
+        if version:
+            return version[0]
     return "unknown"
 
 
@@ -165,16 +165,16 @@ def _compiler(broken: bool) -> dict[str, Any]:
     from capsyn.native.build import find_compiler, usual_flags
     from capsyn.policies.lookup import LookupKernel
 
-    found: dict[str, Any] = {"command": None, "version": None, "lanes": None, "trouble": None}
+    facts: dict[str, Any] = {"command": None, "version": None, "lanes": None, "trouble": None}
     try:
         compiler = find_compiler()
-        found["command"], found["version"] = list(compiler.command), compiler.version
-        found["lanes"] = _lanes([*compiler.command, *usual_flags(compiler)])
+        facts["command"], facts["version"] = list(compiler.command), compiler.version
+        facts["lanes"] = _lanes([*compiler.command, *usual_flags(compiler)])
         if not broken:
             LookupKernel.build(1)
     except CapsynError as error:
-        found["trouble"] = str(error)
-    return found
+        facts["trouble"] = str(error)
+    return facts
 
 
 def _lanes(command: list[str]) -> int | None:
@@ -197,18 +197,18 @@ def _cache() -> dict[str, Any]:
     """Return where kernels are kept, how many, and their bytes; nothing is made."""
     from capsyn.native.build import cache_directory, cache_trouble
 
-    found: dict[str, Any] = {"directory": None, "kernels": 0, "bytes": 0, "trouble": None}
+    facts: dict[str, Any] = {"directory": None, "kernels": 0, "bytes": 0, "trouble": None}
     try:
         directory = cache_directory()
-        found["directory"] = str(directory)
+        facts["directory"] = str(directory)
         if directory.is_dir():
             sizes = [path.stat().st_size for path in directory.glob("*.so")]
-            found["kernels"], found["bytes"] = len(sizes), sum(sizes)
+            facts["kernels"], facts["bytes"] = len(sizes), sum(sizes)
         if directory.exists() or directory.is_symlink():
-            found["trouble"] = cache_trouble(directory)
+            facts["trouble"] = cache_trouble(directory)
     except (OSError, RuntimeError) as error:
-        found["trouble"] = str(error)
-    return found
+        facts["trouble"] = str(error)
+    return facts
 
 
 def _print(data: dict[str, Any]) -> None:

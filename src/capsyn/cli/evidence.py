@@ -1,213 +1,248 @@
-"""Commands that try a policy out: simulate, verify."""
+"""The command that gives evidence for a policy."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from capsyn.cli.console import show, working
+from capsyn.cli.loop import LoopTexts, controller_of, loop_options
 from capsyn.cli.options import (
-    Backend,
-    Background,
+    Before,
     Dask,
-    Delay,
-    Disturbance,
     File,
     Json,
-    MinDwell,
-    ModelOption,
-    Noise,
-    Online,
-    Outside,
-    Parameters,
-    Rate,
-    Seed,
-    Target,
-    Threads,
-    assignments,
     executor,
-    number,
-    number_list,
+    flat,
     number_or_range,
     one_or_list,
     region,
 )
-from capsyn.cli.printed import print_evidence
+from capsyn.cli.printed import print_agreement, print_lyapunov, print_monte_carlo
 from capsyn.errors import ProblemError
-from capsyn.verification.sentences import simulate_line
+from capsyn.verification.sentences import headlines, simulate_line
 
 if TYPE_CHECKING:
     from capsyn.policies.policy import Policy
 
-_REPEATED = (
-    "--duration --rate --model --min-dwell --outside --target --tolerance --online --background"
-).split()
-"""Options by which ``capsyn simulate`` repeats a trial of ``capsyn verify``."""
 
+@dataclass(frozen=True)
+class VerifyOptions(LoopTexts):
+    """Options of ``capsyn verify``."""
 
-def simulate(
-    file: File,
-    x0: Annotated[
-        list[str] | None,
-        typer.Option(metavar="X[,X..]", help="Initial state; may be repeated [default: random]."),
-    ] = None,
-    duration: Annotated[float, typer.Option(help="Seconds to simulate.")] = 20.0,
-    rate: Rate = None,
-    output: Annotated[
-        str | None,
-        typer.Option("--output", "-o", metavar="FILE", help=".csv, .json, .png, .pdf or .svg."),
-    ] = None,
-    target: Target = None,
-    tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None,
-    stop_at_target: Annotated[bool, typer.Option(help="End where the target is reached.")] = False,
-    model: ModelOption = None,
-    parameter: Parameters = None,
-    disturbance: Disturbance = None,
-    noise: Noise = None,
-    delay: Delay = None,
-    min_dwell: MinDwell = None,
-    outside: Outside = None,
-    online: Online = None,
-    background: Background = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    threads: Threads = None,
-    as_json: Json = False,
-) -> None:
-    """Simulate the closed loop of a policy."""
-    import numpy as np
-
-    from capsyn.execution.files import check_writable
-    from capsyn.plots.figure import FORMATS
-    from capsyn.plots.trajectory import save_trajectory_plot
-    from capsyn.policies.policy import Policy
-    from capsyn.simulation.simulate import simulate as run
-    from capsyn.validation import whole_number
-
-    kind = "" if output is None else Path(output).suffix.lstrip(".").lower()
-    if output is not None:
-        if kind not in ("csv", "json", *FORMATS):
-            endings = ", ".join(f".{ending}" for ending in ("csv", "json", *FORMATS))
-            raise ProblemError(f"the output must end in {endings}; got '{output}'")
-        check_writable(output)
-    seed = whole_number("--seed", seed, least=0)
-    policy = Policy.load(file)
-    states = [number_list("--x0", text) for text in x0] if x0 else policy.domain.sample(1, seed)
-    if len({len(state) for state in states} | {policy.domain.n}) > 1:
-        names = ", ".join(policy.domain.names)
-        raise ProblemError(f"--x0 must be {policy.domain.n} number(s) ({names}); got {x0}")
-    ranges = [
-        name
-        for name, text in (("--noise", noise), ("--delay", delay), ("--disturbance", disturbance))
-        if text and ":" in text
-    ]
-    if ranges:
-        raise ProblemError(f"{ranges[0]} must be one value here; ranges are for verify")
-    with working("simulating"):
-        trajectory = run(
-            _controller(policy, online, background, backend),
-            np.array(states)[0] if len(states) == 1 else np.array(states),
-            duration,
-            rate,
-            model=_model(model),
-            parameters={
-                name: number(name, text)
-                for name, text in assignments("--parameter", parameter or []).items()
-            },
-            disturbance=None if disturbance is None else one_or_list("--disturbance", disturbance),
-            noise=None if noise is None else one_or_list("--noise", noise),
-            delay=0.0 if delay is None else number("--delay", delay),
-            min_dwell=min_dwell,
-            outside=outside,
-            target=_target(policy, target, tolerance),
-            stop_at_target=stop_at_target,
-            seed=seed,
-            backend=backend,
-            threads=threads,
-        )
-    if output is not None:
-        if kind in FORMATS:
-            save_trajectory_plot(trajectory, output)
-        else:
-            trajectory.save(output)
-    rows = trajectory.summary()
-
-    def told() -> None:
-        for row in rows:
-            typer.echo(_sentence(row))
-        if output is not None:
-            typer.echo(f"wrote {output}")
-
-    show(as_json, rows if len(rows) > 1 else rows[0], told)
-
-
-def _sentence(row: dict[str, Any]) -> str:
-    def state(values: list[float | None]) -> str:
-        return "(" + ", ".join("nan" if v is None else f"{v:g}" for v in values) + ")"
-
-    reached = "" if row["arrived"] is None else f"; in the target first at {row['arrived']:g} s"
-    lost = f"; {row['outside']:,} samples outside the domain" if row["outside"] else ""
-    cost = "not finite" if row["cost"] is None else f"{row['cost']:.6g}"
-    return (
-        f"from {state(row['initial'])} to {state(row['final'])} in {row['duration']:g} s, ended: "
-        f"{row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
-    )
-
-
-def verify(
-    file: File,
     monte_carlo: Annotated[
-        int | None, typer.Option(metavar="N", help="Trials from random initial states.")
-    ] = None,
+        int | None,
+        typer.Option(metavar="N", help="Trials from random initial states."),
+        Before("duration"),
+    ] = None
     duration: Annotated[
         float | None, typer.Option(help="Time limit of a trial [s] [default: 20].")
-    ] = None,
-    rate: Rate = None,
+    ] = None
     initial: Annotated[
         str | None,
         typer.Option(metavar="SET", help="NAME=LOW:HIGH[,..] [default: the domain]."),
-    ] = None,
-    target: Target = None,
-    tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None,
-    within: Annotated[float | None, typer.Option(help="Time to arrive in [s].")] = None,
+        Before("target"),
+    ] = None
+    within: Annotated[
+        float | None, typer.Option(help="Time to arrive in [s]."), Before("model")
+    ] = None
     hold: Annotated[
-        float | None, typer.Option(help="Time at the end to stay there [s] [default: 0].")
-    ] = None,
-    model: ModelOption = None,
-    parameter: Parameters = None,
-    disturbance: Disturbance = None,
-    noise: Noise = None,
-    delay: Delay = None,
-    min_dwell: MinDwell = None,
-    outside: Outside = None,
-    online: Online = None,
-    background: Background = False,
+        float | None,
+        typer.Option(help="Time at the end to stay there [s] [default: 0]."),
+        Before("model"),
+    ] = None
     lyapunov: Annotated[
         str | None,
         typer.Option(metavar="FILE.py:V", help="A function V of x whose decrease is proved."),
-    ] = None,
+        Before("seed"),
+    ] = None
     depth: Annotated[
-        int | None, typer.Option(help="Bisections of a cell in the proof [default: 12].")
-    ] = None,
+        int | None,
+        typer.Option(help="Bisections of a cell in the proof [default: 12]."),
+        Before("seed"),
+    ] = None
     grid: Annotated[
-        str | None, typer.Option(metavar="H[,H..]", help="Spacing of a grid of signs of dV/dt.")
-    ] = None,
+        str | None,
+        typer.Option(metavar="H[,H..]", help="Spacing of a grid of signs of dV/dt."),
+        Before("seed"),
+    ] = None
     agreement: Annotated[
-        int | None, typer.Option(metavar="N", help="Random states to compare with sSAC.")
-    ] = None,
-    confidence: Annotated[float, typer.Option(help="Of the intervals.")] = 0.95,
-    require_success: Annotated[float | None, typer.Option(help="Least share of successes.")] = None,
-    require_proved: Annotated[float | None, typer.Option(help="Least share proved.")] = None,
-    require_agreement: Annotated[float | None, typer.Option(help="Least agreement.")] = None,
-    save: Annotated[bool, typer.Option("--save", help="Keep the evidence in the file.")] = False,
-    seed: Seed = 0,
-    backend: Backend = "auto",
-    threads: Threads = None,
-    dask: Dask = None,
-    as_json: Json = False,
-) -> None:
+        int | None,
+        typer.Option(metavar="N", help="Random states to compare with sSAC."),
+        Before("seed"),
+    ] = None
+    confidence: Annotated[float, typer.Option(help="Of the intervals."), Before("seed")] = 0.95
+    require_success: Annotated[
+        float | None, typer.Option(help="Least share of successes."), Before("seed")
+    ] = None
+    require_proved: Annotated[
+        float | None, typer.Option(help="Least share proved."), Before("seed")
+    ] = None
+    require_agreement: Annotated[
+        float | None, typer.Option(help="Least agreement."), Before("seed")
+    ] = None
+    save: Annotated[
+        bool, typer.Option("--save", help="Keep the evidence in the file."), Before("seed")
+    ] = False
+    dask: Dask = None
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of evidence that ``capsyn verify`` gives.
+
+    Parameters
+    ----------
+    name : str
+        Field of `VerifyOptions` that asks for it, and its name in files and JSON.
+    requirement, figure : str
+        Field that states the least value of a figure of the evidence, and that figure.
+    own : tuple of str
+        Fields that need it.
+    usual : callable ``(policy, options) -> int or None``
+        What is asked where no kind is, as far as the policy allows.
+    check : callable ``(policy, file)``
+        Raises `ProblemError` where a policy allows no such evidence.
+    doing : str
+        What is said while it is looked for.
+    find : callable ``(policy, options, client) -> dict``
+        The evidence as plain data.
+    show : callable ``(data, sentence, file, options)``
+        Prints it.
+    """
+
+    name: str
+    requirement: str
+    figure: str
+    own: tuple[str, ...]
+    usual: Callable[[Policy, VerifyOptions], int | None]
+    check: Callable[[Policy, str], None]
+    doing: str
+    find: Callable[[Policy, VerifyOptions, Any], dict[str, Any]]
+    show: Callable[[dict[str, Any], str, str, VerifyOptions], None]
+
+
+def _usual_trials(policy: Policy, options: VerifyOptions) -> int | None:
+    return 1000 if policy.target is not None or options.target is not None else None
+
+
+def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
+    from capsyn.verification.monte_carlo import try_out
+    from capsyn.verification.trials import TrialOptions
+
+    controller, initial = controller_of(policy, options), None
+    if options.initial is not None:
+        initial = region("--initial", options.initial, policy.domain.names)
+    loop = loop_options(policy, options, one=number_or_range, each=number_or_range, executor=client)
+    trials = TrialOptions(
+        loop,
+        options.monte_carlo or 0,
+        initial=initial,
+        within=options.within,
+        hold=options.hold or 0.0,
+        confidence=options.confidence,
+    )
+    return try_out(controller, trials).to_json()
+
+
+def _show_trials(data: dict[str, Any], sentence: str, file: str, options: VerifyOptions) -> None:
+    """Print what came of trials, and the command that repeats the first that failed."""
+    repeated = "duration rate model min_dwell outside target tolerance online background".split()
+    values = {_option(name): getattr(options, name) for name in repeated}
+    values["--stop-at-target"] = not options.hold
+    failing = data["failing_trials"]
+    print_monte_carlo(data, sentence, simulate_line(file, failing[0], values) if failing else None)
+
+
+def _prove(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
+    from capsyn.cli.problem_finder import find_function
+    from capsyn.verification.lyapunov import lyapunov, lyapunov_grid
+
+    V = find_function(options.lyapunov or "")
+    proof = lyapunov(policy, V, depth=12 if options.depth is None else options.depth).to_json()
+    proof["function"] = options.lyapunov
+    if options.grid is not None:
+        proof["grid"] = lyapunov_grid(policy, V, one_or_list("--grid", options.grid)).to_json()
+    return proof
+
+
+def _usual_states(policy: Policy, options: VerifyOptions) -> int | None:
+    return 100_000 if policy.settings is not None and policy.model is not None else None
+
+
+def _check_comparable(policy: Policy, file: str) -> None:
+    if policy.settings is None or policy.model is None:
+        raise ProblemError(
+            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
+            "Python capsyn.agreement(policy, controller=function) compares it with a function"
+        )
+
+
+def _compare(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
+    from capsyn.verification.agreement import agreement
+
+    return agreement(
+        policy,
+        options.agreement or 0,
+        seed=options.seed,
+        confidence=options.confidence,
+        backend=options.backend,
+        threads=options.threads,
+    ).to_json()
+
+
+KINDS = (
+    Kind(
+        "monte_carlo",
+        "require_success",
+        "success_rate",
+        tuple(
+            "rate initial target tolerance within hold duration model parameter disturbance noise "
+            "delay min_dwell outside online background dask".split()
+        ),
+        _usual_trials,
+        lambda policy, file: None,
+        "Monte Carlo",
+        _try_out,
+        _show_trials,
+    ),
+    Kind(
+        "lyapunov",
+        "require_proved",
+        "proved",
+        ("depth", "grid"),
+        lambda policy, options: None,
+        lambda policy, file: None,
+        "proving dV/dt <= 0",
+        _prove,
+        lambda data, sentence, *_: print_lyapunov(data, sentence),
+    ),
+    Kind(
+        "agreement",
+        "require_agreement",
+        "share",
+        (),
+        _usual_states,
+        _check_comparable,
+        "comparing with sSAC",
+        _compare,
+        lambda data, sentence, *_: print_agreement(data, sentence),
+    ),
+)
+"""All kinds of evidence, in the order in which they are looked for and printed."""
+
+
+def _option(name: str) -> str:
+    """Return the option of a field."""
+    return f"--{name.replace('_', '-')}"
+
+
+@flat
+def verify(file: File, options: VerifyOptions, as_json: Json = False) -> None:
     """Give evidence for a policy.
 
     Without a kind: Monte Carlo and agreement, as far as the file allows. The exit status is 1 when
@@ -216,167 +251,72 @@ def verify(
     from capsyn.execution.files import check_writable
     from capsyn.policies.policy import Policy
 
-    if save:
+    if options.save:
         check_writable(file)
     policy = Policy.load(file)
-    if monte_carlo is None and lyapunov is None and agreement is None:
-        monte_carlo = 1000 if policy.target is not None or target is not None else None
-        agreement = 100_000 if policy.settings is not None and policy.model is not None else None
-        if monte_carlo is None and agreement is None:
-            raise ProblemError("the policy has neither target nor model: nothing can be verified")
-    if agreement is not None and (policy.settings is None or policy.model is None):
-        raise ProblemError(
-            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
-            "Python capsyn.agreement(policy, controller=function) compares it with a function"
-        )
-    requirements = (
-        ("--require-success", require_success, "monte_carlo", monte_carlo, "success_rate"),
-        ("--require-proved", require_proved, "lyapunov", lyapunov, "proved"),
-        ("--require-agreement", require_agreement, "agreement", agreement, "share"),
-    )
-    for option, wanted, kind, asked, _ in requirements:
-        if wanted is not None and not 0 <= wanted <= 1:
-            raise ProblemError(f"{option} must be between 0 and 1; got {wanted:g}")
-        if wanted is not None and asked is None:
-            raise ProblemError(f"{option} needs --{kind.replace('_', '-')}")
-    for_trials = {
-        "--rate": rate,
-        "--initial": initial,
-        "--target": target,
-        "--tolerance": tolerance,
-        "--within": within,
-        "--hold": hold,
-        "--duration": duration,
-        "--model": model,
-        "--parameter": parameter,
-        "--disturbance": disturbance,
-        "--noise": noise,
-        "--delay": delay,
-        "--min-dwell": min_dwell,
-        "--outside": outside,
-        "--online": online,
-        "--background": background,
-        "--dask": dask,
-    }
-    _needs("--monte-carlo", monte_carlo, for_trials)
-    _needs("--lyapunov", lyapunov, {"--depth": depth, "--grid": grid})
-    if save and online is not None:
+    options = _with_kinds(policy, options)
+    kinds = [kind for kind in KINDS if getattr(options, kind.name) is not None]
+    for kind in kinds:
+        kind.check(policy, file)
+    _check_requirements(options)
+    _check_owners(options)
+    if options.save and options.online is not None:
         raise ProblemError("--save keeps evidence of the policy itself: not with --online")
-    found: dict[str, Any] = {}
-    with executor(dask) as client, working("loading") as tell:
-        if monte_carlo is not None:
-            from capsyn.verification.monte_carlo import monte_carlo as try_out
+    evidence: dict[str, Any] = {}
+    with executor(options.dask) as client, working("loading") as tell:
+        for kind in kinds:
+            tell(kind.doing)
+            evidence[kind.name] = kind.find(policy, options, client)
+    missed = _missed(options, evidence)
+    if options.save:
+        policy.with_evidence(**evidence).save(file)
+    sentences = list(headlines(evidence).values())
 
-            tell("Monte Carlo")
-            found["monte_carlo"] = try_out(
-                _controller(policy, online, background, backend),
-                monte_carlo,
-                duration=20.0 if duration is None else duration,
-                rate=rate,
-                initial=None
-                if initial is None
-                else region("--initial", initial, policy.domain.names),
-                target=_target(policy, target, tolerance),
-                within=within,
-                hold=hold or 0.0,
-                model=_model(model),
-                parameters={
-                    name: number_or_range(name, text)
-                    for name, text in assignments("--parameter", parameter or []).items()
-                },
-                disturbance=number_or_range("--disturbance", disturbance),
-                noise=number_or_range("--noise", noise),
-                delay=number_or_range("--delay", delay or "0"),
-                min_dwell=min_dwell,
-                outside=outside,
-                seed=seed,
-                confidence=confidence,
-                backend=backend,
-                threads=threads,
-                executor=client,
-            ).to_json()
-        if lyapunov is not None:
-            tell("proving dV/dt <= 0")
-            found["lyapunov"] = _prove(policy, lyapunov, depth, grid)
-        if agreement is not None:
-            from capsyn.verification.agreement import agreement as compare
+    def print_kinds() -> None:
+        for kind, sentence in zip(kinds, sentences, strict=True):
+            kind.show(evidence[kind.name], sentence, file, options)
 
-            tell("comparing with sSAC")
-            found["agreement"] = compare(
-                policy,
-                agreement,
-                seed=seed,
-                confidence=confidence,
-                backend=backend,
-                threads=threads,
-            ).to_json()
-    missed = [
-        f"{option} {wanted:g} is not met: {found[kind][figure]:.6g}"
-        for option, wanted, kind, _, figure in requirements
-        if wanted is not None and found[kind][figure] < wanted
-    ]
-    if save:
-        policy.with_evidence(**found).save(file)
-    failing = found.get("monte_carlo", {}).get("failing_trials")
-    repeated = {name: for_trials[name] for name in _REPEATED} | {"--stop-at-target": not hold}
-    again = simulate_line(file, failing[0], repeated) if failing else None
-    show(as_json, found | {"missed": missed}, lambda: print_evidence(found, again))
-    for sentence in missed:
-        typer.echo(sentence, err=True)
+    show(as_json, evidence | {"missed": missed}, print_kinds)
+    for line in missed:
+        typer.echo(line, err=True)
     if missed:
         raise typer.Exit(1)
 
 
-def _needs(option: str, value: Any, others: dict[str, Any]) -> None:
-    """Raise `ProblemError` where options are given that need another one."""
-    for other, given in others.items():
-        if value is None and given:
-            raise ProblemError(f"{other} needs {option}")
+def _with_kinds(policy: Policy, options: VerifyOptions) -> VerifyOptions:
+    """Return options that ask for a kind of evidence: the usual ones where they ask for none."""
+    if any(getattr(options, kind.name) is not None for kind in KINDS):
+        return options
+    usual: dict[str, Any] = {kind.name: kind.usual(policy, options) for kind in KINDS}
+    if not any(usual.values()):
+        raise ProblemError("the policy has neither target nor model: nothing can be verified")
+    return dataclasses.replace(options, **usual)
 
 
-def _prove(policy: Policy, function: str, depth: int | None, grid: str | None) -> dict[str, Any]:
-    from capsyn.cli.problem_finder import find_function
-    from capsyn.verification.lyapunov import lyapunov, lyapunov_grid
-
-    V = find_function(function)
-    found = lyapunov(policy, V, depth=12 if depth is None else depth).to_json()
-    found["function"] = function
-    if grid is not None:
-        found["grid"] = lyapunov_grid(policy, V, one_or_list("--grid", grid)).to_json()
-    return found
+def _check_requirements(options: VerifyOptions) -> None:
+    """Raise `ProblemError` where a requirement is no share, or of a kind that is not asked for."""
+    for kind in KINDS:
+        least, option = getattr(options, kind.requirement), _option(kind.requirement)
+        if least is not None and not 0 <= least <= 1:
+            raise ProblemError(f"{option} must be between 0 and 1; got {least:g}")
+        if least is not None and getattr(options, kind.name) is None:
+            raise ProblemError(f"{option} needs {_option(kind.name)}")
 
 
-def _controller(policy: Policy, online: str | None, background: bool, backend: str) -> Any:
-    if online is None:
-        if background:
-            raise ProblemError("--background needs --online")
-        return policy
-    from capsyn.controllers.online import online_controller
-
-    return online_controller(
-        policy, online, default=policy if background else None, backend=backend
-    )
+def _check_owners(options: VerifyOptions) -> None:
+    """Raise `ProblemError` where an option is of a kind that is not asked for."""
+    for kind in KINDS:
+        for name in kind.own:
+            if getattr(options, kind.name) is None and getattr(options, name):
+                raise ProblemError(f"{_option(name)} needs {_option(kind.name)}")
 
 
-def _model(text: str | None) -> Any:
-    if text is None:
-        return None
-    from capsyn.cli.problem_finder import find_function, find_problem
-    from capsyn.modelling.problem import Problem
-    from capsyn.policies.policy import Policy
-
-    place, _, name = text.rpartition(":")
-    if name.isidentifier() and place:
-        return find_function(text, (Problem,))
-    return Policy.load(text) if text.endswith(".cap") else find_problem(text)
-
-
-def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
-    from capsyn.cli.problem_finder import find_function
-    from capsyn.modelling.targets import with_tolerance
-
-    if text is None:
-        return with_tolerance(policy.target, tolerance)
-    if ".py:" in text or ("=" not in text and ":" in text):
-        return with_tolerance(find_function(text), tolerance)
-    return region("--target", text, policy.domain.names, tolerance)
+def _missed(options: VerifyOptions, evidence: dict[str, Any]) -> list[str]:
+    """Return a sentence for each requirement that the evidence does not meet."""
+    sentences = []
+    for kind in KINDS:
+        least = getattr(options, kind.requirement)
+        if least is not None and evidence[kind.name][kind.figure] < least:
+            share = evidence[kind.name][kind.figure]
+            sentences.append(f"{_option(kind.requirement)} {least:g} is not met: {share:.6g}")
+    return sentences

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
 
 from capsyn.cli.console import show, working
-from capsyn.cli.options import File, Json, assignments, one_or_list
+from capsyn.cli.options import File, Json, assignments, flat, one_or_list
 
 TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
 
 
-def export(
-    file: File,
+@dataclass(frozen=True)
+class ExportOptions:
+    """Options of ``capsyn export``."""
+
     to: Annotated[
         str,
         typer.Option(
             metavar="TARGET[,..]",
             help=f"One of {TARGETS}; several, or all, into a folder each.",
         ),
-    ],
+    ]
     output: Annotated[
         str, typer.Option("--output", "-o", metavar="DIR", help="Where; made if need be.")
-    ],
+    ]
     safe: Annotated[
         str | None,
         typer.Option(
@@ -32,75 +35,84 @@ def export(
             help="Symbol of states that have no other: its name, index, or default [default: the "
             "policy's own safe symbol, else default].",
         ),
-    ] = None,
+    ] = None
     dwell: Annotated[
         float | None, typer.Option(help="Least time between switches [s] [default: the policy's].")
-    ] = None,
+    ] = None
     scale: Annotated[
         str | None,
         typer.Option(
             metavar="S[,S..]", help="A state is reading * scale + offset, for all or each [1]."
         ),
-    ] = None,
-    offset: Annotated[str | None, typer.Option(metavar="O[,O..]", help="See --scale [0].")] = None,
+    ] = None
+    offset: Annotated[str | None, typer.Option(metavar="O[,O..]", help="See --scale [0].")] = None
     style: Annotated[
         str | None,
         typer.Option(
             help="c: table (smallest), nested, grid (fastest); structured-text: nested, table."
         ),
-    ] = None,
-    arithmetic: Annotated[str | None, typer.Option(help="c: lattice, double, float.")] = None,
+    ] = None
+    arithmetic: Annotated[str | None, typer.Option(help="c: lattice, double, float.")] = None
     name: Annotated[
         str | None,
         typer.Option(help="What files and functions are called [default: the policy's name]."),
-    ] = None,
+    ] = None
     option: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
             help="Another option of the target, such as sources_only=yes of fmu; may be repeated.",
         ),
-    ] = None,
-    as_json: Json = False,
-) -> None:
+    ] = None
+
+
+@flat
+def export(file: File, options: ExportOptions, as_json: Json = False) -> None:
     """Write a policy or a tree in another language, with golden vectors and what it costs."""
     from capsyn.exports.export import CERTIFICATE, MEASURED, all_targets, check_options, export
     from capsyn.policies.policy import Policy
 
-    options: dict[str, Any] = {
-        key.replace("-", "_"): _value(text)
-        for key, text in assignments("--option", option or []).items()
-    }
-    own = {"style": style, "arithmetic": arithmetic, "name": name}
-    options |= {key: value for key, value in own.items() if value is not None}
+    to = options.to
     targets = TARGETS.split(", ") if to == "all" else [part.strip() for part in to.split(",")]
-    check_options(targets, options)
-    given = {
-        "safe": safe,
-        "dwell": dwell,
-        "scale": None if scale is None else one_or_list("--scale", scale),
-        "offset": None if offset is None else one_or_list("--offset", offset),
-    }
-    options |= {key: value for key, value in given.items() if value is not None}
+    own = _own_options(options)
+    check_options(targets, own)
+    plan = _plan_options(options)
     policy = Policy.load(file)
     if to == "all":
         targets = list(all_targets(policy))
     one = len(targets) == 1
     with working(f"exporting to {to}"):
-        written = export(policy, targets[0] if one else targets, output, **options)
-    found, measured = (
+        written = export(policy, targets[0] if one else targets, options.output, **own | plan)
+    certificates, measured = (
         [json.loads(path.read_bytes()) for path in written if path.name == name]
         for name in (CERTIFICATE, MEASURED)
     )
     data = {
         "files": [str(path) for path in written],
-        "certificate": found[0] if one else dict(zip(targets, found)),
+        "certificate": certificates[0] if one else dict(zip(targets, certificates)),
     } | ({"measured": measured[0]} if measured else {})
+    show(as_json, data, lambda: print_export(list(map(str, written)), certificates, measured))
 
-    def told() -> None:
-        print_export(list(map(str, written)), found, measured)
 
-    show(as_json, data, told)
+def _own_options(options: ExportOptions) -> dict[str, Any]:
+    """Return what only some targets take."""
+    values: dict[str, Any] = {
+        key.replace("-", "_"): _value(text)
+        for key, text in assignments("--option", options.option or []).items()
+    }
+    named = {"style": options.style, "arithmetic": options.arithmetic, "name": options.name}
+    return values | {key: value for key, value in named.items() if value is not None}
+
+
+def _plan_options(options: ExportOptions) -> dict[str, Any]:
+    """Return what all targets take."""
+    values = {
+        "safe": options.safe,
+        "dwell": options.dwell,
+        "scale": None if options.scale is None else one_or_list("--scale", options.scale),
+        "offset": None if options.offset is None else one_or_list("--offset", options.offset),
+    }
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def _value(text: str) -> Any:
@@ -141,8 +153,8 @@ def print_export(
             lines.append(f"renamed: {', '.join(pairs)}")
         for line in lines:
             typer.echo(f"{figures['target']}: {line}")
-    for processor, found in (measured[0] if measured else {}).items():
-        words = [f"{k.replace('_', ' ')} {v:,}" for k, v in found.items() if k != "compiler"]
-        typer.echo(f"c, {processor}, {found['compiler']}, bytes: {', '.join(words)}")
+    for processor, sizes in (measured[0] if measured else {}).items():
+        words = [f"{k.replace('_', ' ')} {v:,}" for k, v in sizes.items() if k != "compiler"]
+        typer.echo(f"c, {processor}, {sizes['compiler']}, bytes: {', '.join(words)}")
     for name in files:
         typer.echo(f"wrote {name}")

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
-from typing import Annotated, Any
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 
@@ -13,47 +17,6 @@ from capsyn.modelling.domain import Ball, Box
 
 Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A policy file.")]
-Rate = Annotated[
-    float | None, typer.Option(help="Samples per second [default: by the policy's settings, 1000].")
-]
-ModelOption = Annotated[
-    str | None,
-    typer.Option(
-        "--model",
-        metavar="PLANT",
-        help="Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, "
-        "and of p where there are parameters; a policy without a model, such as an imported one, "
-        "takes a problem only.",
-    ),
-]
-Parameters = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--parameter",
-        metavar="NAME=P[:P]",
-        help="A component of p, in the order of p; verify takes a range, too. May be repeated.",
-    ),
-]
-Noise = Annotated[
-    str | None,
-    typer.Option(
-        metavar="S[,S..]",
-        help="Standard deviation of the measured states, of all or of each; verify takes a range "
-        "S[,S..]:S[,S..], too.",
-    ),
-]
-Disturbance = Annotated[
-    str | None,
-    typer.Option(
-        metavar="D[,D..]",
-        help="Added to the rates, of all states or of each; verify takes a range D[,D..]:D[,D..], "
-        "too.",
-    ),
-]
-Delay = Annotated[
-    str | None,
-    typer.Option(metavar="T", help="Input delay [s]; verify takes a range T:T, too."),
-]
 MinDwell = Annotated[
     float | None,
     typer.Option(help="Least time between switches [s] [default: the problem's or policy's]."),
@@ -63,21 +26,6 @@ Outside = Annotated[
     typer.Option(
         help="error, nearest, or a symbol's name or index [default: the problem's or policy's]."
     ),
-]
-Target = Annotated[
-    str | None,
-    typer.Option(
-        metavar="SET",
-        help="NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a "
-        "function of x that says whether it has arrived.",
-    ),
-]
-Online = Annotated[
-    str | None,
-    typer.Option(help="ssac or sac: solve online in receding horizon instead of the policy."),
-]
-Background = Annotated[
-    bool, typer.Option(help="Let the policy be the default control of the online controller.")
 ]
 Seed = Annotated[int, typer.Option(help="Of everything that is random.")]
 Backend = Annotated[str, typer.Option(help="auto, c or numpy.")]
@@ -89,6 +37,58 @@ Dask = Annotated[
         help="Work on the workers of a Dask scheduler, or on local:N worker processes.",
     ),
 ]
+
+
+@dataclass(frozen=True)
+class Before:
+    """Where the help has an option that a subclass adds: before another one."""
+
+    name: str
+
+
+def flat(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command for Typer, each of whose dataclasses of options is one option a field.
+
+    The fields stand in the place of the parameter; the command is called with one value.
+    """
+    groups: dict[str, Any] = {}
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
+        kind = parameter.annotation
+        if dataclasses.is_dataclass(kind):
+            groups[name] = kind
+            parameters += _field_parameters(kind)
+        else:
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(command)
+    def flattened(**values: Any) -> None:
+        for name, kind in groups.items():
+            values[name] = kind(**{f.name: values.pop(f.name) for f in dataclasses.fields(kind)})
+        command(**values)
+
+    flattened.__annotations__ = {p.name: p.annotation for p in parameters}
+    flattened.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return flattened
+
+
+def _field_parameters(kind: Any) -> list[inspect.Parameter]:
+    """Return the fields of a dataclass as parameters, in the order of the help."""
+    hints, ordered = get_type_hints(kind, include_extras=True), dict[str, inspect.Parameter]()
+    for field in dataclasses.fields(kind):
+        default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+        parameter = inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=default,
+            annotation=hints[field.name],
+        )
+        places = [extra.name for extra in get_args(hints[field.name]) if isinstance(extra, Before)]
+        names = list(ordered)
+        after = names[names.index(places[0]) :] if places else []
+        later = {name: ordered.pop(name) for name in after}
+        ordered |= {field.name: parameter} | later
+    return list(ordered.values())
 
 
 @contextlib.contextmanager
@@ -131,7 +131,7 @@ def number_or_range(name: str, text: str | None) -> Any:
         return one_or_list(name, text)
     if ":" in high:
         raise ProblemError(f"{name} must be a value or a range LOW:HIGH; got '{text}'")
-    from capsyn.verification.monte_carlo import Uniform
+    from capsyn.verification.trials import Uniform
 
     return Uniform(one_or_list(name, low), one_or_list(name, high))
 
@@ -149,18 +149,18 @@ def whole_number_list(name: str, text: str | None) -> list[int] | int | None:
 
 def assignments(name: str, items: list[str]) -> dict[str, str]:
     """Return the texts of items such as ``NAME=TEXT``, each name once."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for item in items:
         key, equals, value = item.partition("=")
-        if not equals or key in found:
+        if not equals or key in values:
             raise ProblemError(f"{name} must be NAME=VALUE, once for a name; got '{item}'")
-        found[key] = value
-    return found
+        values[key] = value
+    return values
 
 
-def check_states(name: str, given: Sequence[str], known: Sequence[str]) -> None:
+def check_states(name: str, texts: Sequence[str], known: Sequence[str]) -> None:
     """Raise `ProblemError` at the first name that is not that of a state."""
-    for unknown in (text for text in given if text not in known):
+    for unknown in (text for text in texts if text not in known):
         raise ProblemError(f"{name} must name states among {', '.join(known)}; got '{unknown}'")
 
 

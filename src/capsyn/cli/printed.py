@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
-from capsyn.cli.console import _line, print_table
-from capsyn.verification.sentences import circumstances, evidence_rows, failing_trial, headlines
-
-if TYPE_CHECKING:
-    pass
+from capsyn.cli.console import print_line, print_table
+from capsyn.verification.sentences import circumstances, evidence_rows, failing_trial
 
 
-def _print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -> None:
+def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -> None:
+    """Print how trials went, and the command that repeats the first that failed."""
     conditions = data["conditions"]
     stay = f", and stay there the last {conditions['hold']:g} s" if conditions["hold"] else ""
-    _line("monte carlo", headline)
-    _line("from", conditions["initial"])
-    _line("to", f"{conditions['target']}, within {conditions['within']:g} s{stay}")
-    _line("by", f"{conditions['controller']}; {circumstances(conditions)}")
+    print_line("monte carlo", headline)
+    print_line("from", conditions["initial"])
+    print_line("to", f"{conditions['target']}, within {conditions['within']:g} s{stay}")
+    print_line("by", f"{conditions['controller']}; {circumstances(conditions)}")
     how = {"time": "ran until the time limit", "target": "arrived"}
     ends = (f"{count:,} {how.get(name, name)}" for name, count in data["ended"].items())
-    _line("ended", ", ".join(ends))
+    print_line("ended", ", ".join(ends))
     for key, name, unit in (
         ("time_to_target", "time", "s until the target"),
         ("switches_per_second", "switches", "per second"),
@@ -28,39 +27,39 @@ def _print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -
     ):
         if data[key]:
             spread = ", ".join(f"{k} {v:.3g}" for k, v in data[key].items())
-            _line(name, f"{spread} {unit}")
+            print_line(name, f"{spread} {unit}")
     if data["trials_outside_domain"]:
-        _line("outside", f"{data['trials_outside_domain']:,} trials left the domain on the way")
+        print_line(
+            "outside", f"{data['trials_outside_domain']:,} trials left the domain on the way"
+        )
     trials, failed = data["failing_trials"], data["trials"] - data["successes"]
     for trial in trials[:5]:
-        _line("failed from", failing_trial(trial))
+        print_line("failed from", failing_trial(trial))
     if failed > 5:
-        _line("", f"and {failed - 5:,} more")
+        print_line("", f"and {failed - 5:,} more")
     if again is not None:
         anew = ", but for its noise, which is drawn anew" if any(trials[0]["noise"]) else ""
-        _line("again", f"the first of them{anew}: {again}")
+        print_line("again", f"the first of them{anew}: {again}")
 
 
-def print_evidence(found: dict[str, Any], again: str | None = None) -> None:
-    """Print what `capsyn verify` found, by kind, and the command that repeats a failing trial."""
-    lines = headlines(found)
-    if "monte_carlo" in found:
-        _print_monte_carlo(found["monte_carlo"], lines["monte carlo"], again)
-    if "lyapunov" in found:
-        data = found["lyapunov"]
-        violated, undecided = data["violated_cell_count"], data["undecided_cell_count"]
-        _line("lyapunov", lines["lyapunov"])
-        _line("cells", f"{violated:,} with a state where it grows, {undecided:,} more undecided")
-        for cell in data["violated_cells"][:3]:
-            state = ", ".join(f"{v:g}" for v in cell["state"])
-            _line("grows at", f"({state}): {cell['value']:.3g} per second")
-        if "grid" in data:
-            shares = data["grid"]["shares"].items()
-            _line("grid", ", ".join(f"{name} {value:.3%}" for name, value in shares))
-    if "agreement" in found:
-        cells = found["agreement"]["island_cells"]
-        _line("agreement", lines["agreement"])
-        _line("islands", f"{cells:,} cells hold something that all their test points missed")
+def print_lyapunov(data: dict[str, Any], headline: str) -> None:
+    """Print what a proof about a Lyapunov function found."""
+    violated, undecided = data["violated_cell_count"], data["undecided_cell_count"]
+    print_line("lyapunov", headline)
+    print_line("cells", f"{violated:,} with a state where it grows, {undecided:,} more undecided")
+    for cell in data["violated_cells"][:3]:
+        state = ", ".join(f"{v:g}" for v in cell["state"])
+        print_line("grows at", f"({state}): {cell['value']:.3g} per second")
+    if "grid" in data:
+        shares = data["grid"]["shares"].items()
+        print_line("grid", ", ".join(f"{name} {value:.3%}" for name, value in shares))
+
+
+def print_agreement(data: dict[str, Any], headline: str) -> None:
+    """Print how often a policy gives what its controller gives."""
+    cells = data["island_cells"]
+    print_line("agreement", headline)
+    print_line("islands", f"{cells:,} cells hold something that all their test points missed")
 
 
 def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
@@ -70,24 +69,24 @@ def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
     mean = tree["mean_comparisons"]
     average = "" if mean is None else f", {mean:.1f} on average"
     if from_cells:
-        _line("", f"{table['comparisons']} comparisons at most")
-        _line(
+        print_line("", f"{table['comparisons']} comparisons at most")
+        print_line(
             "exact tree",
             f"{tree['nodes']:,} nodes{planes}, {tree['bytes']:,} bytes packed, "
             f"{tree['comparisons']} comparisons at most{average}",
         )
     elif mean is not None:
-        _line("", f"{mean:.1f} comparisons on average")
-    _line("entropy", f"{data['symbol_entropy']:.3f} bits of the symbols by volume")
+        print_line("", f"{mean:.1f} comparisons on average")
+    print_line("entropy", f"{data['symbol_entropy']:.3f} bits of the symbols by volume")
     if machine is None:
         return
-    _line(
+    print_line(
         "automaton",
         f"{machine['regions']} regions in {machine['partitions']:,} connected partitions and "
         f"{machine['boxes']:,} boxes; {machine['edges']} edges",
     )
     if machine["switch_rate"] is not None:
-        _line(
+        print_line(
             "switches",
             f"{machine['possible_edges']} edges not excluded; {machine['switch_rate']:.3g} per "
             f"second from evenly spread states; sliding on {machine['sliding_share']:.1%} of the "
@@ -101,7 +100,7 @@ def print_automaton(data: dict[str, Any]) -> None:
     for vertex in data["vertices"]:
         names[vertex["symbol"]] = vertex["name"]
         value = ", ".join(f"{v:g}" for v in vertex["value"])
-        _line(
+        print_line(
             f"region {vertex['region']}",
             f"{vertex['name']} ({value}): {vertex['volume_share']:.2%} of the volume, "
             f"{vertex['cells']:,} cells in {vertex['partitions']:,} connected partitions and "
@@ -113,19 +112,19 @@ def print_automaton(data: dict[str, Any]) -> None:
         for name in ("rate", "sliding_rate"):
             edge[f"{name} [1/s]"] = edge.pop(name)
     print_table(edges)
-    found = data["switching"]
-    if found is None:
-        _line("switches", "not known: the policy has no model")
+    switching = data["switching"]
+    if switching is None:
+        print_line("switches", "not known: the policy has no model")
         return
-    _line(
+    print_line(
         "switches",
-        f"{found['rate']:.3g} per second from evenly spread states, and "
-        f"{found['sliding_rate']:.3g} arrivals where the loop slides, on "
-        f"{found['sliding_share']:.1%} of the switching surface",
+        f"{switching['rate']:.3g} per second from evenly spread states, and "
+        f"{switching['sliding_rate']:.3g} arrivals where the loop slides, on "
+        f"{switching['sliding_share']:.1%} of the switching surface",
     )
-    if found["sliding_faces"]:
-        _line("", "the faces with most sliding area:")
-    for face in found["sliding_faces"][:5]:
+    if switching["sliding_faces"]:
+        print_line("", "the faces with most sliding area:")
+    for face in switching["sliding_faces"][:5]:
         bounds = (
             f"{name} = {low:g}" if axis == face["axis"] else f"{name} in [{low:g}, {high:g}]"
             for axis, (name, low, high) in enumerate(
@@ -133,112 +132,139 @@ def print_automaton(data: dict[str, Any]) -> None:
             )
         )
         between = f"{names[face['below']]} below and {names[face['above']]} above"
-        _line("slides on", f"{', '.join(bounds)}, with {between}")
+        print_line("slides on", f"{', '.join(bounds)}, with {between}")
 
 
 def print_compression(tree: dict[str, Any], policy: dict[str, Any]) -> None:
     """Print the reports of a tree and of the policy that it was made from."""
     _print_tree(tree)
-    _line("instead of", f"{policy['cells']:,} cells, {policy['packed_bytes']:,} bytes packed")
+    print_line("instead of", f"{policy['cells']:,} cells, {policy['packed_bytes']:,} bytes packed")
 
 
 def _print_tree(data: dict[str, Any]) -> None:
     planes = f", {data['planes']} oblique splits" if data["planes"] else ""
     grid = " x ".join(str(state["steps"]) for state in data["states"])
-    _line(
+    print_line(
         "tree",
         f"{data['nodes']:,} nodes, {data['depth']} comparisons at most{planes}, on {grid} steps; "
         f"{data['packed_bytes']:,} bytes packed",
     )
-    _line("guarantee", data["guarantee"]["text"])
+    print_line("guarantee", data["guarantee"]["text"])
 
 
 def print_report(data: dict[str, Any]) -> None:
     """Print what `capsyn.policies.report.report` returns."""
-    line = _line
     statistics = data["statistics"]
-    line("policy", data["name"])
-    for state in data["states"]:
-        unit = f" {state['unit']}" if state["unit"] else ""
-        periodic = ", periodic" if state["periodic"] else ""
-        line(
-            "state", f"{state['name']} in [{state['lower']:g}, {state['upper']:g}]{unit}{periodic}"
-        )
-    for symbol in data["symbols"]:
-        value = ", ".join(f"{v:g}" for v in symbol["value"])
-        line("symbol", f"{symbol['name']} ({value}): {symbol['volume_share']:.2%} of the volume")
-    value = ", ".join(f"{v:g}" for v in data["default"]["value"])
-    kind = ", in gaps, which are outside" if data["gaps"] else ""
-    line("default", f"({value}): {data['default']['volume_share']:.2%} of the volume{kind}")
+    print_line("policy", data["name"])
+    _print_states_and_symbols(data)
     if "cells" in data:
-        grid = " x ".join(str(state["partitions"]) for state in data["states"])
-        mixed = (
-            f"{data['mixed_cells']:,} with mixed labels, {data['mixed_share']:.2%} of the volume"
-        )
-        line(
-            "cells",
-            f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}"
-            f"{', split along some axes' if data['adaptive'] else ''}; {mixed}",
-        )
-        if data["affine_leaves"]:
-            steps = " x ".join(str(state["steps"]) for state in data["states"])
-            line("affine", f"{data['affine_leaves']:,} of the cells, on a lattice of {steps} steps")
-        line("table", f"{data['packed_bytes']:,} bytes packed")
+        _print_cells(data)
     else:
         _print_tree(data)
     if "proof" in data:
-        line("proof", f"holds for {data['proof']['policy']}")
+        print_line("proof", f"holds for {data['proof']['policy']}")
     if data.get("complexity"):
         _print_complexity(data["complexity"], "cells" in data)
-    if "table" in statistics:
-        counts = {name: f"{count:,}" for name, count in statistics["table"].items()}
-        line(
-            "from",
-            f"a table of {counts['points']} points, {counts['outside']} without a symbol and "
-            f"{counts['several']} with several",
-        )
-    if "solves" in statistics:
-        named = {
-            "vertices": "vertices",
-            "centers": "centres",
-            "others": "other test points",
-            "quarter": "second looks at ties",
-        }
-        roles = statistics.get("solves_by_role", {})
-        parts = ", ".join(f"{roles[k]:,} {name}" for k, name in named.items() if k in roles)
-        line("solves", f"{statistics['solves']:,}: {parts}")
-        budget = statistics.get("stopped_by")
-        if budget or statistics.get("stopped_by_max_solves"):
-            line("stopped by", f"{budget or 'max_solves'}, before max_level everywhere")
-        for key, name, unit in (
-            ("worst_case_solves", "Prop. 2", "solves at worst"),
-            ("indifferent_points", "ties", "test points where several symbols tie"),
-            ("not_finite_points", "not finite", "test points"),
-        ):
-            if key in statistics:
-                line(name, f"{statistics[key]:,} {unit}")
-    sample = statistics.get("sample")
+    for name, print_source in _SOURCES.items():
+        if name in statistics:
+            print_source(statistics)
+    if data["settings"]:
+        _print_settings(data["settings"], data["horizon"])
+    if data["target"]:
+        print_line("target", data["target"])
+    print_line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
+    for name, sentence in evidence_rows(data["evidence"]):
+        print_line(name, sentence)
+    for hint in data["hints"]:
+        print_line("hint", hint)
+
+
+def _print_states_and_symbols(data: dict[str, Any]) -> None:
+    for state in data["states"]:
+        unit = f" {state['unit']}" if state["unit"] else ""
+        periodic = ", periodic" if state["periodic"] else ""
+        bounds = f"[{state['lower']:g}, {state['upper']:g}]"
+        print_line("state", f"{state['name']} in {bounds}{unit}{periodic}")
+    for symbol in data["symbols"]:
+        value, share = ", ".join(f"{v:g}" for v in symbol["value"]), symbol["volume_share"]
+        print_line("symbol", f"{symbol['name']} ({value}): {share:.2%} of the volume")
+    value = ", ".join(f"{v:g}" for v in data["default"]["value"])
+    kind = ", in gaps, which are outside" if data["gaps"] else ""
+    share = data["default"]["volume_share"]
+    print_line("default", f"({value}): {share:.2%} of the volume{kind}")
+
+
+def _print_cells(data: dict[str, Any]) -> None:
+    grid = " x ".join(str(state["partitions"]) for state in data["states"])
+    mixed = f"{data['mixed_cells']:,} with mixed labels, {data['mixed_share']:.2%} of the volume"
+    along = ", split along some axes" if data["adaptive"] else ""
+    print_line(
+        "cells",
+        f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}{along}; {mixed}",
+    )
+    if data["affine_leaves"]:
+        steps = " x ".join(str(state["steps"]) for state in data["states"])
+        leaves = f"{data['affine_leaves']:,} of the cells"
+        print_line("affine", f"{leaves}, on a lattice of {steps} steps")
+    print_line("table", f"{data['packed_bytes']:,} bytes packed")
+
+
+def _print_table_source(statistics: dict[str, Any]) -> None:
+    counts = {name: f"{count:,}" for name, count in statistics["table"].items()}
+    print_line(
+        "from",
+        f"a table of {counts['points']} points, {counts['outside']} without a symbol and "
+        f"{counts['several']} with several",
+    )
+
+
+def _print_solves(statistics: dict[str, Any]) -> None:
+    roles = {
+        "vertices": "vertices",
+        "centers": "centres",
+        "others": "other test points",
+        "quarter": "second looks at ties",
+    }
+    counts = statistics.get("solves_by_role", {})
+    parts = ", ".join(f"{counts[role]:,} {name}" for role, name in roles.items() if role in counts)
+    print_line("solves", f"{statistics['solves']:,}: {parts}")
+    budget = statistics.get("stopped_by")
+    if budget or statistics.get("stopped_by_max_solves"):
+        print_line("stopped by", f"{budget or 'max_solves'}, before max_level everywhere")
+    for key, name, unit in (
+        ("worst_case_solves", "Prop. 2", "solves at worst"),
+        ("indifferent_points", "ties", "test points where several symbols tie"),
+        ("not_finite_points", "not finite", "test points"),
+    ):
+        if key in statistics:
+            print_line(name, f"{statistics[key]:,} {unit}")
+
+
+def _print_sample(statistics: dict[str, Any]) -> None:
+    sample = statistics["sample"]
     if sample:
-        line(
+        print_line(
             "controller",
             f"no descent in {sample['no_descent']:.2%} of the volume, several symbols tie in "
             f"{sample['indifferent']:.2%}, no finite result in {sample['not_finite']:.2%} "
             f"({sample['states']:,} random states)",
         )
-    settings = data["settings"]
-    if settings:
-        wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
-        rule = settings["rule"]
-        goal = f", {wanted} {settings[wanted]:g}" if rule == "schedule" else ""
-        line(
-            "settings",
-            f"horizon {data['horizon']} s in {settings['steps']} steps, rule {rule}{goal}, "
-            f"control weight {settings['control_weight']}, {settings['precision']} precision",
-        )
-    if data["target"]:
-        line("target", data["target"])
-    line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
-    for name, sentence in evidence_rows(data["evidence"]):
-        line(name, sentence)
-    for hint in data["hints"]:
-        line("hint", hint)
+
+
+_SOURCES: dict[str, Callable[[dict[str, Any]], None]] = {
+    "table": _print_table_source,
+    "solves": _print_solves,
+    "sample": _print_sample,
+}
+"""What prints where a policy comes from, by the statistics that tell it."""
+
+
+def _print_settings(settings: dict[str, Any], horizon: float) -> None:
+    wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
+    rule = settings["rule"]
+    goal = f", {wanted} {settings[wanted]:g}" if rule == "schedule" else ""
+    print_line(
+        "settings",
+        f"horizon {horizon} s in {settings['steps']} steps, rule {rule}{goal}, "
+        f"control weight {settings['control_weight']}, {settings['precision']} precision",
+    )

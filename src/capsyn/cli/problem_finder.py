@@ -49,8 +49,8 @@ def find_problem(text: str) -> Problem:
     problem = getattr(module, name, None)
     if not isinstance(problem, Problem):
         held = [key for key, value in vars(module).items() if isinstance(value, Problem)]
-        found = ", ".join(f"{place}:{key}" for key in held) or "none"
-        raise ProblemError(f"'{place}' must hold a capsyn.Problem named '{name}'; found {found}")
+        names = ", ".join(f"{place}:{key}" for key in held) or "none"
+        raise ProblemError(f"'{place}' must hold a capsyn.Problem named '{name}'; found {names}")
     return problem
 
 

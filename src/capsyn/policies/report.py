@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from capsyn.cells.cell_tree import CellTree
@@ -103,83 +104,97 @@ def _bytes(cells: CellTree | SplitTree) -> int:
     return sum(array.nbytes for array in lookup_arrays(cells))
 
 
-def _guarantee(found: Guarantee) -> dict[str, Any]:
-    interval = {"low": found.low, "high": found.high, "confidence": CONFIDENCE}
+def _guarantee(guarantee: Guarantee) -> dict[str, Any]:
+    interval = {"low": guarantee.low, "high": guarantee.high, "confidence": CONFIDENCE}
     return (
-        found.to_json()
-        | (interval if found.states else {})
-        | {"reached": found.reached, "text": found.text}
+        guarantee.to_json()
+        | (interval if guarantee.states else {})
+        | {"reached": guarantee.reached, "text": guarantee.text}
     )
 
 
 def hints(policy: Policy) -> list[str]:
     """Return one sentence for each figure that suggests a mistake or a better choice."""
-    found = []
-    shares = policy.volume_shares
-    unused = [name for name, share in zip(policy.alphabet.names, shares) if not share]
-    table = "table" in policy.statistics
-    if unused and not table:
+    sample = policy.statistics.get("sample")
+    sentences = [*_cell_hints(policy), *_solve_hints(policy)]
+    if sample:
+        sentences += [*_descent_hints(policy, sample), *_scale_hints(sample)]
+    return sentences
+
+
+def _cell_hints(policy: Policy) -> Iterator[str]:
+    """Yield what the cells show; a table, which is as it is, has no such hints."""
+    if "table" in policy.statistics:
+        return
+    unused = [name for name, share in zip(policy.alphabet.names, policy.volume_shares) if not share]
+    if unused:
         steepest = policy.settings is not None and policy.settings.rule == "steepest"
         weights = "control_weight" if steepest else "gamma and control_weight"
-        found.append(f"never used: {', '.join(unused)}; drop them, or look at {weights}")
-    if policy.mixed_share > 0.1 and not policy.has_planes and not table:
+        yield f"never used: {', '.join(unused)}; drop them, or look at {weights}"
+    if policy.mixed_share > 0.1 and not policy.has_planes:
         affine = ", or take affine leaves" if policy.domain.n > 2 else ""
-        found.append(
+        yield (
             f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "
             f"the boundaries are coarse; raise max_level{affine}"
         )
+
+
+def _solve_hints(policy: Policy) -> Iterator[str]:
     count, solves = (policy.statistics.get(k, 0) for k in ("not_finite_points", "solves"))
     if count:
-        found.append(
+        yield (
             f"{count} of {solves} solves gave no finite result and take the default control, for "
             f"instance at {policy.statistics.get('not_finite_example')}: check the model there"
         )
-    sample = policy.statistics.get("sample")
-    if not sample:
-        return found
+
+
+def _descent_hints(policy: Policy, sample: dict[str, Any]) -> Iterator[str]:
+    """Yield what keeps the cost from falling at random states."""
     settings = policy.settings
     by_gamma = settings and settings.rule == "schedule" and settings.alpha_d is None
     if by_gamma and sample["negative_cost"] > 0:
-        found.append(
+        yield (
             f"the cost is negative in {sample['negative_cost']:.0%} of the volume, where gamma "
             "asks to raise it: add a constant to the cost, or use rule steepest"
         )
     if sample["held_back"] > 0.05:
-        found.append(
+        yield (
             f"in {sample['held_back']:.0%} of the volume the chosen symbol does not lower the cost "
             f"to first order though another would: {_holds_back(settings)}"
         )
     if sample["no_descent"] - sample["held_back"] > 0.05:
-        found.append(
+        yield (
             f"in {sample['no_descent'] - sample['held_back']:.0%} of the volume no symbol lowers "
             "the cost to first order: the alphabet may be too weak there, or the horizon too short"
         )
     if sample["indifferent"] > 0.05:
-        found.append(
+        yield (
             f"in {sample['indifferent']:.0%} of the volume several symbols tie: the cost may not "
             "see what the inputs do within the horizon"
         )
     if sample["reach"] is not None and sample["reach"] < 0.01:
-        found.append(
+        yield (
             f"the best symbol, acting all along the horizon, takes off {sample['reach']:.2%} of "
             "the cost (median, first order): the horizon may be too short, or far too long, or the "
             "alphabet too weak"
         )
-    wanted = sample["wanted_over_reachable"]
+
+
+def _scale_hints(sample: dict[str, Any]) -> Iterator[str]:
+    """Yield which weights are out of scale with the rest of the score."""
+    wanted, effort = sample["wanted_over_reachable"], sample["effort_over_choice"]
     if wanted is not None and wanted > 1000:
-        found.append(
+        yield (
             f"the wanted sensitivity is {wanted:.3g} times what the symbols reach (median): gamma "
             "or alpha_d is not scaled to the cost, and control_weight has no effect"
         )
     if wanted is not None and wanted < 0.1:
-        found.append(
+        yield (
             f"the wanted sensitivity is {wanted:.2g} of what the symbols reach (median): gamma or "
             "alpha_d is not scaled to the cost, and the weakest symbols win"
         )
-    effort = sample["effort_over_choice"]
     if effort is not None and effort > 1:
-        found.append(
+        yield (
             f"the control efforts differ {effort:.3g} times more than the rest of the scores "
             "(median): control_weight decides, not the goal"
         )
-    return found

@@ -16,24 +16,17 @@ from capsyn.errors import ProblemError
 from capsyn.execution.cluster import check_client
 from capsyn.execution.memory import check_memory
 from capsyn.execution.processors import processors
-from capsyn.modelling.alphabet import Outside, check_outside
+from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.targets import Target, check_target, target_program
 from capsyn.modelling.transcription import target_condition
 from capsyn.policies.policy import Policy
 from capsyn.programs.program import Program
 from capsyn.simulation.closed_loop import SLACK, Loop, Noise, Record, new_trials, run
-from capsyn.simulation.plant import MOST_SUBSTEPS, Plant, choose_substeps
+from capsyn.simulation.options import LoopOptions
+from capsyn.simulation.plant import Plant, choose_substeps
 from capsyn.simulation.policy_loop import run_policy
 from capsyn.simulation.trial_job import run_on_workers
-from capsyn.validation import (
-    BACKENDS,
-    describe,
-    finite_number,
-    numbers,
-    one_line,
-    one_of,
-    whole_number,
-)
+from capsyn.validation import describe, numbers, one_line
 
 MOST_SAMPLES = 10**9
 """Most samples of a trial."""
@@ -45,27 +38,34 @@ class Experiment:
 
     Parameters
     ----------
+    controller : Policy, OnlineController or callable ``(time, states (B, n)) -> controls (B, m)``
+        What acts.
+    outside : "error", "nearest" or symbol
+        The rule of a policy outside its domain; None for other controllers.
     plant : Plant
         The plant.
     loop : Loop
         How the loop runs.
-    inputs, units : tuples of str
-        Names and units of the inputs.
     rate : float
         Samples per second [1 / s].
     target : Ball, Box, Program or None
         What arriving means.
-    run : callable ``(trials, noise, record)``
-        Runs trials in place.
+    options : LoopOptions
+        What it was made of.
     """
 
+    controller: Any
+    outside: Outside | None
     plant: Plant
     loop: Loop
-    inputs: tuple[str, ...]
-    units: tuple[str, ...]
     rate: float
     target: Target | None
-    run: Callable[[np.ndarray, Noise | None, Record | None], None]
+    options: LoopOptions
+
+    @property
+    def alphabet(self) -> Alphabet:
+        """Names and units of the inputs: the controller's, else the plant's."""
+        return (described(self.controller) or self.plant).alphabet
 
     def trials(
         self,
@@ -82,79 +82,51 @@ class Experiment:
         delays = np.minimum(delays, longest)
         return new_trials(states, self.plant.m, delays, parameters, push, self.loop.period)
 
+    def run(self, trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
+        """Run trials in place; on a cluster without a record."""
+        controller, plant, loop, options = self.controller, self.plant, self.loop, self.options
+        if not isinstance(controller, Policy):
+            online = isinstance(controller, OnlineController)
+            decide = controller.decide if online else _function_decide(controller, plant.m)
+            run(decide, plant, loop, trials, noise, record)
+            return
+        assert self.outside is not None
+        loops = (controller, self.outside, plant, loop, trials, noise)
+        if options.executor is not None:
+            assert record is None
+            run_on_workers(options.executor, *loops, options.backend)
+        else:
+            run_policy(*loops, record, options.backend, processors(options.threads))
+
 
 def set_up(
-    controller: Any,
-    plant: Plant,
-    duration: float,
-    rate: float | None,
-    *,
-    typical: Any = None,
-    disturbance: Any = None,
-    min_dwell: float | None = None,
-    outside: Outside | None = None,
-    target: Any = None,
-    stop_at_target: bool = False,
-    substeps: int | None = None,
-    backend: str = "auto",
-    threads: int | None = None,
-    executor: Any = None,
+    controller: Any, plant: Plant, options: LoopOptions, typical: np.ndarray | None = None
 ) -> Experiment:
-    """Return the experiment on a plant that the arguments of `simulate` describe.
+    """Return the experiment with a controller on a plant; `typical` (P, K) are parameters of it.
 
-    Parameters
-    ----------
-    typical : (P, K), optional
-        Parameters for choosing the steps of the integration.
-    executor : dask.distributed.Client, optional
-        A cluster whose workers run the trials of a policy, without a record.
+    Raises
+    ------
+    ProblemError
+        Options that do not fit the controller or the plant.
     """
-    duration = finite_number("duration", duration, above=0.0)
-    own = controller if isinstance(controller, (Policy, OnlineController)) else None
-    if rate is None:
-        settings = own.settings if own else None
-        if settings is None:
-            raise ProblemError("`rate` must be given for a controller without settings")
-        rate = 1 / settings.sample_time
-    rate = finite_number("rate", rate, above=0.0)
-    samples = duration * rate
-    if not 0.5 < samples <= MOST_SAMPLES:
-        raise ProblemError(
-            f"`duration` times `rate` must be 1 to {MOST_SAMPLES:g} samples; got {samples:g}"
-        )
-    one_of("backend", backend, BACKENDS)
-    threads = processors(threads)
-    if executor is not None:
+    rate, samples = _sampling(controller, options)
+    if options.executor is not None:
         if not isinstance(controller, Policy):
             raise ProblemError(
                 "`executor` needs a Policy as controller: functions and online controllers are "
                 f"not sent; got {describe(controller)}"
             )
-        check_client(executor)
-    n, m = plant.n, plant.m
-    if min_dwell is None:
-        min_dwell = own.min_dwell if own else 0.0
-    dwell = finite_number("min_dwell", min_dwell, least=0.0) * rate
-    if target is None:
-        target = own.target if own else plant.target
-    elif callable(target) and not isinstance(target, Program):
-        target = target_condition(target, n)
-    check_target(target, plant.domain)
-    if stop_at_target and target is None:
-        raise ProblemError("`target` must be given to stop at it; the policy has none")
-    idle = own.default if own else plant.default
-    alphabet = own.alphabet if own else plant.alphabet
-    period, samples = 1 / rate, round(samples)
-    if isinstance(controller, Policy):
-        outside = check_outside(
-            controller.outside if outside is None else outside, controller.alphabet
-        )
-    elif outside is not None:
-        raise ProblemError("`outside` must be given for policies only")
-    pushes = _pushes(disturbance, n, period, samples)
-    if substeps is not None:
-        substeps = whole_number("substeps", substeps, least=1, most=MOST_SUBSTEPS)
-    else:
+        check_client(options.executor)
+    own = described(controller)
+    dwell = options.min_dwell
+    if dwell is None:
+        dwell = own.min_dwell if own else 0.0
+    target = _target(own or plant, plant, options)
+    outside = _rule(controller, options.outside)
+    idle, alphabet, period = (own or plant).default, (own or plant).alphabet, 1 / rate
+    pushes = _pushes(options.disturbance, plant.n, period, samples)
+    substeps = options.substeps
+    if substeps is None:
         controls = np.vstack([alphabet.values, idle])
         values = np.zeros((0, 1)) if typical is None else typical
         substeps = choose_substeps(plant, controls, values, period)
@@ -162,26 +134,59 @@ def set_up(
         period,
         samples,
         substeps,
-        math.ceil(min(dwell - SLACK, samples)),
+        math.ceil(min(dwell * rate - SLACK, samples)),
         target_program(target, plant.domain),
-        stop_at_target,
+        options.stop_at_target,
         idle,
         pushes,
     )
+    return Experiment(controller, outside, plant, loop, rate, target, options)
 
-    def start(trials: np.ndarray, noise: Noise | None, record: Record | None) -> None:
-        if executor is not None:
-            assert isinstance(controller, Policy) and outside is not None and record is None
-            run_on_workers(executor, controller, outside, plant, loop, trials, noise, backend)
-        elif isinstance(controller, Policy):
-            assert outside is not None
-            run_policy(controller, outside, plant, loop, trials, noise, record, backend, threads)
-        else:
-            online = isinstance(controller, OnlineController)
-            decide = controller.decide if online else _function_decide(controller, m)
-            run(decide, plant, loop, trials, noise, record)
 
-    return Experiment(plant, loop, alphabet.inputs, alphabet.units, rate, target, start)
+def described(controller: Any) -> Policy | OnlineController | None:
+    """Return a controller that has default, alphabet, target and dwell time; None for functions."""
+    return controller if isinstance(controller, (Policy, OnlineController)) else None
+
+
+def _sampling(controller: Any, options: LoopOptions) -> tuple[float, int]:
+    """Return the samples per second [1 / s], and how many there are."""
+    rate = options.rate
+    if rate is None:
+        own = described(controller)
+        if own is None or own.settings is None:
+            raise ProblemError("`rate` must be given for a controller without settings")
+        rate = 1 / own.settings.sample_time
+    samples = options.duration * rate
+    if not 0.5 < samples <= MOST_SAMPLES:
+        raise ProblemError(
+            f"`duration` times `rate` must be 1 to {MOST_SAMPLES:g} samples; got {samples:g}"
+        )
+    return rate, round(samples)
+
+
+def _target(
+    source: Policy | OnlineController | Plant, plant: Plant, options: LoopOptions
+) -> Target | None:
+    """Return the target that holds; that of `source` where none is given."""
+    target = options.target
+    if target is None:
+        target = source.target
+    elif callable(target) and not isinstance(target, Program):
+        target = target_condition(target, plant.n)
+    check_target(target, plant.domain)
+    if options.stop_at_target and target is None:
+        raise ProblemError("`target` must be given to stop at it; the policy has none")
+    return target
+
+
+def _rule(controller: Any, outside: Outside | None) -> Outside | None:
+    """Return the rule outside the domain that holds; None for what is no policy."""
+    if isinstance(controller, Policy):
+        rule = controller.outside if outside is None else outside
+        return check_outside(rule, controller.alphabet)
+    if outside is not None:
+        raise ProblemError("`outside` must be given for policies only")
+    return None
 
 
 def per_state(name: str, value: Any, n: int, least: float | None = None) -> np.ndarray:

@@ -17,10 +17,11 @@ from capsyn.errors import ProblemError
 from capsyn.execution.files import atomic_write
 from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Outside
-from capsyn.simulation.closed_loop import Noise, new_record
-from capsyn.simulation.experiment import per_state, set_up
+from capsyn.simulation.closed_loop import Noise, Record, new_record
+from capsyn.simulation.experiment import Experiment, per_state, set_up
+from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
-from capsyn.validation import describe, finite_number, numbers, whole_number
+from capsyn.validation import describe, finite_number, numbers
 
 
 @dataclass(frozen=True)
@@ -139,8 +140,8 @@ class Trajectory:
         for trial, end in enumerate(np.ravel(self.last)):
             for k in range(end + 1):
                 row = [self.times[k], *states[trial, k], costs[trial, k]]
-                held = [symbols[trial, k], *controls[trial, k]] if k < end else [""] * (1 + m)
-                yield [*[trial] * many, *row, *held]
+                acts = [symbols[trial, k], *controls[trial, k]] if k < end else [""] * (1 + m)
+                yield [*[trial] * many, *row, *acts]
 
 
 def check_trajectory_format(path: str | os.PathLike[str]) -> str:
@@ -226,53 +227,65 @@ def simulate(
     ProblemError
         An argument that cannot be used.
     """
-    delay = finite_number("delay", delay, least=0.0)
-    seed = whole_number("seed", seed, least=0)
-    x0 = numbers("x0", x0)
-    if parameters is not None and not isinstance(parameters, Mapping):
-        raise ProblemError(f"`parameters` must be a mapping of names; got {describe(parameters)}")
-    names = tuple(parameters or ())
-    values = np.array(
-        [finite_number(f"parameters {name}", value) for name, value in (parameters or {}).items()]
-    )
-    plant = plant_of(controller, model, names)
-    n, m = plant.n, plant.m
-    if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
-        raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")
-    states = x0.reshape(-1, n)
-    count = len(states)
-    noisy = None
-    if noise is not None:
-        deviations = np.tile(per_state("noise", noise, n, least=0.0), (count, 1))
-        noisy = Noise(deviations, [(seed, k + 1) for k in range(count)])
-    experiment = set_up(
-        controller,
-        plant,
-        duration,
-        rate,
-        typical=values[:, None],
+    options = LoopOptions(
+        duration=duration,
+        rate=rate,
+        model=model,
+        parameters=parameters,
         disturbance=disturbance,
+        noise=noise,
+        delay=delay,
         min_dwell=min_dwell,
         outside=outside,
         target=target,
         stop_at_target=stop_at_target,
         substeps=substeps,
+        seed=seed,
         backend=backend,
         threads=threads,
     )
+    return trajectories(controller, x0, options)
+
+
+def trajectories(controller: Any, x0: Any, options: LoopOptions) -> Trajectory:
+    """Return what `simulate` does from initial states (..., n)."""
+    delay = finite_number("delay", options.delay, least=0.0)
+    x0 = numbers("x0", x0)
+    values = np.array(
+        [finite_number(f"parameters {name}", p) for name, p in options.parameters.items()]
+    )
+    plant = plant_of(controller, options.model, tuple(options.parameters))
+    n, m = plant.n, plant.m
+    if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
+        raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")
+    states = x0.reshape(-1, n)
+    count = len(states)
+    noise = None
+    if options.noise is not None:
+        deviations = np.tile(per_state("noise", options.noise, n, least=0.0), (count, 1))
+        noise = Noise(deviations, [(options.seed, k + 1) for k in range(count)])
+    experiment = set_up(controller, plant, options, values[:, None])
     samples = experiment.loop.samples
     trials = experiment.trials(states, np.full(count, delay), np.tile(values, (count, 1)))
     check_memory(8.0 * count * samples * (n + m + 2), "`duration` times `rate`")
     record = new_record(count, samples, n, m)
-    experiment.run(trials, noisy, record)
+    experiment.run(trials, noise, record)
+    return _trajectory(experiment, trials, record, x0.shape[:-1])
+
+
+def _trajectory(
+    experiment: Experiment, trials: np.ndarray, record: Record, shape: tuple[int, ...]
+) -> Trajectory:
+    """Return what was recorded of trials, in the shape (...) of their initial states."""
+    plant, alphabet = experiment.plant, experiment.alphabet
 
     def shaped(values: np.ndarray) -> Any:
-        return values.reshape((*x0.shape[:-1], *values.shape[1:]))[()]
+        return values.reshape((*shape, *values.shape[1:]))[()]
 
     terminal = plant.terminal_cost.evaluate(trials["state"].T)[0][0]
     arrived = trials["arrived"]
     return Trajectory(
-        times=np.arange(samples + 1) / experiment.rate,
+        times=np.arange(experiment.loop.samples + 1) / experiment.rate,
         states=shaped(record.states),
         symbols=shaped(record.symbols),
         controls=shaped(record.controls),
@@ -283,6 +296,6 @@ def simulate(
         ended=shaped(np.array(ENDINGS)[trials["ended"]]),
         last=shaped(trials["end"].copy()),
         arrived=shaped(np.where(arrived < 0, np.nan, arrived / experiment.rate)),
-        names=(*plant.domain.names, *experiment.inputs),
-        units=(*plant.domain.units, *experiment.units),
+        names=(*plant.domain.names, *alphabet.inputs),
+        units=(*plant.domain.units, *alphabet.units),
     )

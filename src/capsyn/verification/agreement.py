@@ -20,9 +20,10 @@ from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.statistics import TOLD, check_confidence, clopper_pearson
-from capsyn.subdivision.lattice_points import CHUNK
 from capsyn.validation import BACKENDS, describe, one_of, whole_number
 
+CHUNK = 8192
+"""States that are compared at once."""
 KEPT = 10_000
 """Most disagreeing states, and most islands, that are kept; all are counted."""
 WAVE = 32
@@ -200,8 +201,8 @@ def agreement(
     with ThreadPoolExecutor(threads) as pool:
         run = map if threads == 1 else pool.map
         for wave in _waves(policy, states, seed):
-            for chunk, found in zip(wave, run(masks, wave)):
-                tally.add(chunk, found, preference)
+            for chunk, labels in zip(wave, run(masks, wave)):
+                tally.add(chunk, labels, preference)
     low, high = clopper_pearson(states - tally.wrong, states, confidence)
     return Agreement(
         symbols=(*policy.alphabet.names, "default"),
@@ -339,10 +340,10 @@ class _Tally:
         def symbol(leaf: int) -> int:
             return -1 if leaf == self._leaves - 1 else leaf
 
-        found = []
+        islands = []
         for i in np.argsort(-self._wrong[cells], kind="stable")[:KEPT]:
             seen = int(self._seen[cells[i]])
-            found.append(
+            islands.append(
                 Island(
                     level=int(level[i]),
                     lower=tuple(low[i].tolist()),
@@ -354,4 +355,4 @@ class _Tally:
                     example=tuple(examples[i].tolist()),
                 )
             )
-        return tuple(found)
+        return tuple(islands)

@@ -312,8 +312,8 @@ class _Cells:
         low, _ = loop.bounds(states.T, states.T, labels)
         values = loop.values(states, labels)
         tree = self.policy.cells
-        found = tree.find(self.policy.domain.locate(states, tree.counts))
-        kept = np.flatnonzero((low > 0) & (values > 0) & (found == self.entries[boxes.cells]))
+        entries = tree.find(self.policy.domain.locate(states, tree.counts))
+        kept = np.flatnonzero((low > 0) & (values > 0) & (entries == self.entries[boxes.cells]))
         kept = kept[_largest(boxes.cells[kept], values[kept])]
         return boxes.cells[kept], states[kept], values[kept]
 

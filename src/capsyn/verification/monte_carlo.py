@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,33 +13,20 @@ from capsyn.controllers.command import ENDINGS, TIME
 from capsyn.controllers.online import OnlineController
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
-from capsyn.modelling.alphabet import Outside, check_outside
+from capsyn.modelling.alphabet import Outside
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.targets import check_target, describe_target, target_axes, with_tolerance
+from capsyn.modelling.targets import describe_target, with_tolerance
 from capsyn.policies.policy import Policy
 from capsyn.simulation.closed_loop import Noise
-from capsyn.simulation.experiment import per_state, set_up
+from capsyn.simulation.experiment import Experiment, described, set_up
+from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
-from capsyn.statistics import TOLD, check_confidence, clopper_pearson
-from capsyn.validation import describe, finite_number, one_line, whole_number
+from capsyn.statistics import TOLD, clopper_pearson
+from capsyn.validation import one_line
+from capsyn.verification.trials import Drawn, TrialOptions, Uniform, draw, drawn_parameters
 
-MOST_TRIALS = 10**8
 ROUNDING, SLACK = 1e-12, 1e-6
 """What rounding may add to a time of arrival, relative, and to a time to stay [samples]."""
-
-
-@dataclass(frozen=True)
-class Uniform:
-    """A quantity that every trial draws anew, evenly between two bounds.
-
-    Parameters
-    ----------
-    low, high : float or (n,)
-        Bounds, ``low <= high``.
-    """
-
-    low: Any
-    high: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,120 +224,116 @@ def monte_carlo(
     ProblemError
         An argument that cannot be used, such as no target.
     """
-    trials = whole_number("trials", trials, least=1, most=MOST_TRIALS)
-    seed = whole_number("seed", seed, least=0)
-    confidence = check_confidence(confidence)
-    duration = finite_number("duration", duration, above=0.0)
-    within = duration if within is None else finite_number("within", within, above=0.0)
-    hold = finite_number("hold", hold, least=0.0)
-    if hold > duration:
-        raise ProblemError(f"`hold` must be at most the duration {duration:g}; got {hold:g}")
-    if within > duration:
-        raise ProblemError(f"`within` must be at most the duration {duration:g}; got {within:g}")
-    if parameters is not None and not isinstance(parameters, Mapping):
-        raise ProblemError(f"`parameters` must be a mapping of names; got {describe(parameters)}")
-    drawn = {
-        name: _draw(f"parameters {name}", value, trials, 1, [seed, 1, k + 1])[:, 0]
-        for k, (name, value) in enumerate((parameters or {}).items())
-    }
-    values = np.array(list(drawn.values())).reshape(len(drawn), trials)
-    plant = plant_of(controller, model, tuple(drawn))
-    domain, n = plant.domain, plant.n
-    if target is None:
-        own = isinstance(controller, (Policy, OnlineController))
-        target = controller.target if own else plant.target
-    if target is None:
-        raise ProblemError("`target` must be given: neither policy nor problem has one")
-    target = with_tolerance(target, tolerance)
-    states = _initial_states(initial, domain, trials, seed)
-    push = np.zeros((trials, n))
-    if disturbance is not None and not callable(disturbance):
-        push = _draw("disturbance", disturbance, trials, n, [seed, 2])
-    delays = _draw("delay", delay, trials, 1, [seed, 3], least=0.0)[:, 0]
-    noisy, deviations = None, np.zeros((trials, n))
-    if noise is not None:
-        deviations = _draw("noise", noise, trials, n, [seed, 4], least=0.0)
-        noisy = Noise(deviations, [(seed, 5, k + 1) for k in range(trials)])
-    experiment = set_up(
-        controller,
-        plant,
-        duration,
-        rate,
-        typical=values,
-        disturbance=disturbance if callable(disturbance) else None,
+    loop = LoopOptions(
+        duration=duration,
+        rate=rate,
+        model=model,
+        parameters=parameters,
+        disturbance=disturbance,
+        noise=noise,
+        delay=delay,
         min_dwell=min_dwell,
         outside=outside,
         target=target,
-        stop_at_target=hold == 0,
         substeps=substeps,
+        seed=seed,
         backend=backend,
         threads=threads,
         executor=executor,
     )
-    target = experiment.target
-    assert target is not None
-    done = experiment.trials(states, delays, values.T, push)
-    experiment.run(done, noisy, None)
-
-    rate, samples = experiment.rate, experiment.loop.samples
-    arrived = np.where(done["arrived"] < 0, np.nan, done["arrived"] / rate)
-    with np.errstate(invalid="ignore"):
-        success = arrived <= within * (1 + ROUNDING)
-    if hold:
-        success &= (done["ended"] == TIME) & (done["away"] < samples - hold * rate - SLACK)
-    costs = default_costs(controller, np.vstack([states, done["state"]]), backend)
-    successes = int(success.sum())
-    low, high = clopper_pearson(successes, trials, confidence)
-    return MonteCarlo(
-        seed,
-        {
-            "duration": duration,
-            "rate": rate,
-            "within": within,
-            "hold": hold,
-            "target": describe_target(target, domain),
-            "initial": describe_target(initial or domain, domain),
-            "min_dwell": experiment.loop.dwell / rate,
-            "substeps": experiment.loop.substeps,
-            "controller": _controller_name(controller),
-            "model": "its own" if model is None else _name(model),
-            "outside": _outside_name(controller, outside),
-            "noise": _told(noise),
-            "delay": _told(delay),
-            "disturbance": _told(disturbance),
-            "parameters": {name: _told(value) for name, value in (parameters or {}).items()},
-        },
-        confidence,
-        low,
-        high,
-        success,
-        states,
-        done["state"].copy(),
-        done["ended"].copy(),
-        done["end"] / rate,
-        arrived,
-        done["switches"].copy(),
-        done["outside"].copy(),
-        costs[:trials],
-        costs[trials:],
-        drawn,
-        delays,
-        push,
-        deviations,
+    return try_out(
+        controller, TrialOptions(loop, trials, initial, tolerance, within, hold, confidence)
     )
 
 
-def _draw(
-    name: str, value: Any, trials: int, size: int, seed: list[int], least: float | None = None
-) -> np.ndarray:
-    """Return (trials, size) values, the same for all trials or drawn for each."""
-    if not isinstance(value, Uniform):
-        return np.tile(per_state(name, value, size, least), (trials, 1))
-    low = per_state(f"{name} low", value.low, size, least)
-    high = per_state(f"{name} high", value.high, size)
-    if (high < low).any():
-        raise ProblemError(f"`{name}` must have low <= high; got {describe(value)}")
-    return low + (high - low) * np.random.default_rng(seed).random((trials, size))
+def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
+    """Return what `monte_carlo` does."""
+    parameters = drawn_parameters(options)
+    plant = plant_of(controller, options.loop.model, tuple(parameters))
+    own = described(controller)
+    target = options.loop.target
+    if target is None:
+        target = own.target if own else plant.target
+    if target is None:
+        raise ProblemError("`target` must be given: neither policy nor problem has one")
+    target = with_tolerance(target, options.tolerance)
+    drawn = draw(options, plant.domain, parameters)
+    disturbance = options.loop.disturbance
+    loop = dataclasses.replace(
+        options.loop,
+        target=target,
+        stop_at_target=options.hold == 0,
+        disturbance=disturbance if callable(disturbance) else None,
+    )
+    values = np.array(list(parameters.values())).reshape(len(parameters), options.trials)
+    experiment = set_up(controller, plant, loop, values)
+    trials = experiment.trials(drawn.states, drawn.delays, values.T, drawn.disturbances)
+    noise = None
+    if loop.noise is not None:
+        seeds = [(loop.seed, 5, k + 1) for k in range(options.trials)]
+        noise = Noise(drawn.noises, seeds)
+    experiment.run(trials, noise, None)
+    return _result(controller, options, experiment, drawn, trials)
+
+
+def _result(
+    controller: Any, options: TrialOptions, experiment: Experiment, drawn: Drawn, trials: np.ndarray
+) -> MonteCarlo:
+    """Return how the trials of an experiment went."""
+    rate, samples, count = experiment.rate, experiment.loop.samples, options.trials
+    arrived = np.where(trials["arrived"] < 0, np.nan, trials["arrived"] / rate)
+    with np.errstate(invalid="ignore"):
+        success = arrived <= options.within * (1 + ROUNDING)
+    if options.hold:
+        stayed = trials["away"] < samples - options.hold * rate - SLACK
+        success &= (trials["ended"] == TIME) & stayed
+    states = np.vstack([drawn.states, trials["state"]])
+    costs = default_costs(controller, states, options.loop.backend)
+    low, high = clopper_pearson(int(success.sum()), count, options.confidence)
+    return MonteCarlo(
+        seed=options.loop.seed,
+        conditions=_conditions(controller, options, experiment),
+        confidence=options.confidence,
+        low=low,
+        high=high,
+        success=success,
+        initial=drawn.states,
+        final=trials["state"].copy(),
+        ended=trials["ended"].copy(),
+        times=trials["end"] / rate,
+        arrived=arrived,
+        switches=trials["switches"].copy(),
+        outside=trials["outside"].copy(),
+        initial_cost=costs[:count],
+        final_cost=costs[count:],
+        parameters=drawn.parameters,
+        delays=drawn.delays,
+        disturbances=drawn.disturbances,
+        noises=drawn.noises,
+    )
+
+
+def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) -> dict[str, Any]:
+    """Return what trials have in common, as plain data."""
+    loop, domain, rule = options.loop, experiment.plant.domain, experiment.outside
+    assert experiment.target is not None
+    return {
+        "duration": loop.duration,
+        "rate": experiment.rate,
+        "within": options.within,
+        "hold": options.hold,
+        "target": describe_target(experiment.target, domain),
+        "initial": describe_target(options.initial or domain, domain),
+        "min_dwell": experiment.loop.dwell / experiment.rate,
+        "substeps": experiment.loop.substeps,
+        "controller": _controller_name(controller),
+        "model": "its own" if loop.model is None else _name(loop.model),
+        "outside": rule if rule is None or isinstance(rule, str) else controller.symbol_name(rule),
+        "noise": _plain(loop.noise),
+        "delay": _plain(loop.delay),
+        "disturbance": _plain(loop.disturbance),
+        "parameters": {name: _plain(value) for name, value in loop.parameters.items()},
+    }
 
 
 def _name(value: Any) -> str:
@@ -363,30 +347,11 @@ def _controller_name(controller: Any) -> str:
     return repr(controller) if isinstance(controller, OnlineController) else _name(controller)
 
 
-def _outside_name(controller: Any, outside: Outside | None) -> str | None:
-    """Return the out-of-domain rule that held."""
-    if not isinstance(controller, Policy):
-        return None
-    rule = controller.outside if outside is None else check_outside(outside, controller.alphabet)
-    return rule if isinstance(rule, str) else controller.symbol_name(rule)
-
-
-def _told(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     """Return a quantity of the trials as plain data."""
     if isinstance(value, Uniform):
-        return {"low": _told(value.low), "high": _told(value.high)}
+        return {"low": _plain(value.low), "high": _plain(value.high)}
     return "a function of time" if callable(value) else np.asarray(value).tolist()
-
-
-def _initial_states(initial: Any, domain: Box, trials: int, seed: int) -> np.ndarray:
-    states = domain.sample(trials, [seed, 6])
-    if initial is None:
-        return states
-    if not isinstance(initial, (Ball, Box)):
-        raise ProblemError(f"`initial` must be a Ball or a Box; got {describe(initial)}")
-    check_target(initial, domain, "initial")
-    states[:, target_axes(initial, domain)] = initial.sample(trials, [seed, 7])
-    return states
 
 
 def default_costs(controller: Any, states: np.ndarray, backend: str = "auto") -> np.ndarray:

@@ -7,37 +7,44 @@ from collections.abc import Mapping
 from typing import Any
 
 
-def headlines(found: dict[str, Any]) -> dict[str, str]:
+def headlines(evidence: dict[str, Any]) -> dict[str, str]:
     """Return each kind of evidence in one sentence; it may come from a file."""
-
-    def interval(data: dict[str, Any]) -> str:
-        return f"({data['low']:.3%} to {data['high']:.3%} with {data['confidence']:.0%} confidence)"
-
-    lines = {}
-    if "monte_carlo" in found:
-        data = found["monte_carlo"]
-        lines["monte carlo"] = (
-            f"{data['successes']:,} of {data['trials']:,} trials succeed {interval(data)}"
-        )
-    if "lyapunov" in found:
-        data = found["lyapunov"]
-        lines["lyapunov"] = (
-            f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
-            f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
-            f"{data['undecided']:.3%}, for V = {data.get('function', '?')}"
-        )
-    if "agreement" in found:
-        data = found["agreement"]
-        lines["agreement"] = f"{data['share']:.3%} of {data['states']:,} states {interval(data)}"
-    return lines
+    return {
+        kind.replace("_", " "): sentence(evidence[kind])
+        for kind, sentence in _HEADLINES.items()
+        if kind in evidence
+    }
 
 
-def evidence_rows(found: dict[str, Any]) -> list[tuple[str, str]]:
+def _trials(data: dict[str, Any]) -> str:
+    return f"{data['successes']:,} of {data['trials']:,} trials succeed {_interval(data)}"
+
+
+def _proof(data: dict[str, Any]) -> str:
+    return (
+        f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
+        f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
+        f"{data['undecided']:.3%}, for V = {data.get('function', '?')}"
+    )
+
+
+def _agreement(data: dict[str, Any]) -> str:
+    return f"{data['share']:.3%} of {data['states']:,} states {_interval(data)}"
+
+
+_HEADLINES = {"monte_carlo": _trials, "lyapunov": _proof, "agreement": _agreement}
+
+
+def _interval(data: dict[str, Any]) -> str:
+    return f"({data['low']:.3%} to {data['high']:.3%} with {data['confidence']:.0%} confidence)"
+
+
+def evidence_rows(evidence: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the headlines, and behind that of trials what they were about, without a name."""
-    conditions = found.get("monte_carlo", {}).get("conditions", {})
+    conditions = evidence.get("monte_carlo", {}).get("conditions", {})
     units = {"target": "", "within": " s"}
     goal = (f"{k} {_short(conditions[k])}{units[k]}" for k in units if k in conditions)
-    rows = list(headlines(found).items())
+    rows = list(headlines(evidence).items())
     rows[1:1] = [("", text) for text in (", ".join(goal), circumstances(conditions)) if text]
     return rows
 

@@ -1,0 +1,269 @@
+"""Options of a closed loop, what their texts mean, and the command that simulates one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from capsyn.cli.console import show, working
+from capsyn.cli.options import (
+    Backend,
+    Before,
+    File,
+    Json,
+    MinDwell,
+    Outside,
+    Seed,
+    Threads,
+    assignments,
+    flat,
+    number,
+    number_list,
+    one_or_list,
+    region,
+)
+from capsyn.errors import ProblemError
+
+if TYPE_CHECKING:
+    from capsyn.policies.policy import Policy
+    from capsyn.simulation.options import LoopOptions
+
+
+@dataclass(frozen=True)
+class LoopTexts:
+    """`capsyn.simulation.options.LoopOptions` as texts, and which controller runs the loop."""
+
+    duration: Annotated[float | None, typer.Option(help="Seconds to simulate.")] = 20.0
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Samples per second [default: by the policy's settings, 1000]."),
+    ] = None
+    target: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SET",
+            help="NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a "
+            "function of x that says whether it has arrived.",
+        ),
+    ] = None
+    tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PLANT",
+            help="Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, "
+            "and of p where there are parameters; a policy without a model, such as an imported "
+            "one, takes a problem only.",
+        ),
+    ] = None
+    parameter: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=P[:P]",
+            help="A component of p, in the order of p; verify takes a range, too. May be repeated.",
+        ),
+    ] = None
+    disturbance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="D[,D..]",
+            help="Added to the rates, of all states or of each; verify takes a range "
+            "D[,D..]:D[,D..], too.",
+        ),
+    ] = None
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S[,S..]",
+            help="Standard deviation of the measured states, of all or of each; verify takes a "
+            "range S[,S..]:S[,S..], too.",
+        ),
+    ] = None
+    delay: Annotated[
+        str | None,
+        typer.Option(metavar="T", help="Input delay [s]; verify takes a range T:T, too."),
+    ] = None
+    min_dwell: MinDwell = None
+    outside: Outside = None
+    online: Annotated[
+        str | None,
+        typer.Option(help="ssac or sac: solve online in receding horizon instead of the policy."),
+    ] = None
+    background: Annotated[
+        bool, typer.Option(help="Let the policy be the default control of the online controller.")
+    ] = False
+    seed: Seed = 0
+    backend: Backend = "auto"
+    threads: Threads = None
+
+
+def loop_options(
+    policy: Policy,
+    texts: LoopTexts,
+    *,
+    one: Callable[[str, str], Any] = number,
+    each: Callable[[str, str], Any] = one_or_list,
+    **more: Any,
+) -> LoopOptions:
+    """Return the options that texts mean for a policy, and `more`; what is None is left out.
+
+    Parameters
+    ----------
+    one, each : callable ``(option, text) -> value``
+        Meaning of a text that is for one quantity, or for each state.
+    """
+    from capsyn.simulation.options import LoopOptions
+
+    values = {
+        "duration": texts.duration,
+        "rate": texts.rate,
+        "model": _model(texts.model),
+        "parameters": {
+            name: one(name, text)
+            for name, text in assignments("--parameter", texts.parameter or []).items()
+        },
+        "disturbance": None
+        if texts.disturbance is None
+        else each("--disturbance", texts.disturbance),
+        "noise": None if texts.noise is None else each("--noise", texts.noise),
+        "delay": None if texts.delay is None else one("--delay", texts.delay),
+        "min_dwell": texts.min_dwell,
+        "outside": texts.outside,
+        "target": _target(policy, texts.target, texts.tolerance),
+        "seed": texts.seed,
+        "backend": texts.backend,
+        "threads": texts.threads,
+    }
+    chosen = {name: value for name, value in values.items() if value is not None}
+    return LoopOptions(**chosen, **more)
+
+
+def controller_of(policy: Policy, texts: LoopTexts) -> Any:
+    """Return what acts in the loop: the policy, or an online controller for its model."""
+    if texts.online is None:
+        if texts.background:
+            raise ProblemError("--background needs --online")
+        return policy
+    from capsyn.controllers.online import online_controller
+
+    default = policy if texts.background else None
+    return online_controller(policy, texts.online, default=default, backend=texts.backend)
+
+
+def _model(text: str | None) -> Any:
+    if text is None:
+        return None
+    from capsyn.cli.problem_finder import find_function, find_problem
+    from capsyn.modelling.problem import Problem
+    from capsyn.policies.policy import Policy
+
+    place, _, name = text.rpartition(":")
+    if name.isidentifier() and place:
+        return find_function(text, (Problem,))
+    return Policy.load(text) if text.endswith(".cap") else find_problem(text)
+
+
+def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
+    from capsyn.cli.problem_finder import find_function
+    from capsyn.modelling.targets import with_tolerance
+
+    if text is None:
+        return with_tolerance(policy.target, tolerance)
+    if ".py:" in text or ("=" not in text and ":" in text):
+        return with_tolerance(find_function(text), tolerance)
+    return region("--target", text, policy.domain.names, tolerance)
+
+
+@dataclass(frozen=True)
+class SimulateOptions(LoopTexts):
+    """Options of ``capsyn simulate``."""
+
+    x0: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X[,X..]", help="Initial state; may be repeated [default: random]."),
+        Before("duration"),
+    ] = None
+    output: Annotated[
+        str | None,
+        typer.Option("--output", "-o", metavar="FILE", help=".csv, .json, .png, .pdf or .svg."),
+        Before("target"),
+    ] = None
+    stop_at_target: Annotated[
+        bool, typer.Option(help="End where the target is reached."), Before("model")
+    ] = False
+
+
+@flat
+def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> None:
+    """Simulate the closed loop of a policy."""
+    from capsyn.policies.policy import Policy
+    from capsyn.simulation.simulate import trajectories
+    from capsyn.validation import whole_number
+
+    save = _saving(options.output)
+    seed = whole_number("--seed", options.seed, least=0)
+    policy = Policy.load(file)
+    states = _initial_states(policy, options.x0, seed)
+    for name in ("noise", "delay", "disturbance"):
+        if ":" in (getattr(options, name) or ""):
+            raise ProblemError(f"--{name} must be one value here; ranges are for verify")
+    with working("simulating"):
+        controller = controller_of(policy, options)
+        loop = loop_options(policy, options, stop_at_target=options.stop_at_target)
+        trajectory = trajectories(controller, states[0] if len(states) == 1 else states, loop)
+    save(trajectory)
+    rows = trajectory.summary()
+
+    def print_rows() -> None:
+        for row in rows:
+            typer.echo(_sentence(row))
+        if options.output is not None:
+            typer.echo(f"wrote {options.output}")
+
+    show(as_json, rows if len(rows) > 1 else rows[0], print_rows)
+
+
+def _saving(output: str | None) -> Callable[[Any], None]:
+    """Return what writes a trajectory to a file, by its ending; nothing for None."""
+    from capsyn.execution.files import check_writable
+    from capsyn.plots.figure import FORMATS
+    from capsyn.plots.trajectory import save_trajectory_plot
+
+    if output is None:
+        return lambda trajectory: None
+    kind = Path(output).suffix.lstrip(".").lower()
+    if kind not in ("csv", "json", *FORMATS):
+        endings = ", ".join(f".{ending}" for ending in ("csv", "json", *FORMATS))
+        raise ProblemError(f"the output must end in {endings}; got '{output}'")
+    check_writable(output)
+    if kind in FORMATS:
+        return lambda trajectory: save_trajectory_plot(trajectory, output)
+    return lambda trajectory: trajectory.save(output)
+
+
+def _initial_states(policy: Policy, texts: list[str] | None, seed: int) -> Any:
+    """Return initial states (B, n) [state units]: those of the texts, else a random one."""
+    import numpy as np
+
+    states = [number_list("--x0", text) for text in texts or []] or policy.domain.sample(1, seed)
+    if len({len(state) for state in states} | {policy.domain.n}) > 1:
+        names = ", ".join(policy.domain.names)
+        raise ProblemError(f"--x0 must be {policy.domain.n} number(s) ({names}); got {texts}")
+    return np.array(states)
+
+
+def _sentence(row: dict[str, Any]) -> str:
+    def state(values: list[float | None]) -> str:
+        return "(" + ", ".join("nan" if v is None else f"{v:g}" for v in values) + ")"
+
+    reached = "" if row["arrived"] is None else f"; in the target first at {row['arrived']:g} s"
+    lost = f"; {row['outside']:,} samples outside the domain" if row["outside"] else ""
+    cost = "not finite" if row["cost"] is None else f"{row['cost']:.6g}"
+    return (
+        f"from {state(row['initial'])} to {state(row['final'])} in {row['duration']:g} s, ended: "
+        f"{row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
+    )

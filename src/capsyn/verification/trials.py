@@ -1,0 +1,156 @@
+"""Trials from random initial states: their options, and what is drawn for each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.targets import check_target, target_axes
+from capsyn.simulation.experiment import per_state
+from capsyn.simulation.options import LoopOptions
+from capsyn.statistics import check_confidence
+from capsyn.validation import describe, finite_number, whole_number
+
+MOST_TRIALS = 10**8
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """A quantity that every trial draws anew, evenly between two bounds.
+
+    Parameters
+    ----------
+    low, high : float or (n,)
+        Bounds, ``low <= high``.
+    """
+
+    low: Any
+    high: Any
+
+
+@dataclass(frozen=True)
+class TrialOptions:
+    """What `monte_carlo` is asked for, checked as far as it can be without the plant.
+
+    Parameters
+    ----------
+    loop : LoopOptions
+        How a trial runs; its disturbance, noise, delay and parameters may be `Uniform`.
+    trials : int
+        Number of trials.
+    initial : Ball or Box, optional
+        Where initial states are drawn from. Default: the domain.
+    tolerance : float, optional
+        Another radius for a target that is a ball [state units].
+    within : float
+        Time in which to arrive [s]; None is the whole duration.
+    hold : float
+        Time at the end to stay [s].
+    confidence : float
+        Of the interval of the success rate.
+
+    Raises
+    ------
+    ProblemError
+        A value that cannot be used.
+    """
+
+    loop: LoopOptions
+    trials: int = 1000
+    initial: Ball | Box | None = None
+    tolerance: float | None = None
+    within: Any = None
+    hold: float = 0.0
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        def keep(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        keep("trials", whole_number("trials", self.trials, least=1, most=MOST_TRIALS))
+        keep("confidence", check_confidence(self.confidence))
+        duration = self.loop.duration
+        within = duration if self.within is None else self.within
+        keep("within", finite_number("within", within, above=0.0))
+        keep("hold", finite_number("hold", self.hold, least=0.0))
+        for name in ("hold", "within"):
+            time = getattr(self, name)
+            if time > duration:
+                raise ProblemError(
+                    f"`{name}` must be at most the duration {duration:g}; got {time:g}"
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What T trials draw.
+
+    Parameters
+    ----------
+    states : (T, n)
+        Initial states [state units].
+    parameters : mapping of name to (T,)
+        Parameters of the plant.
+    delays : (T,)
+        Input delays [s].
+    disturbances, noises : (T, n)
+        What is added to the rates [state units / s], and standard deviations of the measurement
+        noise [state units].
+    """
+
+    states: np.ndarray
+    parameters: Mapping[str, np.ndarray]
+    delays: np.ndarray
+    disturbances: np.ndarray
+    noises: np.ndarray
+
+
+def drawn_parameters(options: TrialOptions) -> dict[str, np.ndarray]:
+    """Return the parameters of the plant by name, (T,) each."""
+    seed = options.loop.seed
+    return {
+        name: _draw(f"parameters {name}", value, options.trials, 1, [seed, 1, k + 1])[:, 0]
+        for k, (name, value) in enumerate(options.loop.parameters.items())
+    }
+
+
+def draw(options: TrialOptions, domain: Box, parameters: Mapping[str, np.ndarray]) -> Drawn:
+    """Return what trials in a domain draw besides their parameters, each from its own stream."""
+    loop, count, n, seed = options.loop, options.trials, domain.n, options.loop.seed
+    states = _initial_states(options.initial, domain, count, seed)
+    disturbances, noises = np.zeros((count, n)), np.zeros((count, n))
+    if loop.disturbance is not None and not callable(loop.disturbance):
+        disturbances = _draw("disturbance", loop.disturbance, count, n, [seed, 2])
+    delays = _draw("delay", loop.delay, count, 1, [seed, 3], least=0.0)[:, 0]
+    if loop.noise is not None:
+        noises = _draw("noise", loop.noise, count, n, [seed, 4], least=0.0)
+    return Drawn(states, parameters, delays, disturbances, noises)
+
+
+def _draw(
+    name: str, value: Any, count: int, size: int, seed: list[int], least: float | None = None
+) -> np.ndarray:
+    """Return (count, size) values, the same for all trials or drawn for each."""
+    if not isinstance(value, Uniform):
+        return np.tile(per_state(name, value, size, least), (count, 1))
+    low = per_state(f"{name} low", value.low, size, least)
+    high = per_state(f"{name} high", value.high, size)
+    if (high < low).any():
+        raise ProblemError(f"`{name}` must have low <= high; got {describe(value)}")
+    return low + (high - low) * np.random.default_rng(seed).random((count, size))
+
+
+def _initial_states(initial: Any, domain: Box, count: int, seed: int) -> np.ndarray:
+    states = domain.sample(count, [seed, 6])
+    if initial is None:
+        return states
+    if not isinstance(initial, (Ball, Box)):
+        raise ProblemError(f"`initial` must be a Ball or a Box; got {describe(initial)}")
+    check_target(initial, domain, "initial")
+    states[:, target_axes(initial, domain)] = initial.sample(count, [seed, 7])
+    return states

@@ -1,0 +1,78 @@
+"""Options of commands: dataclasses, flattened for Typer, that say what the functions say."""
+
+import dataclasses
+import inspect
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+from capsyn import SsacSettings, synthesize
+from capsyn.cli.app import SettingsOptions, SubdivisionOptions
+from capsyn.cli.evidence import KINDS, VerifyOptions, verify
+from capsyn.cli.loop import LoopTexts, SimulateOptions, simulate
+from capsyn.cli.options import Before, flat
+from capsyn.simulation.options import LoopOptions
+
+
+@dataclass(frozen=True)
+class Pair:
+    first: Annotated[int, typer.Option()] = 1
+    last: Annotated[int, typer.Option()] = 2
+
+
+@dataclass(frozen=True)
+class More(Pair):
+    middle: Annotated[int, typer.Option(), Before("last")] = 3
+    also: Annotated[int, typer.Option(), Before("last")] = 4
+
+
+def test_a_dataclass_of_options_is_flattened_in_its_place():
+    values = []
+
+    @flat
+    def command(file: str, pair: More, end: bool = False) -> None:
+        values.append((file, pair, end))
+
+    parameters = inspect.signature(command).parameters
+    assert list(parameters) == "file first middle also last end".split()
+    assert parameters["also"].default == 4 and parameters["file"].default is inspect.Parameter.empty
+    command(file="f", first=5, middle=6, also=7, last=8, end=True)
+    assert values == [("f", More(first=5, last=8, middle=6, also=7), True)]
+
+
+def defaults(kind):
+    return {field.name: field.default for field in dataclasses.fields(kind)}
+
+
+def test_commands_have_the_options_of_closed_loops():
+    loop, texts = defaults(LoopOptions), defaults(LoopTexts)
+    plain = "duration rate min_dwell outside seed backend threads".split()
+    assert [texts[name] for name in plain] == [loop[name] for name in plain]
+    as_texts = {"model", "parameter", "disturbance", "noise", "delay", "target"}
+    assert {name for name in as_texts if texts[name] is not None} == set()
+    own = {"tolerance", "online", "background"}
+    assert set(texts) == {*plain} | as_texts | own
+    # the number of steps is the library's to choose
+    assert set(loop) - {*plain} - as_texts == {
+        "parameters",
+        "stop_at_target",
+        "substeps",
+        "executor",
+    }
+    assert defaults(SimulateOptions)["stop_at_target"] is loop["stop_at_target"]
+    for command in (simulate, verify):
+        assert set(texts) <= set(inspect.signature(command).parameters)
+
+
+def test_kinds_of_evidence_name_options():
+    fields = defaults(VerifyOptions)
+    for kind in KINDS:
+        assert {kind.name, kind.requirement, *kind.own} <= set(fields)
+
+
+def test_synth_has_the_defaults_of_synthesize():
+    said = inspect.signature(synthesize).parameters
+    for name, value in defaults(SubdivisionOptions).items():
+        assert said[name].default == value, name
+    assert set(defaults(SettingsOptions)) <= set(defaults(SsacSettings))
