@@ -6,8 +6,10 @@ from scipy import ndimage
 
 from capsyn import problems, synthesize
 from capsyn.automata.regions import Partitions, connected_partitions, merged_boxes, regions
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.errors import ProblemError
+from capsyn.modelling.grid import Grid
 from support.trees import GRIDS, random_tree
 
 NO_PLANES = np.empty((0, 2), dtype=np.int32)
@@ -58,10 +60,11 @@ def test_partitions_are_those_of_flood_fill(grid, turning, some_axes):
 
 
 def test_cells_that_touch_in_a_corner_are_not_connected_and_seams_connect():
-    chess = random_tree((2, 2), (2, 2), 0)
-    chess = type(chess)((2, 2), (2, 2), 0, np.array([-1, -2, -2, -1], np.int32), *[np.empty(0)] * 2)
+    none = [np.empty(0)] * 2
+    squares = np.array([-1, -2, -2, -1], np.int32)
+    chess = CellTree(Grid((2, 2), (2, 2), 0), squares, *none)
     assert len(connected_partitions(chess)) == 4
-    stripes = type(chess)((3, 1), (2, 2), 0, np.array([-1, -2, -1], np.int32), *[np.empty(0)] * 2)
+    stripes = CellTree(Grid((3, 1), (2, 2), 0), np.array([-1, -2, -1], np.int32), *none)
     assert len(connected_partitions(stripes)) == 3
     turning = connected_partitions(stripes, [True, False])
     assert turning.labels.tolist() == [0, 1]

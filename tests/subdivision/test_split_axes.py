@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from capsyn import Box, subdivide
+from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.modelling.grid import Grid
 from capsyn.subdivision.cell_points import CellPoints
 from capsyn.subdivision.rounds import RoundSubdivision
 from capsyn.subdivision.split_axes import SplitAxes
@@ -264,9 +266,9 @@ def test_an_axis_that_is_split_too_often_is_refused(tmp_path):
 
 
 def test_trees_of_many_axes_are_not_split_along_some():
-    policy = random_policy(3, seed=1, some_axes=True)
+    grid = Grid((1,) * 17, (2,) * 17, 1)
     with pytest.raises(PolicyFormatError, match="cells of 17 axes cannot be split along some"):
-        type(policy.cells)(
-            (1,) * 17, (2,) * 17, 1, np.array([-1], np.int32), np.empty(0, np.int32),
-            np.empty(0, np.uint64), splits=np.zeros(1, np.uint16),
+        CellTree(
+            grid, np.array([-1], np.int32), np.empty(0, np.int32), np.empty(0, np.uint64),
+            splits=np.zeros(1, np.uint16),
         ).check(3)  # fmt: skip
