@@ -51,7 +51,7 @@ exports.fmu: description target
 exports: python_module dot certificate export
 explorer: policy_data program_javascript expression formulas facts page_data explore
 paper: cases figures pendulum tanks reproduction
-cli: options console problem_finder loop printed paper evidence compression export explore
+cli: options console printed problem_finder loop paper evidence compression export explore
     import_table doctor app
 
 __main__
