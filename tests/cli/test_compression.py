@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from capsyn import DecisionTree, Policy, problems, synthesize
-from cli.test_cli import capsyn, error_of
+from support.processes.command_line import capsyn, error_of
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from capsyn.errors import ProblemError
 from capsyn.subdivision import propositions as props
 from capsyn.subdivision.cell_points import CellPoints
 from capsyn.subdivision.limits import Limits
-from support.reference_subdivision import noise
+from support.references.subdivision import noise
 
 PAPER = ((9, 9), (2, 2))
 CENTER = CellPoints.parse("vertices+center")

@@ -16,8 +16,8 @@ from capsyn.errors import CapsynWarning, KernelBuildError
 from capsyn.exports.export import export
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
-from cli.test_cli import capsyn
-from support.exported import PROBLEMS, built_in, oblique, small
+from support.exports.policies import PROBLEMS, built_in, oblique, small
+from support.processes.command_line import capsyn
 from support.trees import random_policy
 
 fmpy = pytest.importorskip("fmpy")
