@@ -96,7 +96,7 @@ def boat(tmp_path_factory):
     path = tmp_path_factory.mktemp("curve") / "boat.cap"
     box = package.Box([-1, -1], [1, 1])
     package.subdivide(
-        lambda x: (x[:, 0] + x[:, 1] > 0.1).astype(int), box, 2, partitions=3, max_level=2
+        lambda x: (x[:, 0] + 0.3 * x[:, 1] > 0.1).astype(int), box, 2, partitions=3, max_level=2
     ).save(path)
     return path
 
