@@ -19,9 +19,12 @@ settings.load_profile("capsyn")
 
 @pytest.fixture(scope="session", autouse=True)
 def kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep the kernels that tests build out of the user's cache."""
+    """Keep the kernels that tests build out of the user's cache; processes of a run share them."""
+    directory = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        directory = directory.parent  # that of all workers
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CAPSYN_CACHE_DIR", str(tmp_path_factory.mktemp("kernels")))
+        patch.setenv("CAPSYN_CACHE_DIR", str(directory / "kernels"))
         yield
 
 
@@ -30,7 +33,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is None:  # one of several processes; the first one tells
         return
-    checked = ("test_export", "test_docs")
+    checked = ("tests/exports", "test_docs")
     left_out = [r.nodeid for r in reporter.stats.get("skipped", [])]
     skipped = [name for name in left_out if any(part in name for part in checked)]
     if skipped and os.environ.get("CAPSYN_ALL_TOOLS"):

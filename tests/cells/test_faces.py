@@ -8,7 +8,7 @@ import pytest
 
 from capsyn.cells.faces import shared_faces
 from capsyn.errors import ProblemError
-from cells.test_split_tree import all_points, random_split_tree
+from support.split_trees import all_points, random_split_tree
 from support.trees import GRIDS, random_tree
 
 GRIDS_HERE = [

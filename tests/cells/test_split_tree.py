@@ -12,45 +12,13 @@ from hypothesis import strategies as st
 from capsyn.cells.split_tree import LEAF, MAX_DEPTH, START_NODES, SplitTree
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.modelling.grid import MAX_COUNT
+from support.split_trees import LABELS, all_points, leaf_of, random_split_tree
 
-LABELS = 3
 LATTICES = [(1,), (2,), (13,), (5, 7), (1, 9), (16, 3), (4, 3, 5), (2, 3, 2, 3)]
 
 
 def int32(*values):
     return np.array(values, dtype=np.int32)
-
-
-def random_split_tree(counts, planes=0, labels=LABELS, depth=6, seed=0):
-    """Return a tree with random splits, some of them of no effect.
-
-    Oblique ones have one of `planes` normals, and may lie beyond the lattice.
-    """
-    rng, n = np.random.default_rng(seed), len(counts)
-    coefficients = rng.integers(-4, 5, (planes, n)).astype(np.int32)
-    rows, used = [], []
-
-    def grow(left):
-        here = len(rows)
-        split = int(rng.integers(n + planes))
-        if not left or (here and rng.random() < 0.2) or (split < n and counts[split] == 1):
-            rows.append([LEAF, rng.integers(labels), here])
-            return
-        if split < n:
-            cut = rng.integers(1, counts[split])
-        else:
-            cut = coefficients[split - n] @ rng.integers(counts)
-            cut += (rng.random() < 0.1) * rng.integers(-3, 4) * max(counts)
-            used.append(coefficients[split - n])
-            split = n + len(used) - 1
-        rows.append([split, cut, 0])
-        grow(left - 1)
-        rows[here][2] = len(rows)
-        grow(left - 1)
-
-    grow(depth)
-    used = np.array(used, dtype=np.int32).reshape(-1, n)
-    return SplitTree(tuple(counts), *np.array(rows, dtype=np.int32).T.copy(), used)
 
 
 def chain(depth, counts=(MAX_COUNT,)):
@@ -62,21 +30,6 @@ def chain(depth, counts=(MAX_COUNT,)):
     second[:-1:2] += 2
     arrays = (x.astype(np.int32) for x in (split, threshold, second))
     return SplitTree(counts, *arrays, np.zeros((0, len(counts)), np.int32))
-
-
-def all_points(counts):
-    return np.stack(np.unravel_index(np.arange(math.prod(counts)), counts), axis=1)
-
-
-def leaf_of(tree, z, node=0):
-    """Return the leaf of one lattice point, as the rule is written, and the nodes on the way."""
-    if tree.split[node] == LEAF:
-        return node, [node]
-    split = int(tree.split[node])
-    values = [*z, *(sum(int(a) * int(b) for a, b in zip(row, z)) for row in tree.planes)]
-    beyond = values[split] >= tree.threshold[node]
-    leaf, way = leaf_of(tree, z, int(tree.second[node]) if beyond else node + 1)
-    return leaf, [node, *way]
 
 
 @pytest.mark.parametrize("counts", LATTICES)

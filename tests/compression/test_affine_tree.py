@@ -30,10 +30,10 @@ from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.report import report
-from cli.test_cli import capsyn, error_of
-from exports.test_export_c import assert_golden
-from support.c_machines import Library
-from support.exported import made_by, module
+from support.exports.c_machines import Library
+from support.exports.c_plans import assert_golden
+from support.exports.policies import made_by, module
+from support.processes.command_line import capsyn, error_of
 from support.trees import GRIDS, random_affine_policy
 
 

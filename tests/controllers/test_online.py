@@ -10,7 +10,6 @@ import pytest
 
 from capsyn import Box, Problem, SsacSettings, online_controller, problems, simulate, synthesize
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
-from support import reference_action
 from support.closed_loops import (
     BACKENDS,
     grid_policy,
@@ -20,6 +19,7 @@ from support.closed_loops import (
     relay,
     relay_problem,
 )
+from support.references import action as reference_action
 
 PENDULUM = problems.get("cart-pendulum")
 TANK = problems.get("double-tank-b")

@@ -26,7 +26,7 @@ from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.modelling.transcription import transcribe
 from capsyn.problems import cart_pendulum, double_tank
 from capsyn.synthesis.synthesize import problem_controller
-from support import reference
+from support.references import ssac as reference
 
 BACKENDS = ["c", "numpy"]
 

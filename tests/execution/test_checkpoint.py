@@ -25,7 +25,7 @@ from capsyn.execution.answers import Packed, digest
 from capsyn.execution.checkpoint import Checkpoint
 from capsyn.subdivision import propositions
 
-HERE = Path(__file__).parents[1] / "support"
+HERE = Path(__file__).parents[1] / "support" / "processes"
 PROBLEM = problems.get("cart-pendulum")
 
 

@@ -19,7 +19,7 @@ from capsyn import problems
 from capsyn.cli.app import app
 from capsyn.errors import CapsynWarning, ProblemError, SynthesisError
 from capsyn.execution import cluster
-from support.dask_processes import processes, start_scheduler, start_worker
+from support.processes.dask import processes, start_scheduler, start_worker
 
 distributed = pytest.importorskip("distributed", reason="needs the extra 'distributed'")
 

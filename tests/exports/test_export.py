@@ -16,8 +16,8 @@ from capsyn.exports.golden import golden_vectors
 from capsyn.exports.identifiers import file_name, identifiers, renamed
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
 from capsyn.exports.policy_json import target as policy_json
-from cli.test_cli import capsyn, error_of
-from support.exported import module, oblique, small
+from support.exports.policies import module, oblique, small
+from support.processes.command_line import capsyn, error_of
 from support.trees import GRIDS, random_policy
 
 # ---- golden vectors ----

@@ -70,7 +70,8 @@ IMPORT_BY_NAME = {
 CASADI = {"modelling.problem", "modelling.transcription"}
 """The border, with the built-in problems behind it: the only places that know CasADi."""
 
-MAX_LINES, MAX_CODE, MAX_FILES, MAX_PARAMETERS = 400, 60, 14, 8
+MAX_LINES, MAX_CODE, MAX_FILES, MAX_PARAMETERS, MAX_TEST_LINES = 400, 60, 14, 8, 800
+TESTS = sorted((TOP / "tests").rglob("*.py"))
 
 
 def listed(text):
@@ -183,6 +184,19 @@ def test_no_room_is_crowded():
 def test_modules_are_short(name):
     lines = len(MODULES[name].read_text().splitlines())
     assert lines <= MAX_LINES, f"{name} has {lines} lines: split it"
+
+
+@pytest.mark.parametrize("path", TESTS, ids=lambda path: str(path.relative_to(TOP / "tests")))
+def test_test_files_are_short_and_import_no_other(path):
+    text = path.read_text()
+    lines = len(text.splitlines())
+    assert lines <= MAX_TEST_LINES, f"{lines} lines: split it"
+    for node in ast.walk(ast.parse(text)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        tests = [name for name in names if re.search(r"(^|\.)test_", name)]
+        assert not tests, "what tests share stands in tests/support"
 
 
 def code_lines(source, node):

@@ -13,6 +13,7 @@ The blocks of a page run in its order, in one folder of their own:
 import importlib
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -22,6 +23,7 @@ import pytest
 
 import capsyn
 from capsyn.cli.doctor import COMMANDS
+from support.processes.command_line import run_here
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -41,7 +43,7 @@ def commands(text):
     return [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
 
 
-def run(line, folder):
+def in_shell(line, folder):
     """Run a line in a shell as a reader would, and return what it prints."""
     for word in re.findall(r"(?:^|[(]|&& |\| )([\w-]+)", line):
         if word in OPTIONAL and not shutil.which(word):
@@ -60,6 +62,17 @@ def run(line, folder):
     return done.stdout
 
 
+def run(line, folder):
+    """Run a line: in this process where it is a call of capsyn alone, otherwise in a shell."""
+    if not line.startswith("capsyn ") or set(line) & set("|&;<>()$`*?#~"):
+        return in_shell(line, folder)
+    done = run_here(shlex.split(line)[1:], folder)
+    printed = done.stdout + done.stderr
+    assert done.returncode == 0, f"{line}\n{printed}"
+    assert "warning:" not in printed, f"{line}\n{printed}"
+    return printed
+
+
 def check_shown(shown, printed, line):
     """Check that lines are in what a command prints, next to each other but for ``...``."""
     found, start, anywhere = [text.rstrip() for text in printed.splitlines()], 0, False
@@ -74,7 +87,7 @@ def check_shown(shown, printed, line):
     assert anywhere or start == len(found), f"{line}\nprints more than is shown:\n{printed}"
 
 
-def console(text, folder):
+def console(text, folder, run=run):
     for part in re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]:
         line, *shown = part.splitlines()
         check_shown(shown, run(line, folder), line)
@@ -86,6 +99,7 @@ def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     known = set(sys.modules)
     names = {"__name__": "page"}
+    own = in_shell if page.stem == "README" else run  # one page in processes of its own
     try:
         for language, text in blocks(page):
             file = FILE.match(text)
@@ -95,9 +109,9 @@ def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch):
                 exec(compile(text, page.name, "exec"), names)
             elif language == "sh":
                 for line in commands(text):
-                    run(line, tmp_path)
+                    own(line, tmp_path)
             elif language == "console":
-                console(text, tmp_path)
+                console(text, tmp_path, own)
     finally:
         for name in set(sys.modules) - known:
             if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):

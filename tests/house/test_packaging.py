@@ -23,6 +23,11 @@ ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "capsyn"
 
 
+def without(*names):
+    """Return the environment of this process without some variables."""
+    return {name: value for name, value in os.environ.items() if name not in names}
+
+
 @pytest.fixture(scope="session")
 def built(tmp_path_factory):
     """Build the sdist, and the wheel from the sdist; return the folder that they are in."""
@@ -50,7 +55,9 @@ def clean(wheel, tmp_path_factory):
     venv.create(place, with_pip=False, symlinks=True)
     python = place / "bin" / "python"
     pip = [sys.executable, "-m", "pip", "--python", python, "install", "--no-index", "--no-deps"]
-    subprocess.run([*pip, "--quiet", wheel], check=True, capture_output=True)
+    subprocess.run(
+        [*pip, "--quiet", wheel], check=True, capture_output=True, env=without("PYTHONPATH")
+    )
     (site,) = place.glob("lib/python*/site-packages")
     (site / "needed.pth").write_text(f"{Path(np.__file__).parents[1]}\n")
     return place
@@ -58,13 +65,12 @@ def clean(wheel, tmp_path_factory):
 
 def run(clean, *command, code=0, cwd=None, path="", **environment):
     """Run a command of the clean environment; return its stdout and stderr."""
-    kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "CC")}
     done = subprocess.run(
         [clean / "bin" / command[0], *map(str, command[1:])],
         capture_output=True,
         text=True,
         cwd=cwd or clean,
-        env=kept | {"PATH": path} | environment,
+        env=without("PYTHONPATH", "CC") | {"PATH": path} | environment,
     )
     assert done.returncode == code, done.stderr
     return done.stdout, done.stderr

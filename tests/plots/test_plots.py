@@ -3,20 +3,24 @@
 import dataclasses
 
 import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import capsyn
-from capsyn import Problem, problems, simulate, synthesize
+from capsyn import problems, simulate
 from capsyn.errors import ProblemError
 from capsyn.plots.policy import plot_policy, save_policy_plot
+from capsyn.policies.colors import PALETTE
+from support.split_trees import tree_of
+
+matplotlib.use("Agg")
+
+
+from capsyn import Problem, synthesize
 from capsyn.plots.trajectory import plot_trajectory, save_trajectory_plot
-from capsyn.policies.colors import PALETTE, symbol_colors
+from capsyn.policies.colors import symbol_colors
 
 
 def policy_of(n, symbols=2, level=2):
@@ -137,3 +141,42 @@ def test_gaps_beside_oblique_surfaces_have_the_colour_of_the_default():
         assert policy.has_planes
         images.append(plot_policy(policy, ax=Figure().add_subplot()).images[0].get_array())
     assert np.array_equal(*images) and len(np.unique(images[0].reshape(-1, 3), axis=0)) == 2
+
+
+def test_a_picture_of_a_tree_has_its_colours():
+    tree = tree_of((12, 7, 5), periodic=1, seed=3)
+    ax = plot_policy(tree, (2, 0), ax=Figure().add_subplot())
+    paths = [path for cells in ax.collections for path in cells.get_paths()]
+    colours = [color for cells in ax.collections for color in cells.get_facecolor()]
+    widths = tree.domain.widths
+    assert len(paths) > 3 and sum(map(area, paths)) == pytest.approx(widths[2] * widths[0])
+    states = np.tile(tree.domain.lower + widths / 2, (len(paths), 1))
+    states[:, [2, 0]] = [path.vertices[:4].mean(axis=0) for path in paths]
+    palette = [*PALETTE[:2], "#FFFFFF"]
+    assert [to_hex(c).upper() for c in colours] == [palette[k] for k in tree(states)]
+
+
+def test_a_picture_of_an_oblique_tree_has_its_colours(tmp_path, monkeypatch):
+    monkeypatch.setattr("capsyn.plots.policy.PIXELS", 40)
+    tree = tree_of((12, 7, 5), 3, periodic=1, seed=3)
+    point = tree.domain.lower + 0.3 * tree.domain.widths
+    ax = plot_policy(tree, (2, 0), {"x2": point[1]}, Figure().add_subplot())
+    (image,) = ax.get_images()
+    left, right, bottom, top = image.get_extent()
+    low, high = tree.domain.lower, tree.domain.upper
+    assert (left, right, bottom, top) == (low[2], high[2], low[0], high[0])
+    pixels, palette = image.get_array(), [*PALETTE[:2], "#FFFFFF"]
+    assert pixels.shape == (40, 40, 3)
+    seen = set()
+    for i, j in np.random.default_rng(0).integers(0, 40, (200, 2)):
+        state = point.copy()
+        state[2] = left + (j + 0.5) * (right - left) / 40
+        state[0] = bottom + (i + 0.5) * (top - bottom) / 40
+        symbol = int(tree(state))
+        seen.add(symbol)
+        assert to_hex(pixels[i, j]).upper() == palette[symbol]
+    assert len(seen) > 1
+    assert image.origin == "lower"
+    for name in ("one.svg", "two.svg"):
+        save_policy_plot(tree, tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()

@@ -12,26 +12,12 @@ from capsyn import Alphabet, Box, Policy
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import check_outside
 from capsyn.modelling.grid import Grid
-from capsyn.native.build import find_compiler
 from capsyn.policies import lookup
+from support.backends import backends, needs_compiler
 from support.trees import GRIDS, random_policy, states_at_faces
 
 NAN, INF = float("nan"), float("inf")
 HUGE = 1.7976931348623157e308
-
-
-def has_compiler():
-    try:
-        find_compiler()
-    except KernelBuildError:
-        return False
-    return True
-
-
-needs_compiler = pytest.mark.skipif(not has_compiler(), reason="there is no C compiler")
-backends = pytest.mark.parametrize(
-    "backend", ["numpy", pytest.param("c", marks=needs_compiler)], ids=str
-)
 
 
 def disc(states):

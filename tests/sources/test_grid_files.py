@@ -12,7 +12,7 @@ import pytest
 from capsyn import Alphabet, Policy
 from capsyn.errors import ProblemError
 from capsyn.sources.grid_files import read_csv, read_npz, read_table
-from cli.test_cli import capsyn, error_of
+from support.processes.command_line import capsyn, error_of
 from support.tables import assert_same, csv_text, made_file, npz_bytes, random_table, scots_text
 
 GOOD = "x,v [m/s],symbol\n0,0.1,-5\n0,0.2,5\n1,0.1,\n1,0.2,-5|5\n"

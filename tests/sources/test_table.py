@@ -21,9 +21,10 @@ from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
 from capsyn.modelling.transcription import transcribe
 from capsyn.sources.table import Table
 from capsyn.verification.agreement import agreement
-from policies.test_policy_file import refuse, rewrite
-from support.c_machines import Library
-from support.exported import RUNNERS, assert_equal
+from support.exports.c_machines import Library
+from support.exports.policies import RUNNERS, assert_equal
+from support.exports.verilog import check as check_verilog
+from support.policy_files import refuse, rewrite
 from support.tables import assert_same, random_table
 
 COUNTS = [(7,), (37, 23), (16, 8), (11, 6, 5), (5, 4, 3, 3)]
@@ -215,7 +216,7 @@ def test_c_gives_the_status_in_gaps(style, arithmetic, tmp_path):
 
 def test_structured_text_tells_gaps():
     pytest.importorskip("tree_sitter_iec61131_3_st", reason="tree-sitter is not installed")
-    from exports.test_export_structured_text import check
+    from support.exports.structured_text import check
 
     for style in ("nested", "table"):
         check(Plan.of(random_table((13, 9), seed=2).policy(outside=1)), style=style)
@@ -225,13 +226,11 @@ def test_structured_text_tells_gaps():
 @pytest.mark.parametrize("pipeline", [False, True])
 @pytest.mark.parametrize("dwell", [0.0, 0.01])
 def test_verilog_tells_gaps(inputs, pipeline, dwell, tmp_path):
-    from exports.test_export_verilog import check
-
     for outside in ("error", "nearest"):
         plan = Plan.of(
             random_table((13, 9), seed=2).policy(min_dwell=dwell, outside=outside), safe=1
         )
-        text = check(tmp_path, plan, inputs=inputs, pipeline=pipeline)
+        text = check_verilog(tmp_path, plan, inputs=inputs, pipeline=pipeline)
         assert "output wire outside" in text
 
 

@@ -18,20 +18,16 @@ from capsyn.subdivision import lattice_points
 from capsyn.subdivision.constant import ConstantSubdivision
 from capsyn.subdivision.lattice_points import LatticePoints, inserted, key_strides
 from capsyn.subdivision.limits import Limits
-from subdivision.test_subdivision import (
-    cells_of,
+from support.labels import (
     disc,
     halves,
     noisy_masks,
     planar_masks,
     recorder,
     same,
+    unit_box,
 )
-from support.reference_subdivision import noise, reference
-
-
-def unit_box(n=2, periodic=None):
-    return Box([0.0] * n, [1.0] * n, periodic=periodic)
+from support.references.subdivision import cells_of, noise, reference
 
 
 @contextlib.contextmanager

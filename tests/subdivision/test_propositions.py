@@ -18,7 +18,7 @@ from capsyn.modelling.grid import Grid
 from capsyn.subdivision import propositions as props
 from capsyn.subdivision.cell_points import CellPoints
 from capsyn.subdivision.limits import Limits
-from support.reference_subdivision import noise
+from support.references.subdivision import noise
 
 PAPER = Grid((9, 9), (2, 2), 0)
 CENTER = CellPoints.parse("vertices+center")

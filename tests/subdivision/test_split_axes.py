@@ -14,8 +14,8 @@ from capsyn.modelling.grid import Grid
 from capsyn.subdivision.cell_points import CellPoints
 from capsyn.subdivision.rounds import RoundSubdivision
 from capsyn.subdivision.split_axes import SplitAxes
-from policies.test_policy_file import refuse, rewrite
-from subdivision.test_subdivision import planar_masks, recorder
+from support.labels import planar_masks, recorder
+from support.policy_files import refuse, rewrite
 from support.trees import random_policy
 
 

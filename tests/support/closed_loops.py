@@ -16,6 +16,7 @@ from capsyn import Box, Policy, Problem, SsacSettings, problems
 from capsyn.cells.cell_tree import CellTree
 from capsyn.modelling.grid import Grid
 from capsyn.modelling.transcription import transcribe, transcribe_target
+from capsyn.verification.monte_carlo import MonteCarlo
 
 BACKENDS = ["c", "numpy"]
 
@@ -147,3 +148,17 @@ def integrate(
 
         y = solve_ivp(slope, (left, right), y, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     return y[:-1], float(y[-1])
+
+
+def assert_same_trials(one: MonteCarlo, two: MonteCarlo, count: int | None = None) -> None:
+    for name, a in vars(one).items():
+        b = getattr(two, name)
+        if name == "parameters":
+            assert list(a) == list(b)
+            assert all(np.array_equal(a[key][:count], b[key]) for key in a)
+        elif isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype and np.array_equal(
+                a[:count], b, equal_nan=a.dtype.kind == "f"
+            ), name
+        elif count is None:
+            assert a == b, name

@@ -12,9 +12,10 @@ from capsyn import Ball, Box, online_controller, problems, simulate
 from capsyn.controllers.command import ENDINGS, LEFT_DOMAIN, NOT_FINITE, TARGET, TIME
 from capsyn.errors import ProblemError
 from capsyn.statistics import clopper_pearson
-from capsyn.verification.monte_carlo import MonteCarlo, Uniform, monte_carlo
+from capsyn.verification.monte_carlo import Uniform, monte_carlo
 from support.closed_loops import (
     BACKENDS,
+    assert_same_trials,
     linear_problem,
     random_grid_policy,
     relay,
@@ -45,28 +46,16 @@ RANDOM = {
 }
 
 
-def same(one: MonteCarlo, two: MonteCarlo, count: int | None = None) -> None:
-    for name, a in vars(one).items():
-        b = getattr(two, name)
-        if name == "parameters":
-            assert list(a) == list(b)
-            assert all(np.array_equal(a[key][:count], b[key]) for key in a)
-        elif isinstance(a, np.ndarray):
-            assert a.dtype == b.dtype and np.array_equal(
-                a[:count], b, equal_nan=a.dtype.kind == "f"
-            ), name
-        elif count is None:
-            assert a == b, name
-
-
 def test_the_same_seed_gives_the_same_and_another_another():
     one = monte_carlo(LINEAR, 70, seed=4, **RANDOM)
-    same(one, monte_carlo(LINEAR, 70, seed=4, threads=1, **RANDOM))
-    same(one, monte_carlo(LINEAR, 70, seed=4, threads=3, **RANDOM))
+    assert_same_trials(one, monte_carlo(LINEAR, 70, seed=4, threads=1, **RANDOM))
+    assert_same_trials(one, monte_carlo(LINEAR, 70, seed=4, threads=3, **RANDOM))
     slow = monte_carlo(LINEAR, 70, seed=4, backend="numpy", **RANDOM)
     for name in ("initial_cost", "final_cost"):  # solved by a kernel that contracts products
         np.testing.assert_allclose(getattr(slow, name), getattr(one, name), rtol=1e-11)
-    same(one, dataclasses.replace(slow, initial_cost=one.initial_cost, final_cost=one.final_cost))
+    assert_same_trials(
+        one, dataclasses.replace(slow, initial_cost=one.initial_cost, final_cost=one.final_cost)
+    )
     other = monte_carlo(LINEAR, 70, seed=5, **RANDOM)
     assert not np.isin(one.initial, other.initial).any()
     assert not np.isin(one.parameters["a"], other.parameters["a"]).any()
@@ -79,7 +68,7 @@ def test_the_first_trials_do_not_depend_on_how_many_there_are(backend, initial):
     options = RANDOM | {"initial": initial, "backend": backend}
     many = monte_carlo(LINEAR, 67, **options)
     for count in (1, 33):
-        same(many, monte_carlo(LINEAR, count, **options), count)
+        assert_same_trials(many, monte_carlo(LINEAR, count, **options), count)
 
 
 def test_draws_are_within_their_bounds_and_independent(monkeypatch):
@@ -297,7 +286,7 @@ def test_the_tolerance_is_another_radius_for_the_ball():
         assert np.array_equal(found.success[clear], reaches[clear])
         assert f"ball of radius {radius:g} around x = 0" in found.conditions["target"]
     named = relay([0, 1], target=Ball([0.0], 0.3, names=["x"]))
-    same(narrow, monte_carlo(named, tolerance=0.1, **options))
+    assert_same_trials(narrow, monte_carlo(named, tolerance=0.1, **options))
 
 
 def test_the_interval_is_that_of_clopper_and_pearson():

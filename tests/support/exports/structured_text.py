@@ -9,6 +9,9 @@ from typing import Any
 import tree_sitter
 import tree_sitter_iec61131_3_st as grammar
 
+from capsyn.exports.golden import golden_vectors
+from capsyn.exports.structured_text.target import TARGET as target
+
 PARSER = tree_sitter.Parser(tree_sitter.Language(grammar.language()))
 RANGES = {"INT": 2**15, "DINT": 2**31}
 Values = dict[str, Any]
@@ -305,3 +308,23 @@ def errors(node: Any) -> list[str]:
     """Return the places where the parser found no sense, or something missing."""
     found = [f"{node.start_point}: {node.text[:60]!r}"] if node.is_error or node.is_missing else []
     return found + [text for child in node.children for text in errors(child)]
+
+
+def source(plan, **options):
+    (text,) = target.files(plan, golden_vectors(plan), **options).files.values()
+    return text
+
+
+def check(plan, golden=None, **options):
+    golden = golden_vectors(plan) if golden is None else golden
+    text = source(plan, **options)
+    assert max(map(len, text.decode("ascii").splitlines())) < 100
+    call = Program(text).instance()
+    controls = plan.policy.controls.tolist()
+    outputs = None
+    for state, label, status in zip(golden.readings.tolist(), golden.labels, golden.statuses):
+        found = call(*state)
+        if outputs is None:
+            outputs = list(found)[plan.n + 2 : plan.n + 2 + len(controls[0])]
+        assert (found["symbol"], found["status"]) == (label, status), state
+        assert [found[name] for name in outputs] == controls[label]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn import Problem, SsacSettings
-from support import reference
+from support.references import ssac as reference
 
 Signal = Callable[[float, np.ndarray], np.ndarray]
 """Default control ``(now or the middle of a step, predicted state) -> u``."""

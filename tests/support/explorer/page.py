@@ -11,7 +11,7 @@ import pytest
 
 from capsyn import explore, problems, synthesize
 
-OUTPUT = Path(__file__).parents[2] / "build" / "explorer"
+OUTPUT = Path(__file__).parents[3] / "build" / "explorer"
 """Where screenshots are kept; not part of the repository."""
 CHROMIUM = shutil.which("chromium")
 QUIET = {"reduced_motion": "reduce"}

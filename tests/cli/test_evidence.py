@@ -3,17 +3,15 @@
 import csv
 import json
 import shlex
-import sys
-import warnings
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from capsyn import Box, Policy, online_controller, problems, simulate, synthesize
-from capsyn.cli import app as cli
 from capsyn.verification.monte_carlo import Uniform, monte_carlo
 from capsyn.verification.sentences import circumstances
+from support.processes.command_line import capsyn
 
 FUNCTIONS = """
 import casadi as ca
@@ -48,20 +46,10 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture
-def run(folder, monkeypatch, capsys):
+def run(folder, monkeypatch):
     """Return what runs a command line in the folder and returns (stdout, stderr)."""
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
-
-    def run(*arguments, code=0):
-        monkeypatch.setattr(sys, "argv", ["capsyn", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            cli.main()
-        out, err = capsys.readouterr()
-        assert stopped.value.code == code, err
-        return out, err
-
-    return run
+    return capsyn
 
 
 def test_simulate_prints_and_writes_what_the_function_returns(run, folder):

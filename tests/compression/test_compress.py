@@ -23,9 +23,8 @@ from capsyn.modelling.grid import Grid
 from capsyn.policies.file import content_hash
 from capsyn.random_streams import derived_seed, stream
 from capsyn.verification.agreement import agreement
-from cells.test_split_tree import all_points, random_split_tree
-from policies.test_decision_tree import tree_of
 from support.closed_loops import random_grid_policy, relay_problem
+from support.split_trees import all_points, random_split_tree, tree_of
 from support.trees import GRIDS, random_policy, random_tree
 
 FEW = {"states": 2000}

@@ -13,8 +13,8 @@ from capsyn.explorer.program_javascript import HELPERS, model_javascript, progra
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Program
 from capsyn.simulation.plant import choose_substeps, plant_of
-from support.explorer_node import BEGIN, node, texts
-from support.exported import built_in
+from support.explorer.node import BEGIN, node, texts
+from support.exports.policies import built_in
 from support.random_programs import random_program
 from support.trees import random_policy
 

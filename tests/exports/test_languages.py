@@ -13,7 +13,7 @@ import pytest
 from capsyn import Alphabet, compress, simulate
 from capsyn.exports.plan import Plan
 from capsyn.exports.policy_json import target as policy_json
-from support.exported import (
+from support.exports.policies import (
     NODE,
     PROBLEMS,
     RUNNERS,

@@ -16,8 +16,8 @@ from capsyn.errors import CapsynWarning, KernelBuildError
 from capsyn.exports.export import export
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
-from cli.test_cli import capsyn
-from support.exported import PROBLEMS, built_in, oblique, small
+from support.exports.policies import PROBLEMS, built_in, oblique, small
+from support.processes.command_line import capsyn
 from support.trees import random_policy
 
 fmpy = pytest.importorskip("fmpy")
@@ -94,12 +94,15 @@ def test_oblique_splits_readings_and_other_dimensions(run):
     assert_equal(run, random_policy(7, periodic=True), scale=-0.0375, offset=100)
 
 
-@pytest.mark.parametrize(
-    "policy", [small(), oblique(), dataclasses.replace(small(), name='a "<b>" & */ c')]
-)
-def test_units_are_valid_and_the_same_bytes(policy, tmp_path):
+def quoted():
+    return dataclasses.replace(small(), name='a "<b>" & */ c')
+
+
+@pytest.mark.parametrize("make", [small, oblique, quoted])
+def test_units_are_valid_and_the_same_bytes(make, tmp_path):
     from fmpy.validation import validate_fmu
 
+    policy = make()
     path = export(policy, "fmu", tmp_path / "a")[0]
     assert validate_fmu(path) == []
     again = export(policy, "fmu", tmp_path / "b" / "c")[0]

@@ -9,8 +9,8 @@ import pytest
 from capsyn import Alphabet, Box, Policy, compress, problems, synthesize
 from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import OutsideDomainError
-from support.explorer_node import BEGIN, node, texts
-from support.exported import built_in, oblique
+from support.explorer.node import BEGIN, node, texts
+from support.exports.policies import built_in, oblique
 from support.trees import GRIDS, random_policy, random_tree, states_at_faces
 
 LOOKUP = (

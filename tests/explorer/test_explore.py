@@ -13,8 +13,9 @@ import capsyn.explorer
 from capsyn import Alphabet, Box, Policy, compress, explore, simulate, subdivide
 from capsyn.errors import ProblemError
 from capsyn.explorer.explore import page
-from cli.test_cli import capsyn as run_capsyn
-from support.explorer_page import OUTPUT, Shown, chromium, hex_color, synthesized
+from support.explorer.page import OUTPUT, Shown, chromium, hex_color, synthesized
+from support.processes.command_line import capsyn as run_capsyn
+from support.processes.command_line import run_apart
 from support.trees import random_policy
 
 HOME = Path(capsyn.explorer.__file__).parent
@@ -740,7 +741,8 @@ def test_the_command(tmp_path, monkeypatch):
     _, error = run_capsyn("explore", tmp_path / "p.cap", "-o", tmp_path / "p.cap", code=2)
     assert "another file" in error
     monkeypatch.setenv("BROWSER", f"sh -c 'echo $0 > {seen}' %s")
-    run_capsyn("explore", tmp_path / "p.cap", "-o", page, "--open", "--drawing", "none")
+    opened = ("--open", "--drawing", "none")  # Python looks for browsers once in a process
+    run_capsyn("explore", tmp_path / "p.cap", "-o", page, *opened, run=run_apart)
     assert seen.read_text().strip() == page.as_uri()
     assert '"drawing":null' in page.read_text()
 

@@ -2,90 +2,41 @@
 
 import copy
 import dataclasses
-import hashlib
-import json
 import os
 import socket
-import stat
 import struct
 import subprocess
 import sys
-import threading
 
 import numpy as np
 import pytest
-from safetensors import safe_open
 from safetensors.numpy import save_file
 
 import capsyn
 from capsyn import Alphabet, Ball, Box, Policy, SsacSettings, problems
 from capsyn.errors import PolicyFormatError, ProblemError
-from capsyn.execution.files import atomic_write, check_writable
 from capsyn.modelling.grid import Grid
 from capsyn.modelling.targets import target_program
 from capsyn.policies.file import VERSION, content_hash
-from capsyn.programs.model import Model, model_ports
-from capsyn.programs.program import Program
+from support.policy_files import (
+    KEY,
+    TRIALS,
+    array,
+    assert_equal,
+    at,
+    canonical,
+    delete,
+    digest,
+    full,
+    put,
+    read,
+    refuse,
+    resize,
+    rewrite,
+    set_version,
+    with_header,
+)
 from support.trees import GRIDS, random_policy, random_tree
-
-KEY = "capsyn-policy"
-
-
-def any_model(n, m, symbols):
-    """Return a model of the right sizes whose programs mean nothing."""
-    programs = {}
-    for name, (inputs, outputs) in model_ports(n, m, symbols).items():
-        known = sum(size for _, size in inputs)
-        instructions = (
-            ("const", 0.1),
-            ("const", float("-inf")),
-            ("sin", 0),
-            ("fmax", known + 1, known + 2),
-            ("mul", known, known + 3),
-        )
-        results = tuple((3 * k) % (known + 5) for k in range(sum(size for _, size in outputs)))
-        programs[name] = Program(name, inputs, outputs, instructions, results)
-    return Model(**programs)
-
-
-def full(**changes):
-    """Return a policy whose every field is something."""
-    made = Policy(
-        name="full ü",
-        domain=Box([0, -5], [2 * np.pi, 5], ["theta", "ω"], ["rad", "rad/s"], [True, False]),
-        alphabet=Alphabet([[-5, 1 / 3], [5, 0]], ["left", "right"], ["a", "b"], ["m/s^2", ""]),
-        default=np.array([0.1, -0.0]),
-        cells=random_tree((3, 2), (2, 3), 2, 3, seed=1),
-        outside=1,
-        min_dwell=0.01,
-        target=Ball([0.1, 0.2], 0.3),
-        horizon=1.2,
-        settings=SsacSettings(gamma=-2.5, control_weight=[[1, 0.1], [0.1, 0.2]], steps=24),
-        model=any_model(2, 2, 2),
-        statistics={"solves": 12, "levels": [{"cells": 6}], "share": 0.1, "none": None, "s": "ü"},
-        timings={"label": 0.25},
-    )
-    return dataclasses.replace(made, **changes)
-
-
-TRIALS = {"trials": 10, "successes": 9, "low": 0.5, "high": 1, "confidence": 0.95, "more": [None]}
-
-
-def assert_equal(one, other):
-    """Assert that two policies are equal in every field but the timings."""
-    for field in dataclasses.fields(Policy):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        if field.name == "cells":
-            for part in dataclasses.fields(type(a)):
-                x, y = getattr(a, part.name), getattr(b, part.name)
-                assert np.array_equal(x, y), part.name
-                if isinstance(x, np.ndarray):
-                    assert x.dtype == y.dtype and x.shape == y.shape
-        elif field.name == "default":
-            assert a.tobytes() == b.tobytes() and a.dtype == b.dtype
-        elif field.name != "timings":
-            assert a == b and type(a) is type(b), field.name
-
 
 SOME = {
     "full": full(),
@@ -230,42 +181,6 @@ def test_no_dates_paths_or_host_names_in_a_file(real, tmp_path, monkeypatch):
 # what is no policy file
 
 
-def read(path):
-    """Return the metadata document and the arrays of a file."""
-    with safe_open(path, framework="np") as opened:
-        document = json.loads(opened.metadata()[KEY])
-        return document, {name: opened.get_tensor(name) for name in opened.keys()}
-
-
-def canonical(data):
-    return json.dumps(data, sort_keys=True, separators=(",", ":"))
-
-
-def digest(content_text, arrays):
-    """Return the checksum as the format documents it, written out once more."""
-    result = hashlib.sha256(content_text.encode())
-    for name in sorted(arrays):
-        result.update(f"{name}:{arrays[name].dtype.str}:{arrays[name].shape}".encode())
-        result.update(arrays[name].tobytes())
-    return result.hexdigest()
-
-
-def rewrite(path, change, checksum=True):
-    """Apply ``change(document, arrays)`` to a file, with a checksum that fits, or the old one."""
-    document, arrays = read(path)
-    change(document, arrays)
-    if checksum:
-        document["sha256"] = digest(canonical(document["policy"]), arrays)
-    save_file(arrays, path, {KEY: canonical(document)})
-
-
-def refuse(path, message):
-    """Assert that a file is refused in one line that names it."""
-    with pytest.raises(PolicyFormatError, match=message) as caught:
-        Policy.load(path)
-    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
-
-
 def test_rewriting_without_a_change_is_accepted(file):
     before = file.read_bytes()
     rewrite(file, lambda document, arrays: None)
@@ -321,54 +236,6 @@ def test_other_safetensors_files_are_no_policies(tmp_path):
         refuse(path, "is damaged: its metadata is not JSON")
 
 
-def test_truncated_files_are_refused(file):
-    raw = file.read_bytes()
-    lengths = {*range(0, 64), *range(64, len(raw), 97), len(raw) - 8, len(raw) - 1}
-    for length in sorted(lengths):
-        file.write_bytes(raw[:length])
-        refuse(file, "is no policy file")
-    file.write_bytes(raw + b"\0")
-    refuse(file, "is no policy file")
-
-
-@pytest.mark.parametrize("part", ["header length", "header", "end of header", "arrays"])
-def test_every_flipped_byte_is_refused_or_harmless(file, part):
-    raw = file.read_bytes()
-    (size,) = struct.unpack("<Q", raw[:8])
-    start, end = {
-        "header length": (0, 8),
-        "header": (8, 8 + size),
-        "end of header": (size - 400, 8 + size),  # the list of arrays
-        "arrays": (8 + size, len(raw)),
-    }[part]
-    rng = np.random.default_rng(1)
-    places = rng.integers(start, end, 300)
-    masks = np.where(rng.random(300) < 0.5, 1 << rng.integers(0, 8, 300), rng.integers(1, 256, 300))
-    wanted, refused = full(), 0
-    for place, mask in zip(places, masks):
-        damaged = bytearray(raw)
-        damaged[place] ^= int(mask)
-        file.write_bytes(damaged)
-        try:
-            loaded = Policy.load(file)
-        except PolicyFormatError as error:
-            assert "\n" not in str(error)
-            refused += 1
-        else:
-            assert_equal(loaded, wanted)
-    assert refused > 290
-
-
-def set_version(value):
-    def change(document, arrays):
-        if value is None:
-            del document["version"]
-        else:
-            document["version"] = value
-
-    return change
-
-
 @pytest.mark.parametrize(
     ("version", "message"),
     [
@@ -396,22 +263,6 @@ def test_a_newer_version_says_so_whatever_else_it_holds(file):
 
     rewrite(file, change)
     refuse(file, "upgrade")
-
-
-def at(*keys):
-    """Return a function that gives the value at `keys` of the policy's content a new value."""
-
-    def setter(value):
-        def change(document, arrays):
-            place = document["policy"]
-            for key in keys[:-1]:
-                place = place[key]
-            assert keys[-1] in place if isinstance(place, dict) else place
-            place[keys[-1]] = value
-
-        return change
-
-    return setter
 
 
 @pytest.mark.parametrize(
@@ -450,33 +301,6 @@ def test_changed_arrays_do_not_match_their_checksum(file):
     rewrite(file, relabel)  # the checksum is no signature: with its own one it is another policy
     with pytest.raises(AssertionError, match="entries"):
         assert_equal(Policy.load(file), full())
-
-
-def delete(*keys):
-    def change(document, arrays):
-        place = document["policy"]
-        for key in keys[:-1]:
-            place = place[key]
-        del place[keys[-1]]
-
-    return change
-
-
-def array(name, function):
-    """Return a change that replaces one array by a function of it."""
-
-    def change(document, arrays):
-        arrays[name] = np.ascontiguousarray(function(arrays[name].copy()))
-
-    return change
-
-
-def put(place, value):
-    def function(values):
-        values[place] = value
-        return values
-
-    return function
 
 
 FIRST_SPLIT = int(np.flatnonzero(full().cells.entries >= 0)[0])
@@ -651,25 +475,6 @@ def test_deep_nesting_is_refused_or_kept(file, depth, brackets):
         assert depth < 1_000_000 and list(loaded.statistics) == ["deep"]
 
 
-def with_header(path, change):
-    """Rewrite the list of arrays in a file's header, as no writer would."""
-    raw = path.read_bytes()
-    (size,) = struct.unpack("<Q", raw[:8])
-    header = json.loads(raw[8 : 8 + size])
-    change(header)
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)
-    path.write_bytes(struct.pack("<Q", len(text)) + text + raw[8 + size :])
-
-
-def resize(name, dtype, size):
-    def change(header):
-        start, end = header[name]["data_offsets"]
-        header[name].update(dtype=dtype, shape=[int((end - start) // size)])
-
-    return change
-
-
 @pytest.mark.parametrize(
     ("dtype", "size"),
     [("BF16", 2), ("F16", 2), ("F8_E4M3", 1), ("F8_E5M2", 1), ("F8_E8M0", 1), ("F4", 0.5)]
@@ -756,153 +561,6 @@ def test_a_leaf_with_a_huge_refinement_is_a_usable_policy(tmp_path):
     made.save(tmp_path / "p.cap")
     loaded = Policy.load(tmp_path / "p.cap")
     assert loaded.volume_shares.sum() == 1 and loaded([0.5]) == made([0.5])
-
-
-# writing
-
-
-def entries_of(directory):
-    return sorted(p.name for p in directory.iterdir())
-
-
-@pytest.mark.parametrize("error", [ValueError, OSError, KeyboardInterrupt])
-@pytest.mark.parametrize("old", [None, b"old"])
-def test_a_writer_that_fails_leaves_what_was_there(tmp_path, error, old):
-    path = tmp_path / "p.cap"
-    if old is not None:
-        path.write_bytes(old)
-
-    def write(temporary):
-        temporary.write_bytes(b"half")
-        assert temporary.parent == path.parent and temporary.suffix == ".cap"
-        raise error("stop")
-
-    with pytest.raises(error, match="stop"):
-        atomic_write(path, write)
-    assert entries_of(tmp_path) == ([] if old is None else ["p.cap"])
-    assert old is None or path.read_bytes() == old
-
-
-def test_a_writer_that_removes_its_file_leaves_what_was_there(tmp_path):
-    path = tmp_path / "p.cap"
-    path.write_bytes(b"old")
-    with pytest.raises(FileNotFoundError):
-        atomic_write(path, lambda temporary: temporary.unlink())
-    assert entries_of(tmp_path) == ["p.cap"] and path.read_bytes() == b"old"
-
-
-def test_saving_what_is_no_json_leaves_the_old_file(file, tmp_path):
-    before = file.read_bytes()
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        full(statistics={"share": float("nan")}).save(file)
-    assert file.read_bytes() == before and entries_of(tmp_path) == ["p.cap"]
-
-
-@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
-def test_a_new_file_has_the_permissions_of_any_other(tmp_path, mask):
-    before = os.umask(mask)
-    try:
-        full().save(tmp_path / "p.cap")
-        (tmp_path / "other").touch()
-    finally:
-        os.umask(before)
-    modes = [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("p.cap", "other")]
-    assert modes[0] == modes[1]
-
-
-@pytest.mark.parametrize("mode", [0o600, 0o640, 0o666, 0o755])
-def test_an_old_file_keeps_its_permissions(tmp_path, mode):
-    path = tmp_path / "p.cap"
-    path.touch()
-    path.chmod(mode)
-
-    def write(temporary):
-        assert stat.S_IMODE(temporary.stat().st_mode) & ~mode == 0, "open to more than the file"
-        temporary.write_bytes(b"new")
-
-    atomic_write(path, write)
-    assert stat.S_IMODE(path.stat().st_mode) == mode and path.read_bytes() == b"new"
-
-
-def test_writing_leaves_the_umask_alone(tmp_path, monkeypatch):
-    # it belongs to all threads: between reading it and putting it back others would run without
-    monkeypatch.setattr(os, "umask", None)
-    full().save(tmp_path / "p.cap")
-
-
-def test_relative_paths_and_long_names(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name in ("p.cap", "p" * 251 + ".cap", "no suffix"):
-        full().save(name)
-        assert_equal(Policy.load(name), full())
-    assert len(entries_of(tmp_path)) == 3
-
-
-def test_a_reader_meets_a_whole_file_while_others_write(tmp_path):
-    path = tmp_path / "p.cap"
-    hashes = {content_hash(full(name=name)) for name in ("one", "two")}
-    full(name="one").save(path)
-
-    def work(name):
-        for _ in range(10):
-            full(name=name).save(path)
-
-    threads = [threading.Thread(target=work, args=(name,)) for name in ("one", "two")]
-    for thread in threads:
-        thread.start()
-    while any(thread.is_alive() for thread in threads):
-        assert content_hash(Policy.load(path)) in hashes
-    assert entries_of(tmp_path) == ["p.cap"]
-
-
-def test_check_writable_touches_nothing(tmp_path):
-    path = tmp_path / "p.cap"
-    check_writable(path)
-    assert entries_of(tmp_path) == []
-    path.write_bytes(b"old")
-    before = path.stat()
-    check_writable(str(path))
-    assert path.stat() == before and entries_of(tmp_path) == ["p.cap"]
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("missing/p.cap", "No such file or directory"),
-        ("", "is a directory"),
-        ("file/p.cap", "Not a directory"),
-    ],
-)
-def test_check_writable_refuses(tmp_path, name, reason):
-    (tmp_path / "file").touch()
-    path = tmp_path / name
-    with pytest.raises(ProblemError, match=reason) as caught:
-        check_writable(path)
-    assert str(caught.value).startswith(f"cannot write the output '{path}': ")
-    with pytest.raises(ProblemError, match=reason):
-        full().save(path)
-    assert entries_of(tmp_path) == ["file"]
-
-
-def test_saving_to_no_file_is_refused(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for path in ("", ".", "..", "/"):
-        with pytest.raises(ProblemError, match="is a directory"):
-            full().save(path)
-        with pytest.raises(ProblemError, match="is a directory"):
-            check_writable(path)
-    assert entries_of(tmp_path) == []
-
-
-def test_check_writable_refuses_a_read_only_directory(tmp_path):
-    tmp_path.chmod(0o500)
-    try:
-        if os.access(tmp_path, os.W_OK):
-            pytest.skip("this user, as root, may write anywhere")
-        with pytest.raises(ProblemError, match="Permission denied"):
-            check_writable(tmp_path / "p.cap")
-    finally:
-        tmp_path.chmod(0o700)
 
 
 def test_evidence_is_outside_the_checksum(tmp_path):

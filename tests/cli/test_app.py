@@ -13,34 +13,7 @@ import numpy as np
 import pytest
 
 from capsyn import Policy
-
-BOAT = """
-import capsyn
-problem = capsyn.Problem(
-    name="boat", dynamics=lambda x, u: [x[1], u[0]], domain=capsyn.Box([-1, -1], [1, 1]),
-    alphabet=[-1, 0, 1], default=0, horizon=1.0, running_cost=lambda x: x[0]**2 + x[1]**2,
-)
-"""
-
-
-def capsyn(*arguments, cwd=None, code=0, **environment):
-    """Run the command in a fresh process and return (stdout, stderr)."""
-    run = subprocess.run(
-        [sys.executable, "-m", "capsyn", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, **environment},
-    )
-    assert run.returncode == code, run.stderr
-    return run.stdout, run.stderr
-
-
-def error_of(*arguments, cwd=None):
-    """Return the one line that a failing command prints."""
-    out, err = capsyn(*arguments, cwd=cwd, code=2)
-    assert out == "" and err.startswith("error: ") and err.count("\n") == 1
-    return err
+from support.processes.command_line import BOAT, capsyn, error_of, run_apart, run_here
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +40,7 @@ def test_list_names_every_problem():
 
 
 def test_synth_writes_a_policy_and_says_nothing_on_stderr_when_piped(tmp_path):
-    out, err = capsyn("synth", "cart-pendulum", cwd=tmp_path)
+    out, err = capsyn("synth", "cart-pendulum", cwd=tmp_path, run=run_apart)
     assert err == ""
     assert "4,314" in out and "wrote cart-pendulum.cap" in out
     assert Policy.load(tmp_path / "cart-pendulum.cap").cells.leaf_count == 1710
@@ -101,7 +74,7 @@ def test_synth_alpha_d_replaces_the_problems_gamma(tmp_path):
 def test_synth_finds_problems_in_files_and_modules(tmp_path):
     (tmp_path / "boat.py").write_text(BOAT + "other = problem.replace(name='other')\n")
     for text, name in (("boat.py", "boat"), ("boat.py:other", "other"), ("boat:other", "other")):
-        capsyn("synth", text, "-o", "p.cap", "--max-level", 1, cwd=tmp_path, PYTHONPATH=".")
+        capsyn("synth", text, "-o", "p.cap", "--max-level", 1, cwd=tmp_path)
         assert Policy.load(tmp_path / "p.cap").name == name
 
 
@@ -193,12 +166,15 @@ def test_bench_prints_the_six_cases():
 def test_version():
     from capsyn.version import __version__
 
-    assert capsyn("--version")[0] == f"capsyn {__version__}\n"
+    for run in (run_apart, run_here):
+        assert capsyn("--version", run=run)[0] == f"capsyn {__version__}\n"
 
 
 def test_a_compiler_that_builds_nothing_is_no_compiler(tmp_path):
     environment = {"CC": "true", "CAPSYN_CACHE_DIR": str(tmp_path / "cache")}
-    _, err = capsyn("synth", "cart-pendulum", "-o", "p.cap", cwd=tmp_path, **environment)
+    _, err = capsyn(
+        "synth", "cart-pendulum", "-o", "p.cap", cwd=tmp_path, run=run_apart, **environment
+    )
     assert err.startswith("warning: solving with NumPy") and err.count("\n") == 1
     assert Policy.load(tmp_path / "p.cap").cells.leaf_count == 1710
 
@@ -228,12 +204,11 @@ def test_json_is_json_though_the_problem_file_prints(tmp_path):
 
 
 def test_without_a_compiler_there_is_one_warning(tmp_path):
-    out, err = capsyn("synth", "cart-pendulum", "-o", "p.cap", cwd=tmp_path, CC="no-such-compiler")
+    own = {"cwd": tmp_path, "run": run_apart, "CC": "no-such-compiler"}
+    out, err = capsyn("synth", "cart-pendulum", "-o", "p.cap", **own)
     assert err.startswith("warning: ") and err.count("\n") == 1 and "no-such-compiler" in err
     assert "4,314" in out
-    _, err = capsyn(
-        "synth", "cart-pendulum", "--backend", "c", cwd=tmp_path, CC="no-such-compiler", code=2
-    )
+    _, err = capsyn("synth", "cart-pendulum", "--backend", "c", code=2, **own)
     assert err.startswith("error: no C compiler found") and err.count("\n") == 1
 
 

@@ -1,0 +1,74 @@
+"""Exported C against MISRA C:2012."""
+
+import dataclasses
+import subprocess
+
+import numpy as np
+import pytest
+
+from capsyn.exports.c.readings import counts as c_counts
+from capsyn.exports.plan import Plan
+from support.exports.c_machines import (
+    need,
+    write,
+)
+from support.exports.c_plans import (
+    FINE,
+    files,
+    made_of_counts,
+    plan_of,
+    random_plan,
+)
+
+ADVISORY = ("misra-c2012-2.4", "misra-c2012-8.7")
+"""Deviations that the header names."""
+
+
+@pytest.mark.parametrize(
+    ("mode", "style", "arithmetic", "dwell"),
+    [
+        ("exact", "table", "lattice", 0.1),
+        ("exact", "table", "float", 0.0),
+        ("freedom", "table", "double", 0.0),
+        ("linear", "table", "lattice", 0.0),
+        ("linear", "nested", "lattice", 0.1),
+        ("freedom", "nested", "float", 0.0),
+        ("small", "grid", "lattice", 0.0),
+    ],
+)
+def test_misra(tmp_path, mode, style, arithmetic, dwell):
+    plan = plan_of("cart-pendulum", "freedom") if mode == "freedom" else plan_of("cart-pendulum")
+    if mode in ("small", "linear"):  # whose conditions do not follow from others
+        plan = random_plan(8, depth=3, oblique=0.5 * (mode == "linear"))
+        assert (mode == "linear") == (len(plan.tree.cells.planes) > 1)
+    plan = dataclasses.replace(plan, dwell=dwell)
+    assert_misra(files(plan, None, style=style, arithmetic=arithmetic), tmp_path, arithmetic)
+
+
+@pytest.mark.parametrize("name", [name for name in FINE if name != "decimal"])
+def test_misra_of_lines(tmp_path, name):
+    plan = Plan.of(random_plan(8192, depth=3).policy, scale=FINE[name][0], offset=FINE[name][1])
+    assert_misra(made_of_counts(plan).files, tmp_path)
+
+
+@pytest.mark.parametrize("turn", [-4096, 1000])
+def test_misra_of_counts(tmp_path, turn, monkeypatch):
+    if turn > 0:  # as where rounding decides at each face
+        monkeypatch.setattr(c_counts, "line_of", lambda *_: None)
+    plan = Plan.of(random_plan(8, depth=3).policy, scale=[2 * np.pi / turn, 0.01])
+    written = files(plan, None, readings="int16")
+    assert (b"_axis_rank" if turn > 0 else b"_axis_step") in written["cart_pendulum.c"]
+    assert_misra(written, tmp_path)
+
+
+def assert_misra(written, tmp_path, arithmetic="lattice"):
+    need("cppcheck")
+    write(written, tmp_path)
+    command = "cppcheck -q --addon=misra --enable=style --std=c99 --template={id} cart_pendulum.c"
+    told = subprocess.run(command.split(), cwd=tmp_path, capture_output=True, text=True)
+    assert told.returncode == 0, told.stdout + told.stderr
+    known = ADVISORY if arithmetic == "lattice" else ADVISORY[:1]
+    assert set(known) <= set(told.stderr.splitlines()), "the rules were not applied"
+    found = [line for line in told.stderr.splitlines() if "[" not in line and line.strip(" ^")]
+    assert {line for line in found if "misra" in line or "-" not in line} <= set(ADVISORY)
+    assert all(rule.split("-")[-1] in written["cart_pendulum.h"].decode() for rule in ADVISORY)

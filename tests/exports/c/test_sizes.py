@@ -1,0 +1,48 @@
+"""Bytes of exported C on processors, as their compilers tell."""
+
+import re
+import time
+
+import pytest
+
+from capsyn.exports.c import sizes as c_sizes
+from capsyn.exports.c.sizes import sizes
+from support.exports.c_machines import need
+from support.exports.c_plans import files, plan_of
+
+
+@pytest.mark.parametrize(("mode", "most"), [("exact", 1200), ("freedom", 900)])
+def test_sizes(mode, most):
+    need("arm-none-eabi-gcc", "avr-gcc")
+    found = sizes(files(plan_of("cart-pendulum", mode), None), "cart_pendulum")
+    assert 0 < found["cortex-m0"]["decision"] <= most
+    assert 0 < found["avr"]["decision"] <= 2500
+    assert 0 < found["cortex-m0"]["quantiser"] <= 1000
+    assert all(measured["ram"] == 0 for measured in found.values())
+    assert all(0 < measured["stack"] <= 64 for measured in found.values())
+
+
+@pytest.mark.parametrize("tool", ["gcc", "nm", "size"])
+def test_sizes_without_a_tool(monkeypatch, tool):
+    run = c_sizes._run
+    monkeypatch.setattr(
+        c_sizes,
+        "_run",
+        lambda command, *rest: None if command[0].endswith(tool) else run(command, *rest),
+    )
+    assert sizes(files(plan_of("cart-pendulum"), None), "cart_pendulum") == {}
+
+
+def test_sizes_name_compilers():
+    need("gcc")
+    for measured in sizes(files(plan_of("cart-pendulum"), None), "cart_pendulum").values():
+        assert re.fullmatch(r"[a-z-]*gcc \d+\.\d+\.\d+", measured["compiler"])
+
+
+def test_a_compiler_that_does_not_end_is_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(c_sizes, "SECONDS", 0.3)
+    started = time.monotonic()
+    assert c_sizes._run(["sh", "-c", "(sleep 2; touch late) & wait"], tmp_path) is None
+    assert time.monotonic() - started < 1.9
+    time.sleep(2)
+    assert not (tmp_path / "late").exists()  # what it started has ended too
