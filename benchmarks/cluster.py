@@ -42,7 +42,7 @@ def timed(function):
 
 def compare(what, run, same):
     """Return rows for a job: ``run(executor)`` on the cluster over that in two threads."""
-    from support.dask_processes import processes, start_scheduler, start_worker
+    from support.processes.dask import processes, start_scheduler, start_worker
 
     with tempfile.TemporaryDirectory() as directory, processes() as start:
         address, _ = start_scheduler(start, Path(directory))
@@ -86,7 +86,7 @@ def content(policy):
 
 def bereft(run, seconds):
     """Return rows: a policy made while one of two workers is killed after some time [s]."""
-    from support.dask_processes import processes, start_scheduler, start_worker
+    from support.processes.dask import processes, start_scheduler, start_worker
 
     with tempfile.TemporaryDirectory() as directory, processes() as start:
         address, _ = start_scheduler(start, Path(directory))
@@ -116,7 +116,7 @@ def killed():
     with tempfile.TemporaryDirectory() as directory:
         command = [
             sys.executable,
-            str(HERE.parent / "tests" / "support" / "killed_runs.py"),
+            str(HERE.parent / "tests" / "support" / "processes" / "killed_runs.py"),
             directory,
         ]
         told = json.loads(subprocess.check_output([*command, "20", "1"]))

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from support.exported import built_in
+from support.exports.policies import built_in
 
 from capsyn.explorer.page_data import page_data
 from capsyn.policies.colors import PALETTE
