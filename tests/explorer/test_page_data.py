@@ -3,12 +3,12 @@
 import json
 
 import pytest
-from support.exports.policies import built_in
 
 from capsyn.explorer.page_data import page_data
 from capsyn.policies.colors import PALETTE
 from capsyn.problems import cart_pendulum, cart_pole, double_tank
 from support.explorer.node import BEGIN, node
+from support.exports.policies import built_in
 from support.trees import random_policy
 
 LENGTHS = {
