@@ -40,8 +40,8 @@ compression: optimal induction freedom surface plane_tree oblique coarsening aff
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
 exports: plan constants golden target targets identifiers long_lines sums crossings
-exports.c: language styles.table styles.nested styles.grid readings.single readings.quantiser
-    readings.lines readings.places readings.counts notes dwell code header source project sizes
+exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
+    readings.counts code readings.places readings.quantiser notes dwell header source project sizes
     target
 exports.structured_text: lines block functions source target
 exports.verilog: words ports module tree bench source target

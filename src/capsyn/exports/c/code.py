@@ -17,8 +17,7 @@ from capsyn.exports.c.language import (
     z_type,
 )
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
-from capsyn.exports.c.readings.quantiser import ranked
-from capsyn.exports.c.readings.single import check_single_precision, share_changed
+from capsyn.exports.c.readings.single import check_single_precision, ranked, share_changed
 from capsyn.exports.identifiers import file_name, identifiers, renamed, wanted_name
 from capsyn.exports.plan import Plan
 

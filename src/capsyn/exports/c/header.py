@@ -14,7 +14,7 @@ def header(code: Code) -> str:
     symbols = ",\n".join(f"    {upper}_SYMBOL_{s} = {k}" for k, s in enumerate(code.symbols))
     includes = "#include <stdint.h>" if code.axes else "#include <float.h>\n#include <stdint.h>"
     return f"""{code.about("header")}
-{comment(notes(code.plan, code.arithmetic, code.axes, code.renamed, code.changed))}
+{comment(notes(code))}
 #ifndef {upper}_H
 #define {upper}_H
 

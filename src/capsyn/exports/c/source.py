@@ -7,8 +7,8 @@ from dataclasses import replace
 from capsyn.exports.c import dwell
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import Part, macros, rows
-from capsyn.exports.c.readings.counts import counts_quantiser
-from capsyn.exports.c.readings.quantiser import StateQuantiser
+from capsyn.exports.c.readings.places import counts_quantiser
+from capsyn.exports.c.readings.quantiser import state_quantiser
 from capsyn.exports.c.styles.grid import grid
 from capsyn.exports.c.styles.nested import nearest, nested
 from capsyn.exports.c.styles.table import table
@@ -71,10 +71,7 @@ def _quantiser(code: Code) -> Part:
     places = f"{code.real} y[{n}]" if code.direct else f"{code.integer} z[{n}]"
     static = "" if code.arithmetic == "lattice" else "static "
     opening = f"{static}{p}_status {p}_quantise(const {code.reading} x[{n}], {places})"
-    if code.axes:
-        return counts_quantiser(code.plan, p, opening, code.axes, code.readings)
-    single = code.real == "float"
-    return StateQuantiser(code.plan, p, single, code.direct, code.faces).part(opening)
+    return counts_quantiser(code, opening) if code.axes else state_quantiser(code, opening)
 
 
 def _decide(code: Code) -> str:

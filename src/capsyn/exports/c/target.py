@@ -79,10 +79,9 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
     if code.axes:
         vectors = golden_counts(plan, code.axes, readings)
-        if heavy := heavy_tables(plan, code.axes, readings, f"{code.prefix}_symbol"):
+        if heavy := heavy_tables(code):
             warn(heavy)
-    notes = remarks(code.tree.counts, code.faces, code.axes)
-    return Exported(files, code.renamed, notes, code.changed, vectors)
+    return Exported(files, code.renamed, remarks(code), code.changed, vectors)
 
 
 def measure(files: Files) -> dict[str, Any]:
