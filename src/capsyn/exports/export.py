@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from capsyn.cells.packing import packed_bytes
+from capsyn.compression.complexity import mean_depth
 from capsyn.errors import ProblemError
-from capsyn.exports.certificate import certificate
 from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import Files, Plan
+from capsyn.exports.target import Exported
 from capsyn.exports.targets import TARGETS, load
+from capsyn.policies.file import content_hash
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
@@ -109,11 +113,44 @@ def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) ->
         raise ProblemError(f"`name` must be another: the export has a {file} of its own")
     vectors = (exported.golden or golden).to_csv(plan)
     exported = dataclasses.replace(exported, files=exported.files | {GOLDEN: vectors})
-    costs = certificate(plan, exported, name, vars(chosen))
+    costs = _certificate(plan, exported, name, vars(chosen))
     files = exported.files | {CERTIFICATE: _json(costs)}
     if target.measure is not None:
         files[MEASURED] = _json(target.measure(exported.files))
     return files
+
+
+def _certificate(
+    plan: Plan, exported: Exported, target: str, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what a decision takes at most, as plain data.
+
+    ``comparisons`` is exact, from the tree; the mean is over the volume, and None where splits are
+    oblique. ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
+    ``changed_by_rounding`` is the share of random states whose symbol is another as the target
+    rounds them; None where it rounds to the policy's own lattice, which changes none.
+    """
+    tree = plan.tree
+    return {
+        "header": list(plan.header),
+        "target": target,
+        "options": dict(options),
+        "policy": plan.policy.name,
+        "sha256": content_hash(plan.policy),
+        "nodes": tree.node_count,
+        "comparisons": {"most": tree.depth, "mean": mean_depth(tree)},
+        "planes": len(tree.cells.planes),
+        "lattice": list(tree.cells.counts),
+        "tree_bytes": packed_bytes(tree.cells),
+        "files": {
+            name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+            for name, content in sorted(exported.files.items())
+        },
+        "guarantee": tree.guarantee.text,
+        "changed_by_rounding": exported.changed,
+        "renamed": dict(exported.renamed),
+        "notes": list(exported.notes),
+    }
 
 
 def _json(data: dict[str, Any]) -> bytes:

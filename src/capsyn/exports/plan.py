@@ -63,16 +63,7 @@ class Plan:
         scale: object = None,
         offset: object = None,
     ) -> Plan:
-        """Return the plan of a policy.
-
-        Parameters
-        ----------
-        safe : symbol index or name, optional
-            Default: the policy's own safe symbol where it has one, else the default control.
-        dwell : float, optional
-            Default: the policy's.
-        scale, offset : (n,) or float, optional
-            Default: 1 and 0: readings are states.
+        """Return the plan of a policy; for the arguments see `capsyn.exports.export.export`.
 
         Raises
         ------

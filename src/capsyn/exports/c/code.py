@@ -24,22 +24,11 @@ from capsyn.exports.plan import Plan
 
 @dataclass(frozen=True)
 class Code:
-    """What the files of an export have in common.
+    """What the files of an export have in common, with the options of the target.
 
-    Parameters
-    ----------
-    plan : Plan
-        What is exported.
-    style, arithmetic, readings, tick
-        See the options of the target.
-    prefix, wanted : str
-        What files and functions are called, and what they should have been.
-    tree : SplitTree
-        The tree that is written: over `faces`, where these are looked up.
-    faces : arrays, optional
-        Faces of each axis, in tables of floats.
-    axes : list of CountAxis
-        How counts become steps; none where readings are real numbers.
+    Files and functions are called `prefix`, and should have been called `wanted`. The `tree` is the
+    one that is written: over the `faces` of each axis, where these are looked up in tables of
+    floats. `axes` say how counts become steps; there are none where readings are real numbers.
     """
 
     plan: Plan

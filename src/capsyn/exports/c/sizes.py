@@ -27,25 +27,15 @@ RAM = (".data", ".bss")
 
 
 def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
-    """Return what the code takes at ``-Os``, by processor, of those whose compiler is here.
+    """Return what the code takes at ``-Os``, by processor; `prefix` names header and source.
 
-    Parameters
-    ----------
-    files : dict of bytes by name
-        What `capsyn.exports.c.target.files` gave.
-    prefix : str
-        Name of the header and the source, without their endings.
-
-    Returns
-    -------
-    dict of dict
-        Of each processor ``compiler``: its name and version; ``decision``: code and tables from
-        lattice steps, or from states, to a symbol; ``quantiser``: how much more it takes from
-        states, without the compiler's arithmetic; ``with_library``: what both take with it, where
-        it links [bytes]; ``ram``: static memory [bytes]; ``stack`` and ``stack_from_states``: of
-        the deepest chains of calls, without the compiler's arithmetic [bytes]. Without
-        ``quantiser`` where a processor has no double precision. Processors are left out whose
-        compiler is missing, fails or has not its linker.
+    Of each ``compiler``: its name and version; ``decision``: code and tables from lattice steps, or
+    from states, to a symbol; ``quantiser``: how much more it takes from states, without the
+    compiler's arithmetic; ``with_library``: what both take with it, where it links [bytes];
+    ``ram``: static memory [bytes]; ``stack`` and ``stack_from_states``: of the deepest chains of
+    calls, without the compiler's arithmetic [bytes]. Without ``quantiser`` where a processor has no
+    double precision. Processors are left out whose compiler is missing, fails or has not its
+    linker.
     """
     with ThreadPoolExecutor(len(COMPILERS)) as pool:
         by_compiler = pool.map(

@@ -7,9 +7,8 @@ from typing import Any
 
 from capsyn.errors import ProblemError, warn
 from capsyn.exports.c.code import Code
-from capsyn.exports.c.header import header
+from capsyn.exports.c.header import cmake, example, header
 from capsyn.exports.c.notes import heavy_tables, remarks
-from capsyn.exports.c.project import cmake, example
 from capsyn.exports.c.readings.counts import READINGS, golden_counts
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes

@@ -18,22 +18,11 @@ TABLES = ("splits", "thresholds", "seconds", "planes")
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A function block that decides.
+    """A function block that decides, with its name and those of its variables.
 
-    Parameters
-    ----------
-    plan : Plan
-        What it decides.
-    table : bool
-        Whether a loop walks through the tree as arrays, else IF statements in functions.
-    name : str
-        Its name.
-    readings, states : n strings
-        Names of its inputs, and of the states that these become.
-    controls : m strings
-        Names of the controls.
-    renamed : dict
-        Names that are no identifiers, and what they became.
+    `table` is whether a loop walks through the tree as arrays, else IF statements in functions.
+    `readings` (n) become `states` (n). `renamed` are names that are no identifiers, and what they
+    became.
     """
 
     plan: Plan

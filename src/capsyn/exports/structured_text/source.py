@@ -6,10 +6,10 @@ import textwrap
 
 import numpy as np
 
-from capsyn.exports.long_lines import WIDTH, broken
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE
 from capsyn.exports.structured_text.block import TABLES, Block
 from capsyn.exports.structured_text.lines import condition, declared, real
+from capsyn.exports.text import WIDTH, broken
 
 SHORT = 32767
 """Largest INT; tables with larger numbers are of DINT, which is twice the size."""

@@ -31,24 +31,11 @@ FIXED = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class Module:
-    """A circuit that decides.
+    """A circuit that decides, with its name and those of its inputs (n).
 
-    Parameters
-    ----------
-    plan : Plan
-        What it decides.
-    ports : n Ports, optional
-        Of fixed-point inputs. None: inputs are lattice steps.
-    clock : int
-        Default frequency of its clock [Hz].
-    name : str
-        Its name.
-    inputs : n strings
-        Names of the inputs.
-    renamed : dict
-        Names that are no identifiers, and what they became.
-    stages, levels : int
-        Stages of the pipeline, 0 for none, and the levels of the tree in each.
+    `ports` (n) are those of fixed-point inputs; None: inputs are lattice steps. `clock` is the
+    default frequency [Hz]. `renamed` are names that are no identifiers, and what they became. Each
+    of the `stages` of the pipeline, 0 for none, has so many `levels` of the tree.
     """
 
     plan: Plan

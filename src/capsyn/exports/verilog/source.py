@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from decimal import Decimal
 
 from capsyn.errors import ProblemError
-from capsyn.exports.long_lines import broken
+from capsyn.exports.text import broken
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import Port, fold, width_of
 from capsyn.exports.verilog.tree import TreeCircuit

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from capsyn.cells.split_tree import LEAF, SplitTree
-from capsyn.exports.long_lines import broken
-from capsyn.exports.sums import signed_sum
+from capsyn.exports.text import broken, signed_sum
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import width_of
 from capsyn.exports.verilog.words import signed

@@ -24,18 +24,11 @@ WINDOW_BITS = {2: 9, 3: 17, 4: 25, 8: 57}
 
 @dataclass(frozen=True)
 class Layout:
-    """How the nodes of a tree are written.
+    """How the nodes of a tree are written: those above depth `skips` carry a skip.
 
-    Parameters
-    ----------
-    skips : int
-        Nodes above this depth carry a skip.
-    axis, threshold, label, skip : int
-        Bits of the fields; of the row of a plane in ``threshold``.
-    sizes : (K,)
-        Bits of the first subtree of each inner node.
-    cuts : tuple of (split, threshold), optional
-        Rows of the table of planes, where the tree has oblique splits.
+    `axis`, `threshold` (or the row of a plane), `label` and `skip` are bits of the fields; `sizes`
+    (K,) those of the first subtree of each inner node. `cuts`, pairs of a split and a threshold,
+    are the rows of the table of planes, where the tree has oblique splits.
     """
 
     skips: int
