@@ -114,11 +114,6 @@ class Module:
         """Whether it has a clock."""
         return self.stages > 0 or self.dwell
 
-    @property
-    def latency(self) -> int:
-        """Clocks from a state to its symbol."""
-        return (self.stages + 1 if self.stages else 0) + self.dwell
-
     @functools.cached_property
     def changed(self) -> float | None:
         """Share of states whose symbol the rounding of the ports changes; None without any."""

@@ -104,14 +104,8 @@ class Port:
         return (-1 - inner if self.negative else inner) * 2.0**-self.fraction
 
 
-def fixed_ports(
-    plan: Plan, bits: tuple[int | None, ...], fraction: tuple[int | None, ...]
-) -> tuple[Port, ...]:
-    """Return the ports of the states; `ProblemError` where steps fall together or do not fit."""
-    return tuple(_port(plan, i, bits[i], fraction[i]) for i in range(plan.n))
-
-
-def _port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port:
+def fixed_port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port:
+    """Return the port of a state; `ProblemError` where its steps fall together or do not fit."""
     domain, count = plan.policy.domain, plan.tree.cells.counts[axis]
     name, periodic = domain.names[axis], domain.periodic[axis]
     scale, offset = float(plan.scale[axis]), float(plan.offset[axis])

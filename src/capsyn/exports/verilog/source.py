@@ -10,7 +10,7 @@ from capsyn.errors import ProblemError
 from capsyn.exports.text import broken
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import Port, fold, width_of
-from capsyn.exports.verilog.tree import TreeCircuit
+from capsyn.exports.verilog.tree import combinational, pipelined
 from capsyn.exports.verilog.words import comment, signed
 
 UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
@@ -32,8 +32,7 @@ def source(module: Module, about: Sequence[str]) -> list[str]:
             lines.append(f"    wire unused_{i} = &{{1'b0, {module.inputs[i]}}};")
     if module.ports:
         lines += _outside(module)
-    circuit = TreeCircuit(module)
-    lines += circuit.pipelined(used) if module.stages else circuit.combinational()
+    lines += pipelined(module, used) if module.stages else combinational(module)
     lines += _end(module)
     return [*lines, "endmodule", "", "`default_nettype wire"]
 
@@ -67,7 +66,8 @@ def _about(module: Module) -> Iterator[str]:
     if not module.clocked:
         yield "A circuit without a clock or registers."
     else:
-        yield f"Latency {module.latency} clocks; one state a clock."
+        latency = (module.stages + 1 if module.stages else 0) + module.dwell
+        yield f"Latency {latency} clocks; one state a clock."
 
 
 def _bounds(module: Module, port: Port) -> str:
@@ -79,10 +79,9 @@ def _interface(module: Module) -> list[str]:
     lines = [f"module {module.name}"]
     if module.dwell:
         exact = Decimal(f"{module.plan.dwell:.12g}")  # 0.1 * 3 is 0.3
-        units = [k for k in UNITS.values() if exact * k == int(exact * k)]
-        unit = units[0] if units else UNITS["ns"]
+        fits = ((name, k) for name, k in UNITS.items() if exact * k == int(exact * k))
+        label, unit = next(fits, ("ns", UNITS["ns"]))
         amount = math.ceil(exact * unit)
-        label = next(k for k, v in UNITS.items() if v == unit)
         if amount * module.clock // unit >= 2**63:
             raise ProblemError(
                 f"`dwell` must be less than 2^63 clocks of {module.clock} Hz; got {exact} s"

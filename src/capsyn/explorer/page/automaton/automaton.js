@@ -10,24 +10,10 @@ import { makeWords } from "./words.js";
 const MOST_OFF = 10;
 
 /**
- * @typedef {object} Graph  The picture of the automaton. Labels are symbols, the default's last.
- * @property {App} app  see `../state/app.js`
- * @property {HTMLElement} root
- * @property {HTMLElement} caption  what is told below
- * @property {object} layout  see `placed`
- * @property {object} words  see `makeWords`
- * @property {object} taken  see `makeTaken`
- * @property {function} symbolOf  the symbol of a label
- * @property {object[]} circles  see `vertexShape`
- * @property {object[]} arrows  see `edgeShape`; `count` is how often it has been taken so far
- * @property {?number} shown  the label whose edges alone are shown
- */
-
-/**
  * Return the graph of the finite state machine: {draw, sweep, taken}. An edge shows the cells of
  * the region that is its guard, and how often the active trajectory has taken it so far; where
  * there is no room, cells and stays stand beside the symbol. A symbol that is pointed at, or has
- * the focus, shows its edges alone, and tells them in words.
+ * the focus, shows its edges alone, and tells them in words. Labels are symbols, the default's last.
  */
 export function makeAutomaton(app) {
   const { data } = app, last = data.controls.length - 1, words = makeWords(data);

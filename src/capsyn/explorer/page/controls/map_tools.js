@@ -1,6 +1,5 @@
-import { byId, element } from "../dom/elements.js";
+import { byId, element, labelled } from "../dom/elements.js";
 import { changed, outline, showAll, zoom } from "../state/changes.js";
-import { labelled } from "./fields.js";
 import { makeSlices } from "./slices.js";
 
 /** Time between the levels of a replay [ms]. */

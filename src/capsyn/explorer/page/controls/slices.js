@@ -1,7 +1,6 @@
-import { byId, element } from "../dom/elements.js";
+import { byId, element, labelled } from "../dom/elements.js";
 import { short, withUnit } from "../dom/text.js";
 import { changed, moved } from "../state/changes.js";
-import { labelled } from "./fields.js";
 
 /** Return sliders for the states that are not in the plane of the map: {sync, follows}. */
 export function makeSlices(app) {

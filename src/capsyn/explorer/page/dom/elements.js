@@ -18,5 +18,10 @@ function fill(node, attributes, children) {
   return node;
 }
 
+/** Return a control with its name. */
+export function labelled(text, control, ...more) {
+  return element("label", {}, element("span", { title: text }, text), control, ...more);
+}
+
 /** Return the element of an id. */
 export const byId = id => document.getElementById(id);

@@ -1,3 +1,4 @@
+import { disc, write } from "../dom/canvas.js";
 import { readable } from "../dom/colors.js";
 import { progress, symbolAt } from "../state/tracks.js";
 import { toPixels, within } from "./frame.js";
@@ -46,26 +47,12 @@ export function drawEnds(context, { app, frame }, track) {
   const { theme, view } = app, color = theme.track(track.color), now = progress(app, track);
   const start = toPixels(frame, view.place(track.states[0]));
   if (within(frame, start)) {
-    drawDisc(context, start, 8.5, color, theme.halo, 2);
-    context.fillStyle = readable(color);
-    context.font = "600 11px system-ui, sans-serif";
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    context.fillText(String(track.number), start[0], start[1] + 0.5);
+    disc(context, color, start, 8.5, theme.halo, 2);
+    write(context, String(track.number), [start[0], start[1] + 0.5], readable(color), "600 11");
   }
   const here = toPixels(frame, view.place(track.states[now]));
   if (now === 0 || !within(frame, here)) return;
-  drawDisc(context, here, 6, theme.color(symbolAt(track, now)), color, 2.5);
-}
-
-function drawDisc(context, [x, y], radius, color, edge, width) {
-  context.beginPath();
-  context.arc(x, y, radius, 0, 2 * Math.PI);
-  context.fillStyle = color;
-  context.fill();
-  context.strokeStyle = edge;
-  context.lineWidth = width;
-  context.stroke();
+  disc(context, theme.color(symbolAt(track, now)), here, 6, color, 2.5);
 }
 
 /** The state that is pointed at, and its cell. */

@@ -1,17 +1,10 @@
 import { withUnit } from "../dom/text.js";
 
 /**
- * @typedef {object} Row  A plot of the time series.
- * @property {"state"|"input"|"symbols"|"cost"} kind
- * @property {string} name
- * @property {function} [value]  value(track, k) of a curve at sample k
- * @property {function} [paint]  paint(plot) of what is no curve
- * @property {number[]} [values]  what an input may be, ascending, for its ticks
- * @property {number[]} [all]  what an input may be, with the default control
- * @property {function} [of]  of(symbol) of an input
+ * Return the rows of a policy: its states, its inputs, the symbols and the cost. A curve has
+ * `value(track, k)` at sample k, others `paint(plot)`; an input has the `values` that it may have,
+ * ascending, for its ticks, `all` with the default control, and `of(symbol)`.
  */
-
-/** Return the rows of a policy: its states, its inputs, the symbols and the cost. */
 export function rowsOf({ domain, alphabet, controls }, strips) {
   return [
     ...domain.names.map((name, i) => ({

@@ -6,18 +6,6 @@ import { rowsOf } from "./rows.js";
 import { makeStrips } from "./strips.js";
 
 /**
- * @typedef {object} Series  The time series of the tracks.
- * @property {App} app  see `../state/app.js`
- * @property {HTMLElement} root
- * @property {object} strips  see `makeStrips`
- * @property {Row[]} rows  see `rows.js`
- * @property {object} sync  what the plots' cursors share
- * @property {uPlot[]} plots  with {row, now, note}: its row, the line of the present, a text
- * @property {string} built  what they were built for
- * @property {number} width  of the root [CSS pixels]
- */
-
-/**
  * Return the time series of the tracks: {show, sweep, shown}. `show` takes the tracks and the theme
  * as they are now, `sweep` moves the line of the present, `shown` tells what is drawn.
  */

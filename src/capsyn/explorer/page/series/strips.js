@@ -1,3 +1,4 @@
+import { write } from "../dom/canvas.js";
 import { longest, ordered } from "../state/tracks.js";
 import { pieces } from "./pieces.js";
 
@@ -81,11 +82,8 @@ function paintSymbols(app, plot, piecesOf) {
     const top = bbox.top + place * row + scale, height = row - 2 * scale;
     paintBand(plot, track, piecesOf(track, plot), { top, height, theme: app.theme });
     if (app.tracks.length < 2) return;
-    ctx.fillStyle = app.theme.track(track.color);
-    ctx.font = `600 ${11 * scale}px system-ui, sans-serif`;
-    ctx.textAlign = "right";
-    ctx.textBaseline = "middle";
-    ctx.fillText(String(track.number), bbox.left - 5 * scale, top + height / 2);
+    const at = [bbox.left - 5 * scale, top + height / 2], color = app.theme.track(track.color);
+    write(ctx, String(track.number), at, color, `600 ${11 * scale}`, "right");
   });
   ctx.restore();
 }

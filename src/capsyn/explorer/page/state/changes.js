@@ -1,6 +1,5 @@
 import { byId } from "../dom/elements.js";
 import { paintSwatches } from "./swatches.js";
-import { reread } from "./pointing.js";
 import { progress } from "./tracks.js";
 
 /** Show everything anew: the plane, the level or the outlines have changed. */
@@ -74,4 +73,27 @@ export function outline(app, wanted) {
 export function showAll(app) {
   app.view.reset();
   changed(app);
+}
+
+/** Point at a state, or at none. */
+export function point(app, state) {
+  app.pointed = state ? read(app, state) : null;
+  app.parts.readout.draw();
+  app.soon("sweep", () => app.parts.map.sweep());
+}
+
+/** Read the place that is pointed at again: the plane or the other states have changed. */
+function reread(app) {
+  const { view, pointed, parts } = app;
+  if (pointed) app.pointed = read(app, view.state(...view.place(pointed.state)));
+  parts.readout.draw();
+}
+
+function read({ lookup, view }, state) {
+  const cell = lookup.cell(state);
+  if (cell && cell.lower) {
+    const turned = (edge, i) => edge + state[i] - view.wrapped(state[i], i);
+    Object.assign(cell, { lower: cell.lower.map(turned), upper: cell.upper.map(turned) });
+  }
+  return { state, cell, ...lookup.symbol(state) };
 }

@@ -20,13 +20,7 @@ def counts_quantiser(code: Code, opening: str) -> Part:
     wide = any(not -(1 << 15) <= entry < 1 << 15 for table in tables.values() for entry in table)
     kind = "INT32" if wide else "INT16"
     lines = [axis.line for axis in axes if axis.line and axis.top]
-    text = ""
-    if any(axis.line and axis.top and not axis.turn for axis in axes):
-        text += _placed(prefix)
-    if any(axis.turn & (axis.turn - 1) for axis in axes if axis.turn):
-        text += _turned(prefix)
-    if any(axis.turn and not axis.turn & (axis.turn - 1) for axis in axes):
-        text += _masked(prefix)
+    text = _to_places(prefix, axes)
     for form in sorted({(line.wide, line.last > 0) for line in lines}):
         text += _line_step(prefix, integer, *form)
     if any(line.listed for line in lines):
@@ -106,9 +100,11 @@ def _step(prefix: str, i: int, axis: CountAxis, place: str, integer: str) -> str
     return f"({integer})({step})" if line.listed else step
 
 
-def _placed(prefix: str) -> str:
-    """Return the function that brings counts within the places of an axis."""
-    return f"""
+def _to_places(prefix: str, axes: list[CountAxis]) -> str:
+    """Return the functions that bring counts within the places of an axis, or into a turn."""
+    text = ""
+    if any(axis.line and axis.top and not axis.turn for axis in axes):
+        text += f"""
 /* Return how far a count is behind the first; of counts beyond either end those at the end. */
 static int32_t {prefix}_place(int32_t count, int32_t first, int32_t last)
 {{
@@ -123,11 +119,8 @@ static int32_t {prefix}_place(int32_t count, int32_t first, int32_t last)
     return place;
 }}
 """
-
-
-def _turned(prefix: str) -> str:
-    """Return the function that brings counts into a turn."""
-    return f"""
+    if any(axis.turn & (axis.turn - 1) for axis in axes if axis.turn):
+        text += f"""
 /* Return how far a count is behind the first, in its turn. */
 static int32_t {prefix}_turned(int32_t count, int32_t first, int32_t turn)
 {{
@@ -142,11 +135,8 @@ static int32_t {prefix}_turned(int32_t count, int32_t first, int32_t turn)
     return place;
 }}
 """
-
-
-def _masked(prefix: str) -> str:
-    """Return the function that brings counts into a turn of 2^k counts."""
-    return f"""
+    if any(axis.turn and not axis.turn & (axis.turn - 1) for axis in axes):
+        text += f"""
 /* Return how far a count is behind the first, in its turn of 2^k counts. */
 static int32_t {prefix}_masked(int32_t count, uint32_t first, uint32_t mask)
 {{
@@ -154,6 +144,7 @@ static int32_t {prefix}_masked(int32_t count, uint32_t first, uint32_t mask)
     return (int32_t)place;
 }}
 """
+    return text
 
 
 def _line_name(wide: bool, held: bool) -> str:

@@ -69,15 +69,28 @@ def _wraps(code: Code, i: int) -> bool:
 def _functions(code: Code) -> str:
     """Return the functions that it calls."""
     domain, counts = code.plan.policy.domain, code.tree.counts
-    text = _finite(code.prefix, code.real)
+    prefix, real, most = code.prefix, code.real, "FLT_MAX" if code.real == "float" else "DBL_MAX"
+    text = f"""
+static bool {prefix}_finite({real} x)
+{{
+    return (x >= -{most}) && (x <= {most});
+}}
+"""
     if code.plan.folded:
-        text += _scaled(code.prefix, code.real)
+        text += f"""
+/* Return the state of a reading; volatile: rounded before the sum. */
+static {real} {prefix}_scaled({real} reading, {real} scale, {real} offset)
+{{
+    const volatile {real} part = reading * scale;
+    return part + offset;
+}}
+"""
     if any(_wraps(code, i) for i in range(code.plan.n)):
-        text += _wrap(code.prefix, code.real)
+        text += _wrap(prefix, real)
     if code.faces is not None:
-        text += _rank(code.prefix, max(map(len, code.faces)) + 1)
+        text += _rank(prefix, max(map(len, code.faces)) + 1)
     elif not code.direct:
-        text += _step(code.prefix, code.integer, margin(domain, counts))
+        text += _step(prefix, code.integer, margin(domain, counts))
     return text
 
 
@@ -130,27 +143,6 @@ def _place(code: Code, i: int) -> Iterator[str]:
         yield f"        z[{i}] = {step}({state}, faces{i}, {len(code.faces[i]) + 1});"
     else:
         yield f"        z[{i}] = 0;"
-
-
-def _finite(prefix: str, real: str) -> str:
-    most = "FLT_MAX" if real == "float" else "DBL_MAX"
-    return f"""
-static bool {prefix}_finite({real} x)
-{{
-    return (x >= -{most}) && (x <= {most});
-}}
-"""
-
-
-def _scaled(prefix: str, real: str) -> str:
-    return f"""
-/* Return the state of a reading; volatile: rounded before the sum. */
-static {real} {prefix}_scaled({real} reading, {real} scale, {real} offset)
-{{
-    const volatile {real} part = reading * scale;
-    return part + offset;
-}}
-"""
 
 
 def _wrap(prefix: str, real: str) -> str:
