@@ -106,7 +106,6 @@ def _apply(
     parts: Sequence[Expression],
     settled: Callable[[Expression], Expression],
 ) -> Expression:
-    """Return an operation on expressions."""
     if operation == "select":
         return ("select", settled(parts[0]), settled(parts[1]))
     if operation == "add" and parts[0][0] == parts[1][0] == "select":

@@ -21,7 +21,6 @@ TOLD_FACES = 4096
 
 
 def _count_lines(axes: list[CountAxis]) -> list[str]:
-    """Return a line about each axis of counts."""
     lines = []
     for i, axis in enumerate(axes):
         line = f"Readings are counts r; the step of axis {i} is {axis.text}."

@@ -33,7 +33,6 @@ def source(code: Code) -> str:
 
 
 def _controls(code: Code) -> str:
-    """Return the table of controls."""
     p, upper = code.prefix, code.prefix.upper()
     entries = [
         "{" + ", ".join(code.literal(v) for v in row) + "}" for row in code.plan.policy.controls
@@ -75,7 +74,6 @@ def _quantiser(code: Code) -> Part:
 
 
 def _decide(code: Code) -> str:
-    """Return the function that gives the symbol of states."""
     plan, p, upper = code.plan, code.prefix, code.prefix.upper()
     if plan.nearest:
         known = f"*status != {upper}_NOT_FINITE"
@@ -101,7 +99,6 @@ int16_t {p}_decide(const {code.reading} x[{plan.n}], {p}_status *status)
 
 
 def _step(code: Code) -> str:
-    """Return the function that gives the symbol of states, dwell time allowing."""
     p, n = code.prefix, code.plan.n
     return f"""
 int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,

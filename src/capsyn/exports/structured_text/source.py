@@ -61,7 +61,6 @@ def _raw(block: Block) -> list[bool]:
 
 
 def _arrays(block: Block) -> dict[str, np.ndarray]:
-    """Return the tables by name."""
     tree = block.plan.tree.cells
     arrays = [tree.split, tree.threshold, tree.second]
     return dict(zip(TABLES, arrays + [tree.planes.ravel()] * bool(len(tree.planes))))
@@ -197,5 +196,4 @@ def _dwelling(block: Block) -> list[str]:
 
 
 def _wide(values: np.ndarray) -> bool:
-    """Return whether numbers need more than 16 bits."""
     return bool(np.abs(values.astype(np.int64)).max() > SHORT)

@@ -121,7 +121,6 @@ class Module:
 
 
 def _stages(pipeline: bool | int, depth: int) -> int:
-    """Return the stages that are asked for a tree of some levels."""
     if pipeline is True:
         return math.ceil(depth / STAGE_LEVELS)
     stages = 0 if pipeline is False else whole_number("pipeline", pipeline, least=1, most=1000)

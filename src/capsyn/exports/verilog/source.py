@@ -38,7 +38,6 @@ def source(module: Module, about: Sequence[str]) -> list[str]:
 
 
 def _about(module: Module) -> Iterator[str]:
-    """Yield what the ports mean."""
     plan, domain = module.plan, module.plan.policy.domain
     if module.renamed:
         yield from (f"Renamed: {old!r} is {new}" for old, new in module.renamed.items())

@@ -1,5 +1,5 @@
 import { byId, element, labelled } from "../dom/elements.js";
-import { changed, outline, showAll, zoom } from "../state/changes.js";
+import { look, zoom } from "../state/changes.js";
 import { makeSlices } from "./slices.js";
 
 /** Time between the levels of a replay [ms]. */
@@ -14,7 +14,7 @@ export function makeMapTools(app) {
   const axes = makeAxes(app), levels = makeLevels(app), slices = makeSlices(app);
   const outlines = element("input", {
     id: "outlines", type: "checkbox", checked: view.outlines,
-    onchange: () => outline(app, outlines.checked),
+    onchange: () => look(app, () => (view.outlines = outlines.checked)),
   });
   byId("map-tools").append(...[
     several && labelled("across", axes.pickers[0]),
@@ -26,7 +26,7 @@ export function makeMapTools(app) {
   byId("zoom").append(
     button("+", "Zoom in", () => zoom(app, 0.7)),
     button("−", "Zoom out", () => zoom(app, 1 / 0.7)),
-    button("⤢", "Show all", () => showAll(app)),
+    button("⤢", "Show all", () => look(app, () => view.reset())),
   );
 
   function sync() {
@@ -49,10 +49,7 @@ function makeAxes(app) {
   const { data, view } = app;
   const picker = side => element("select", {
     id: ["axis-x", "axis-y"][side],
-    onchange: event => {
-      view.choose(side, Number(event.target.value));
-      changed(app);
-    },
+    onchange: event => look(app, () => view.choose(side, Number(event.target.value))),
   }, data.domain.names.map((name, i) => element("option", { value: i }, name)));
   const pickers = [picker(0), picker(1)];
   const sync = () => pickers.forEach((select, side) => (select.value = String(view.axes[side])));
@@ -73,8 +70,7 @@ function makeLevels(app) {
 
   function show(value) {
     clearTimeout(timer);
-    view.level = Math.min(Math.max(value, 0), lookup.levels);
-    changed(app);
+    look(app, () => (view.level = Math.min(Math.max(value, 0), lookup.levels)));
   }
 
   function play(value) {

@@ -19,7 +19,6 @@ export function cleared(canvas, scale) {
   return context;
 }
 
-/** Draw a line through points. */
 export function stroke(context, color, width, ...points) {
   context.beginPath();
   points.forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));

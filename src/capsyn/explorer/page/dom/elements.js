@@ -23,5 +23,4 @@ export function labelled(text, control, ...more) {
   return element("label", {}, element("span", { title: text }, text), control, ...more);
 }
 
-/** Return the element of an id. */
 export const byId = id => document.getElementById(id);

@@ -22,7 +22,6 @@ export function pendulum(context, size, theme, { state, control, color, stronges
   cart(context, size, theme, { ...setting, angle: state[0], push: control[0] / strongest, color });
 }
 
-/** The cart where it is on its rails. */
 export function cartPole(context, size, theme, { state, control, color, strongest, data }) {
   const [low, high] = [data.domain.lower[0], data.domain.upper[0]], pole = data.drawn_length;
   const reach = Math.max(high - low, 2.2 * Math.abs(state[0] - (low + high) / 2));

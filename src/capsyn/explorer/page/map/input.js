@@ -1,4 +1,4 @@
-import { changed, point, showAll, zoom } from "../state/changes.js";
+import { changed, look, point, zoom } from "../state/changes.js";
 import { move, start } from "../state/trajectories.js";
 import { isIn, nearest, toPixels, toShares } from "./frame.js";
 
@@ -62,8 +62,7 @@ function drag({ app, frame }, held, at) {
     return;
   }
   const [left, up] = [(held.at[0] - at[0]) / frame.width, (at[1] - held.at[1]) / frame.height];
-  app.view.move([left, up], held.bounds);
-  changed(app);
+  look(app, view => view.move([left, up], held.bounds));
 }
 
 function turn(map, event) {
@@ -81,14 +80,13 @@ function turn(map, event) {
 const FINE = 1 / 200, COARSE = 1 / 40;
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
-/** What keys do at a state. */
 const KEYS = {
   Enter: start,
   "+": (app, state) => zoom(app, 0.8, state),
   "=": (app, state) => zoom(app, 0.8, state),
   "-": (app, state) => zoom(app, 1.25, state),
   _: (app, state) => zoom(app, 1.25, state),
-  0: showAll,
+  0: app => look(app, view => view.reset()),
   Escape: app => point(app, null),
 };
 

@@ -55,7 +55,6 @@ export function drawEnds(context, { app, frame }, track) {
   disc(context, theme.color(symbolAt(track, now)), here, 6, color, 2.5);
 }
 
-/** The state that is pointed at, and its cell. */
 export function drawPointer(context, { app, frame }) {
   const { theme, view, pointed } = app;
   if (!pointed) return;

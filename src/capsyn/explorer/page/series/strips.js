@@ -34,7 +34,6 @@ export function makeStrips(app) {
   };
 }
 
-/** An input of each track. */
 function paintInputs(app, i, plot, piecesOf) {
   const { ctx } = plot, scale = scaleOf(plot), most = app.tracks.length - 1;
   ctx.save();

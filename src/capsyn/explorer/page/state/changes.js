@@ -11,7 +11,6 @@ export function changed(app) {
   drawSoon(app);
 }
 
-/** Draw the map before the next frame. */
 export function drawSoon({ soon, parts }) {
   soon("map", () => parts.map.draw());
 }
@@ -40,7 +39,6 @@ export function showTracks({ parts }) {
   parts.bar?.sync();
 }
 
-/** Show everything in the colours of the theme. */
 export function restyle(app) {
   const { theme, parts } = app;
   byId("theme").textContent = theme.mode === "dark" ? "Light" : "Dark";
@@ -53,8 +51,7 @@ export function restyle(app) {
 
 /** Zoom by a factor about a state: what is pointed at, or the middle, unless given. */
 export function zoom(app, factor, state = app.pointed?.state ?? app.view.state(0.5, 0.5)) {
-  app.view.zoom(factor, state);
-  changed(app);
+  look(app, view => view.zoom(factor, state));
 }
 
 /** Fade all symbols but one on the map; none for null. */
@@ -63,15 +60,9 @@ export function showOnly(app, symbol) {
   drawSoon(app);
 }
 
-/** Outline the cells on the map, or not. */
-export function outline(app, wanted) {
-  app.view.outlines = wanted;
-  changed(app);
-}
-
-/** Show all of the plane. */
-export function showAll(app) {
-  app.view.reset();
+/** Change the view, and show everything anew. */
+export function look(app, change) {
+  change(app.view);
   changed(app);
 }
 

@@ -44,14 +44,12 @@ export function rerun(app) {
   else again(app, app.active.start);
 }
 
-/** Make a track the active one. */
 export function choose(app, track) {
   app.active = track;
   showTracks(app);
   moved(app);
 }
 
-/** Remove a track. */
 export function drop(app, track) {
   app.tracks = app.tracks.filter(other => other !== track);
   if (app.active === track) app.active = app.tracks.at(-1) ?? null;

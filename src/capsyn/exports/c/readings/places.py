@@ -56,7 +56,6 @@ def counts_quantiser(code: Code, opening: str) -> Part:
 
 
 def _tables(i: int, axis: CountAxis) -> list[tuple[str, list[int]]]:
-    """Return the tables of an axis and their names."""
     if axis.line is None:
         tables = [(f"counts{i}", axis.changes)]
     else:
@@ -69,7 +68,6 @@ def _literal(value: int) -> str:
 
 
 def _place_of(prefix: str, i: int, axis: CountAxis) -> str:
-    """Return the expression of what the step of ``r<i>`` is found from."""
     if axis.turn & (axis.turn - 1):
         return f"{prefix}_turned(r{i}, {axis.first}, {axis.turn})"
     if axis.turn:
@@ -80,7 +78,6 @@ def _place_of(prefix: str, i: int, axis: CountAxis) -> str:
 
 
 def _step(prefix: str, i: int, axis: CountAxis, place: str, integer: str) -> str:
-    """Return the expression of the step at a place."""
     line = axis.line
     if not len(axis.changes):
         return "0"
@@ -153,7 +150,6 @@ def _line_name(wide: bool, held: bool) -> str:
 
 
 def _line_step(prefix: str, integer: str, wide: bool, held: bool) -> str:
-    """Return the function of a line; see `capsyn.exports.c.readings.lines.Line`."""
     word = "uint64_t" if wide else "uint32_t"
     opening = f"static {integer} {prefix}_{_line_name(wide, held)}(int32_t place, uint32_t factor,"
     if not held:
@@ -183,7 +179,6 @@ def _line_step(prefix: str, integer: str, wide: bool, held: bool) -> str:
 
 
 def _listed(prefix: str, integer: str, kind: str) -> str:
-    """Return the function that looks a count up in a list."""
     return f"""
 /* Return 1 where a list holds a count, else 0. */
 static {integer} {prefix}_axis_listed(int32_t count, const {kind.lower()}_t listed[],
@@ -196,7 +191,6 @@ static {integer} {prefix}_axis_listed(int32_t count, const {kind.lower()}_t list
 
 
 def _table_step(prefix: str, integer: str, kind: str) -> str:
-    """Return the function that finds a step in a table of changes."""
     return f"""
 /* Return how many steps begin at a count or before it. */
 static {integer} {prefix}_axis_rank(int32_t count, const {kind.lower()}_t begins[],

@@ -67,7 +67,6 @@ def _wraps(code: Code, i: int) -> bool:
 
 
 def _functions(code: Code) -> str:
-    """Return the functions that it calls."""
     domain, counts = code.plan.policy.domain, code.tree.counts
     prefix, real, most = code.prefix, code.real, "FLT_MAX" if code.real == "float" else "DBL_MAX"
     text = f"""
@@ -95,7 +94,6 @@ static {real} {prefix}_scaled({real} reading, {real} scale, {real} offset)
 
 
 def _declarations(code: Code) -> list[str]:
-    """Return the declarations of the states, and of the faces of each axis."""
     lines = [f"    const {code.real} x{i} = {_state(code, i)};" for i in range(code.plan.n)]
     for i, values in enumerate(code.faces or ()):
         if len(values):

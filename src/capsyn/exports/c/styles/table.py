@@ -188,7 +188,6 @@ def table(tree: SplitTree, prefix: str, opening: str) -> Part:
 
 
 def _window(data: bytes, size: int, word: str, place: str, prefix: str) -> str:
-    """Return the function that reads a window."""
     more = "".join(
         f"    window |= ({word})(({word})CAPSYN_BYTE(&{prefix}_bits[byte + {i}u]) << {8 * i}u);\n"
         for i in range(1, size)
@@ -208,7 +207,6 @@ static {word} {prefix}_window({place} at)
 
 
 def _planes(tree: SplitTree, form: Layout, prefix: str) -> tuple[str, set[str]]:
-    """Return the function that compares with a row of the table of planes."""
     unit = np.eye(tree.n, dtype=np.int64)
     planes = [unit[s] if s < tree.n else tree.planes[s - tree.n] for s, _ in form.cuts]
     kind = "INT16" if max(int(abs(plane).max()) for plane in planes) < 1 << 15 else "INT32"
