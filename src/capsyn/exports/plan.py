@@ -16,6 +16,7 @@ from capsyn.policies.policy import DecisionTree, Policy
 from capsyn.validation import describe, finite_array, finite_number, numbers
 from capsyn.version import __version__
 
+_tree_of = functools.lru_cache(maxsize=1)(tree_of)  # kept for the next target
 Files = dict[str, bytes]
 """Contents of files by name."""
 OK, OUTSIDE, NOT_FINITE = 0, 1, 2
@@ -204,12 +205,6 @@ def _check_readings(
             f"`scale` and `offset` must keep the {counts[i]:,} lattice steps of axis "
             f"'{domain.names[i]}' apart in double precision; got {scale[i]:g} and {offset[i]:g}"
         )
-
-
-@functools.lru_cache(maxsize=1)
-def _tree_of(policy: Policy) -> DecisionTree:
-    """Return the tree of a policy; kept for the next target."""
-    return tree_of(policy)
 
 
 def _symbol(safe: object, alphabet: Alphabet) -> int:

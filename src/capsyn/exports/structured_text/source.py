@@ -86,11 +86,6 @@ def _tables(block: Block) -> list[str]:
     return lines
 
 
-def _label(block: Block) -> str:
-    wide = block.plan.tree.cells.threshold.max() > SHORT
-    return "DINT_TO_INT(thresholds[node])" if wide else "thresholds[node]"
-
-
 def body(block: Block) -> list[str]:
     """Return the statements of the block."""
     plan, domain, lines = block.plan, block.plan.policy.domain, []
@@ -152,7 +147,9 @@ def _decision(block: Block) -> list[str]:
         lines.append("    value := z[axis];")
     lines += ["    IF value >= thresholds[node] THEN", "        node := seconds[node];"]
     lines += ["    ELSE", "        node := node + 1;", "    END_IF;"]
-    lines += ["    axis := splits[node];", "END_WHILE;", f"wanted := {_label(block)};"]
+    wide = tree.threshold.max() > SHORT
+    label = "DINT_TO_INT(thresholds[node])" if wide else "thresholds[node]"
+    lines += ["    axis := splits[node];", "END_WHILE;", f"wanted := {label};"]
     return lines + _gap(block)
 
 
