@@ -23,30 +23,15 @@ DRAWINGS: dict[str, tuple[tuple[str, ...], int, float]] = {
 }
 """Drawings that the page has: the states that they are of, how many inputs they show, and how long
 their poles are, or how high the upper tank is above the lower [m]."""
-DRAWN = {
-    "cart-pendulum": "pendulum",
-    "cart-pendulum-4": "pendulum",
-    "cart-pole": "cart-pole",
-    "double-tank-a": "double-tank",
-    "double-tank-b": "double-tank",
-}
+DRAWN = {"cart-pendulum": "pendulum", "cart-pendulum-4": "pendulum", "cart-pole": "cart-pole"}
+DRAWN |= dict.fromkeys(["double-tank-a", "double-tank-b"], "double-tank")
 """The drawings of the built-in problems."""
 
 
 def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
     """Return what the page of a policy shows and computes with: `policy_data` and more.
 
-    Parameters
-    ----------
-    policy : Policy
-        The policy, or decision tree.
-    drawing : str, optional
-        One of `DRAWINGS`, or ``"none"``. Default: that of the built-in problem of this name.
-
-    Raises
-    ------
-    ProblemError
-        A drawing of other states, or none of that name.
+    For the drawing, of which `ProblemError` tells if it does not fit, see `explore`.
     """
     figures, drawn = report(policy), _drawing(policy, drawing)
     return policy_data(policy) | {

@@ -157,10 +157,7 @@ class Plan:
             for i, (scale, offset) in enumerate(pairs):
                 sign = "-" if offset < 0 else "+"
                 lines.append(f"State {i} = {scale!r} * reading {sign} {abs(offset)!r}")
-        inputs = [
-            name + (f" [{unit}]" if unit else "")
-            for name, unit in zip(policy.alphabet.inputs, policy.alphabet.units)
-        ]
+        inputs = map(with_unit, policy.alphabet.inputs, policy.alphabet.units)
         lines.append(f"Inputs: {', '.join(inputs)}")
         for k, name in enumerate(self.symbol_names):
             value = ", ".join(f"{v!r}" for v in policy.controls[k].tolist())
@@ -187,6 +184,11 @@ class Plan:
         lines.append(f"Tree: {self.tree.node_count} nodes; {self.tree.guarantee.text}.")
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
         return tuple(lines)
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit in brackets, if it has one."""
+    return f"{name} [{unit}]" if unit else name
 
 
 def _check_readings(

@@ -8,14 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.cells.split_tree import SplitTree
-from capsyn.exports.c.language import (
-    LONGEST_PREFIX,
-    RESERVED,
-    comment,
-    double_literal,
-    float_literal,
-    z_type,
-)
+from capsyn.exports.c.language import LONGEST_PREFIX, RESERVED, comment, literal, z_type
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
 from capsyn.exports.c.readings.single import check_single_precision, ranked, share_changed
 from capsyn.exports.identifiers import file_name, identifiers, renamed, wanted_name
@@ -111,4 +104,4 @@ class Code:
 
     def literal(self, value: float) -> str:
         """Return a literal of the type of states."""
-        return float_literal(np.float32(value)) if self.real == "float" else double_literal(value)
+        return literal(value, self.real)

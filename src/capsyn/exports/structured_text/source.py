@@ -6,7 +6,7 @@ import textwrap
 
 import numpy as np
 
-from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE
+from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, with_unit
 from capsyn.exports.structured_text.block import TABLES, Block
 from capsyn.exports.structured_text.lines import condition, declared, real
 from capsyn.exports.text import WIDTH, broken
@@ -23,8 +23,7 @@ def declarations(block: Block) -> list[str]:
     alphabet, raw = plan.policy.alphabet, _raw(block)
     lines = [f"FUNCTION_BLOCK {block.name}", "VAR_INPUT"]
     for i, reading in enumerate(block.readings):
-        unit = f" [{domain.units[i]}]" if domain.units[i] else ""
-        is_state = f"{domain.names[i]}{unit}"
+        is_state = with_unit(domain.names[i], domain.units[i])
         if raw[i]:
             scale, offset = float(plan.scale[i]), float(plan.offset[i])
             is_state = f"reading of {is_state} = reading * {scale!r} + {offset!r}"
@@ -35,8 +34,7 @@ def declarations(block: Block) -> list[str]:
     lines += declared("symbol : INT;", f"0 to {plan.default}, see the head of the file")
     lines += declared("status : INT;", "0 in the domain, 1 outside, 2 not finite")
     for k, control in enumerate(block.controls):
-        unit = f" [{alphabet.units[k]}]" if alphabet.units[k] else ""
-        lines += declared(f"{control} : LREAL;", f"{alphabet.inputs[k]}{unit}")
+        lines += declared(f"{control} : LREAL;", with_unit(alphabet.inputs[k], alphabet.units[k]))
     lines.append("END_VAR")
     if block.table:
         lines += ["VAR CONSTANT", *_tables(block), "END_VAR"]

@@ -14,15 +14,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from capsyn.exports.c.code import Code
-from capsyn.exports.c.language import (
-    Part,
-    double_literal,
-    float_literal,
-    round_up,
-    rows,
-    search,
-    z_type,
-)
+from capsyn.exports.c.language import Part, round_up, rows, search, z_type
 from capsyn.modelling.domain import Box
 
 
@@ -97,7 +89,7 @@ def _declarations(code: Code) -> list[str]:
     lines = [f"    const {code.real} x{i} = {_state(code, i)};" for i in range(code.plan.n)]
     for i, values in enumerate(code.faces or ()):
         if len(values):
-            entries = rows([float_literal(face) for face in round_up(values)])
+            entries = rows([code.literal(face) for face in round_up(values)])
             table = f"static const float faces{i}[{len(values)}] CAPSYN_ROM"
             lines.insert(i, f"    {table} = {{\n{entries}\n    }};")
     return lines
@@ -135,7 +127,7 @@ def _place(code: Code, i: int) -> Iterator[str]:
     if code.direct:
         yield f"        y[{i}] = {state};"
     elif code.faces is None:
-        scale = double_literal(count / domain.widths[i])
+        scale = code.literal(count / domain.widths[i])
         yield f"        z[{i}] = {step}({state}, {bounds}, {scale}, {count});"
     elif len(code.faces[i]):
         yield f"        z[{i}] = {step}({state}, faces{i}, {len(code.faces[i]) + 1});"
