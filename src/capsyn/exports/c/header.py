@@ -58,8 +58,7 @@ def _of_steps(code: Code) -> str:
 int16_t {code.prefix}_symbol(const {code.integer} z[{plan.n}]);
 """
     if plan.dwell:
-        ticks = dwell.ticks_of(plan, code.tick)
-        text += dwell.declarations(code.prefix, plan.dwell, code.tick, ticks)
+        text += dwell.declarations(code)
     return text
 
 

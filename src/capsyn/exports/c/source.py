@@ -19,7 +19,7 @@ def source(code: Code) -> str:
     decision, quantiser, hold = _decision(code), _quantiser(code), Part("")
     states = quantiser.text + _decide(code)
     if code.plan.dwell:
-        hold = dwell.functions(code.plan, code.prefix)
+        hold = dwell.functions(code)
         states += _step(code)
     reads = decision.reads | quantiser.reads | hold.reads
     if code.arithmetic == "lattice":

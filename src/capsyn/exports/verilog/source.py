@@ -119,18 +119,16 @@ def _front(module: Module, i: int) -> list[str]:
     lines = [f"{kind} v{i} = {value};"]
     turned = f"z{i}" if module.direct else f"w{i}"
     if periodic:
-        rows: list[str] = []
-        lows: list[str] = []
-        start, k = port.first + port.turn, 1
-        while start <= port.most:
-            rows.insert(0, f"v{i} >= {signed(start, port.bits)} ? v{i} - {_turns(k, port)} :")
-            start, k = start + port.turn, k + 1
-        start, k = port.first, 1
-        while start > port.least:
-            lows.insert(0, f"v{i} < {signed(start, port.bits)} ? v{i} + {_turns(k, port)} :")
-            start, k = start - port.turn, k + 1
-        rows = [f"        {row}" for row in [*rows, *lows, f"v{i};"]]
-        lines += [f"{kind} {turned} =", *rows]
+        ends = (
+            (">=", "-", range(port.first + port.turn, port.most + 1, port.turn)),
+            ("<", "+", range(port.first, port.least, -port.turn)),
+        )
+        lines.append(f"{kind} {turned} =")
+        for test, sign, starts in ends:  # the farthest turns first
+            for k in range(len(starts), 0, -1):
+                far = f"v{i} {test} {signed(starts[k - 1], port.bits)}"
+                lines.append(f"        {far} ? v{i} {sign} {_turns(k, port)} :")
+        lines.append(f"        v{i};")
     else:
         lines.append(f"{kind} {turned} = v{i};")
     return lines if module.direct else lines + _product(module, i, port, periodic)

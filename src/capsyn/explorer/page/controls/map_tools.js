@@ -1,6 +1,6 @@
 import { byId, element, labelled } from "../dom/elements.js";
-import { look, zoom } from "../state/changes.js";
-import { makeSlices } from "./slices.js";
+import { short, withUnit } from "../dom/text.js";
+import { look, moved, zoom } from "../state/changes.js";
 
 /** Time between the levels of a replay [ms]. */
 const PAUSE = 800;
@@ -84,4 +84,40 @@ function makeLevels(app) {
   }
 
   return { slider, text, replay, show, sync };
+}
+
+/** Sliders for the states that are not in the plane of the map: {sync, follows}. */
+function makeSlices(app) {
+  const { data, view } = app, { names, units, lower, upper } = data.domain, n = names.length;
+  const root = byId("sliders");
+  const follow = element("input", {
+    id: "follow", type: "checkbox", checked: n > 2, onchange: () => moved(app),
+  });
+
+  const rows = names.map((name, i) => {
+    const input = element("input", {
+      type: "range", id: `slice-${i}`, min: lower[i], max: upper[i], value: view.fixed[i],
+      step: (upper[i] - lower[i]) / 200,
+      oninput: () => {
+        follow.checked = false;
+        look(app, () => (view.fixed[i] = Number(input.value)));
+      },
+    });
+    const output = element("output", { for: `slice-${i}` });
+    const row = labelled(withUnit(name, units[i]), input, output);
+    root.append(row);
+    return { row, input, output };
+  });
+  if (data.loops) root.append(labelled("follow the trajectory", follow));
+
+  function sync() {
+    rows.forEach(({ row, input, output }, i) => {
+      row.hidden = n < 3 || view.axes.includes(i);
+      input.value = String(view.fixed[i]);
+      output.textContent = short(view.fixed[i], 3);
+    });
+    root.hidden = n < 3;
+  }
+
+  return { sync, follows: () => follow.checked };
 }

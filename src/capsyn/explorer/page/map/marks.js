@@ -6,17 +6,17 @@ import { toPixels, within } from "./frame.js";
 /** The target: hatched, within a dashed line. */
 export function drawTarget(context, { edge, hatch }, theme) {
   context.lineCap = "butt";
-  context.lineWidth = 1;
-  context.strokeStyle = theme.hatch;
-  context.stroke(hatch);
-  context.strokeStyle = theme.halo;
-  context.lineWidth = 3;
-  context.stroke(edge);
+  trace(context, hatch, theme.hatch, 1);
+  trace(context, edge, theme.halo, 3);
   context.setLineDash([5, 4]);
-  context.strokeStyle = theme.ink;
-  context.lineWidth = 1.6;
-  context.stroke(edge);
+  trace(context, edge, theme.ink, 1.6);
   context.setLineDash([]);
+}
+
+function trace(context, path, color, width) {
+  context.strokeStyle = color;
+  context.lineWidth = width;
+  context.stroke(path);
 }
 
 /** A line in a colour, with a halo that sets it off. */
@@ -24,11 +24,8 @@ function drawLine(context, line, { halo }, color, width, alpha = 1) {
   context.globalAlpha = alpha;
   context.lineJoin = "round";
   context.lineCap = "round";
-  for (const [paint, wide] of [[halo, width + 2.5], [color, width]]) {
-    context.strokeStyle = paint;
-    context.lineWidth = wide;
-    context.stroke(line);
-  }
+  trace(context, line, halo, width + 2.5);
+  trace(context, line, color, width);
   context.globalAlpha = 1;
 }
 
