@@ -39,7 +39,7 @@ integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target targets identifiers text crossings
+exports: plan constants golden target identifiers text crossings
 exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
     readings.counts code readings.places readings.quantiser notes dwell header source sizes
     target
@@ -63,7 +63,7 @@ IMPORT_BY_NAME = {
     "capsyn",  # the public names
     "problems",  # the built-in problems
     "cli.problem_finder",  # the user's own
-    "exports.targets",  # each of them
+    "exports.export",  # each of them
     "cli.doctor",  # what capsyn needs
 }
 

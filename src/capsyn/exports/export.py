@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import importlib
 import json
 import os
 import tempfile
@@ -17,19 +18,35 @@ from capsyn.compression.complexity import mean_depth
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import Files, Plan
-from capsyn.exports.target import Exported
-from capsyn.exports.targets import TARGETS, load
+from capsyn.exports.target import Exported, Target
 from capsyn.policies.file import content_hash
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
+TARGETS = {
+    "c": "c.target",
+    "structured-text": "structured_text.target",
+    "verilog": "verilog.target",
+    "fmu": "fmu.target",
+    "python": "python_module",
+    "javascript": "javascript.target",
+    "dot": "dot",
+    "json": "policy_json.target",
+}
+"""Targets and their modules, each of which has its `Target` as ``TARGET``."""
 GOLDEN, CERTIFICATE, MEASURED = "golden.csv", "certificate.json", "measured.json"
 """Files beside those of a target: vectors, costs, and what is measured here, of C."""
 
 
+def _load(name: str) -> Target:
+    """Return a target of `TARGETS`."""
+    target: Target = importlib.import_module(f"capsyn.exports.{TARGETS[name]}").TARGET
+    return target
+
+
 def all_targets(policy: Policy) -> tuple[str, ...]:
     """Return the targets that a policy can be exported to; not all take oblique splits."""
-    return tuple(name for name in TARGETS if not policy.has_planes or load(name).planes)
+    return tuple(name for name in TARGETS if not policy.has_planes or _load(name).planes)
 
 
 def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
@@ -40,7 +57,7 @@ def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
             raise ProblemError(
                 f"`to` must be one of {', '.join(TARGETS)}, or several; got {describe(target)}"
             )
-        known = load(target).option_names
+        known = _load(target).option_names
         for name in names:
             if name not in known:
                 raise ProblemError(
@@ -106,7 +123,7 @@ def export(
 
 def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) -> Files:
     """Return all files of one target, with vectors, costs and what is measured."""
-    target = load(name)
+    target = _load(name)
     chosen = target.options(**options)
     exported = target.export(plan, golden, chosen)
     for file in {GOLDEN, CERTIFICATE, MEASURED} & set(exported.files):

@@ -108,18 +108,15 @@ def _text(module: Module, count: int, bits: int) -> list[str]:
 
     The module under test has no dwell time, which is no matter of one state.
     """
-    names, answer_bits = (
-        [f"in_{i}" for i in range(module.plan.n)],
-        module.symbol_bits + module.tells,
-    )
+    names = [f"in_{i}" for i in range(module.plan.n)]
+    answer_bits = module.symbol_bits + module.tells
     clocks = ("clk", "rst", "valid_in", "valid_out") * module.clocked
     answers = ("symbol", "outside")[: 1 + module.tells]
     wires = [*zip((*clocks, *module.inputs, *answers), (*clocks, *names, *answers))]
     connected = ",\n".join(f"        .{port}({name})" for port, name in wires)
     answer = "{outside, symbol}" if module.tells else "symbol"
-    inputs = zip(names, module.widths)
     signals = [
-        *(f"    reg [{width - 1}:0] {name};" for name, width in inputs),
+        *(f"    reg [{width - 1}:0] {name};" for name, width in zip(names, module.widths)),
         f"    wire [{module.symbol_bits - 1}:0] symbol;",
         *["    wire outside;"] * module.tells,
         f"    reg [{answer_bits - 1}:0] expected;",

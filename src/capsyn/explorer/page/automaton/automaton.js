@@ -11,7 +11,7 @@ const MOST_OFF = 10;
  * Return the graph of the finite state machine: {draw, sweep, taken}. An edge shows the cells of
  * the region that is its guard, and how often the active trajectory has taken it so far; where
  * there is no room, cells and stays stand beside the symbol. A symbol that is pointed at, or has
- * the focus, shows its edges alone, and tells them in words. Labels are symbols, the default's last.
+ * the focus, shows its edges alone, and tells them in words. Labels are symbols, the default last.
  */
 export function makeAutomaton(app) {
   const { data } = app, last = data.controls.length - 1, words = makeWords(data);

@@ -92,8 +92,7 @@ def decide_single(plan: Plan, readings: np.ndarray) -> Golden:
             states += plan.offset.astype(np.float32)
     for i in np.flatnonzero(domain.periodic):
         states[:, i] = _wrapped(states[:, i], domain, int(i))
-    whole = np.ones(plan.n), np.zeros(plan.n)
-    unfolded = dataclasses.replace(plan, scale=whole[0], offset=whole[1])
+    unfolded = dataclasses.replace(plan, scale=np.ones(plan.n), offset=np.zeros(plan.n))
     golden = decide(unfolded, states.astype(np.float64))
     return dataclasses.replace(golden, readings=singles.astype(np.float64))
 
