@@ -39,16 +39,16 @@ integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target targets identifiers long_lines sums crossings
-exports.c: language styles.table styles.nested styles.grid readings.single readings.quantiser
-    readings.lines readings.places readings.counts notes dwell code header source project sizes
+exports: plan constants golden target identifiers text crossings
+exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
+    readings.counts code readings.places readings.quantiser notes dwell header source sizes
     target
 exports.structured_text: lines block functions source target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
 exports.fmu: description target
-exports: python_module dot certificate export
+exports: python_module dot export
 explorer: policy_data program_javascript expression formulas facts page_data explore
 paper: cases figures pendulum tanks reproduction
 cli: options console printed problem_finder loop paper evidence compression export explore
@@ -63,7 +63,7 @@ IMPORT_BY_NAME = {
     "capsyn",  # the public names
     "problems",  # the built-in problems
     "cli.problem_finder",  # the user's own
-    "exports.targets",  # each of them
+    "exports.export",  # each of them
     "cli.doctor",  # what capsyn needs
 }
 

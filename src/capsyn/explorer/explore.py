@@ -81,7 +81,6 @@ def page(policy: Policy, drawing: str | None = None) -> str:
 
 
 def _formulas(policy: Policy) -> str:
-    """Return the formulas of the model under their topics, as HTML."""
     topics = formulas(policy).items()
     return "".join(f"<h3>{html.escape(topic)}</h3>{''.join(lines)}" for topic, lines in topics)
 

@@ -39,25 +39,10 @@ def expressions(
     results: Sequence[int],
     names: Iterator[Expression],
 ) -> tuple[list[Expression], list[tuple[Expression, Expression]]]:
-    """Return the results of a program as expressions, and the abbreviations in them.
+    """Return some results of a program as expressions, and the abbreviations in them.
 
-    Parameters
-    ----------
-    program : Program
-        The program.
-    inputs : expressions
-        Its input components.
-    results : ints
-        Values that are wanted.
-    names : iterator of names
-        What abbreviations are called.
-
-    Returns
-    -------
-    wanted : list
-        The results.
-    abbreviations : list of (name, expression)
-        Large parts that are used more than once, and cases within others.
+    `inputs` are its input components. Abbreviations, pairs of the next of `names` and an
+    expression, are large parts that are used more than once, and cases within others.
     """
     uses, values = _uses(program, results), list(inputs)
     named: dict[Expression, Expression] = {}
@@ -106,7 +91,6 @@ def _apply(
     parts: Sequence[Expression],
     settled: Callable[[Expression], Expression],
 ) -> Expression:
-    """Return an operation on expressions."""
     if operation == "select":
         return ("select", settled(parts[0]), settled(parts[1]))
     if operation == "add" and parts[0][0] == parts[1][0] == "select":
@@ -131,15 +115,11 @@ def _whole(expression: Expression) -> Expression:
     return expression
 
 
-def _size(expression: Expression) -> int:
+def _size(expression: Any) -> int:
     """Return the numbers and names in an expression."""
-    if expression[0] in ("number", "name"):
-        return 1
-    parts = expression[1] if expression[0] in ("sum", "product") else expression[1:]
-    if expression[0] == "call":
-        parts = expression[2]
-    parts = [part[1] for part in parts] if expression[0] == "sum" else parts
-    return sum(_size(part) for part in parts if isinstance(part, tuple))
+    if not isinstance(expression, tuple):
+        return 0
+    return 1 if expression[0] in ("number", "name") else sum(map(_size, expression))
 
 
 def _depth(expression: Any) -> int:

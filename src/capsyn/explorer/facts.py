@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from capsyn.verification.sentences import evidence_rows
 
 ROLES = {
@@ -66,12 +68,9 @@ def _solves(statistics: dict[str, Any]) -> list[Row]:
     rows += [(text, f"{roles[role]:,}") for role, text in ROLES.items() if roles.get(role)]
     for key, text in (("indifferent_points", "ties"), ("not_finite_points", "not finite")):
         if statistics.get(key):
-            rows.append((text, _counted(statistics[key], "test point")))
+            points = statistics[key]
+            rows.append((text, f"{points:,} test point{'' if points == 1 else 's'}"))
     return rows
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 def _controller(data: dict[str, Any]) -> list[Row]:
@@ -84,23 +83,14 @@ def _controller(data: dict[str, Any]) -> list[Row]:
         if settings["rule"] == "schedule":
             wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
             rows.append((wanted, f"{settings[wanted]:g}"))
+        weight, steps = np.atleast_2d(settings["control_weight"]), settings["steps"]
+        how = "steps chosen by accuracy" if steps is None else f"{steps} steps over the horizon"
         rows += [
-            ("control weight", _weight(settings["control_weight"])),
-            ("integration", f"{_steps(settings['steps'])}, {settings['precision']} precision"),
+            ("control weight", "; ".join(", ".join(f"{v:g}" for v in row) for row in weight)),
+            ("integration", f"{how}, {settings['precision']} precision"),
             ("sample time", f"{settings['sample_time']:g} s"),
         ]
     if data["target"]:
         rows.append(("target", data["target"]))
     rows += [("outside", str(data["outside"])), ("least dwell", f"{data['min_dwell']:g} s")]
     return rows
-
-
-def _steps(steps: int | None) -> str:
-    return "steps chosen by accuracy" if steps is None else f"{steps} steps over the horizon"
-
-
-def _weight(weight: Any) -> str:
-    """Return a control weight as text: a number, or the rows of a matrix."""
-    if isinstance(weight, (list, tuple)):
-        return "; ".join(", ".join(f"{v:g}" for v in row) for row in weight)
-    return f"{weight:g}"

@@ -100,7 +100,8 @@ def _equations(program: Program, left: Sequence[str], inputs: Sequence[str]) -> 
     wanted, abbreviations = _read(program, len(left), inputs)
     pairs = [*zip(left, wanted), *((name[1], part) for name, part in abbreviations)]
     lines = [
-        _math(side, "<mo>=</mo>" if side else "", render(expression)) for side, expression in pairs
+        _math(side, "<mo>=</mo>" if side else "", _render(expression)[0])
+        for side, expression in pairs
     ]
     return lines if sum(map(len, lines)) <= MOST_CHARACTERS else [_too_long(program)]
 
@@ -150,11 +151,6 @@ def _of(letter: str, argument: str) -> str:
     return f"<mrow><mi>{letter}</mi><mo>(</mo>{argument}<mo>)</mo></mrow>"
 
 
-def render(expression: Expression) -> str:
-    """Return an expression in MathML; a condition among numbers, 1 or 0, stands in brackets."""
-    return _render(expression)[0]
-
-
 def _within(expression: Expression, least: int = SUM) -> str:
     """Return an expression, enclosed where it does not hold together enough."""
     return _enclosed(*_render(expression), least)
@@ -168,6 +164,7 @@ def _enclosed(text: str, bond: int, least: int) -> str:
 
 
 def _render(expression: Expression) -> tuple[str, int]:
+    """Return an expression in MathML, and how tightly it holds together."""
     kind, *rest = expression
     if kind == "number":
         return _number(rest[0])

@@ -16,49 +16,29 @@ from capsyn.policies.colors import PALETTE
 from capsyn.policies.policy import Policy
 from capsyn.policies.report import report
 
-DRAWINGS = {
-    "pendulum": ("theta", "omega"),
-    "cart-pole": ("x", "v", "theta", "omega"),
-    "double-tank": ("x1", "x2"),
+DRAWINGS: dict[str, tuple[tuple[str, ...], int, float]] = {
+    "pendulum": (("theta", "omega"), 1, 2.0),
+    "cart-pole": (("x", "v", "theta", "omega"), 1, 2.0),
+    "double-tank": (("x1", "x2"), 3, 0.5),
 }
-"""Drawings that the page has, and the states that they are of."""
-DRAWN_INPUTS = {"pendulum": 1, "cart-pole": 1, "double-tank": 3}
-"""How many inputs they show."""
-DRAWN_LENGTH = {"pendulum": 2.0, "cart-pole": 2.0, "double-tank": 0.5}
-"""How long their poles are, and how high the upper tank is above the lower [m]."""
-DRAWN = {
-    "cart-pendulum": "pendulum",
-    "cart-pendulum-4": "pendulum",
-    "cart-pole": "cart-pole",
-    "double-tank-a": "double-tank",
-    "double-tank-b": "double-tank",
-}
+"""Drawings that the page has: the states that they are of, how many inputs they show, and how long
+their poles are, or how high the upper tank is above the lower [m]."""
+DRAWN = {"cart-pendulum": "pendulum", "cart-pendulum-4": "pendulum", "cart-pole": "cart-pole"}
+DRAWN |= dict.fromkeys(["double-tank-a", "double-tank-b"], "double-tank")
 """The drawings of the built-in problems."""
-LEAVES = {"cells": "cells", "tree": "leaves"}
-"""What the page calls the leaves of cells, and of a tree."""
 
 
 def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
     """Return what the page of a policy shows and computes with: `policy_data` and more.
 
-    Parameters
-    ----------
-    policy : Policy
-        The policy, or decision tree.
-    drawing : str, optional
-        One of `DRAWINGS`, or ``"none"``. Default: that of the built-in problem of this name.
-
-    Raises
-    ------
-    ProblemError
-        A drawing of other states, or none of that name.
+    For the drawing, of which `ProblemError` tells if it does not fit, see `explore`.
     """
     figures, drawn = report(policy), _drawing(policy, drawing)
     return policy_data(policy) | {
         "target": _target(policy),
         "automaton": _automaton(policy),
         "drawing": drawn,
-        "drawn_length": None if drawn is None else DRAWN_LENGTH[drawn],
+        "drawn_length": None if drawn is None else DRAWINGS[drawn][2],
         "palette": list(PALETTE),
         "shares": policy.volume_shares.tolist(),
         "loops": policy.model is not None,
@@ -90,7 +70,7 @@ def _automaton(policy: Policy) -> dict[str, Any]:
     return {
         "vertices": [{"symbol": k, "cells": int(counts[k])} for k in used],
         "edges": [dict(zip(keys, edge)) for edge in edges],
-        "what": LEAVES[policy.cells.kind],
+        "what": "cells" if policy.cells.kind == "cells" else "leaves",
     }
 
 
@@ -100,20 +80,19 @@ def _drawing(policy: Policy, wanted: str | None) -> str | None:
         return None
     if wanted is None:
         usual = DRAWN.get(policy.name)
-        fits = usual is not None and policy.domain.names == DRAWINGS[usual]
-        return usual if fits else None
+        return usual if usual and policy.domain.names == DRAWINGS[usual][0] else None
     if wanted not in DRAWINGS:
         raise ProblemError(
             f"`drawing` must be one of {', '.join(DRAWINGS)} or none; got '{wanted}'"
         )
-    if len(DRAWINGS[wanted]) != policy.domain.n:
+    states, inputs, _ = DRAWINGS[wanted]
+    if len(states) != policy.domain.n:
         raise ProblemError(
-            f"`drawing` '{wanted}' is of {len(DRAWINGS[wanted])} states "
-            f"({', '.join(DRAWINGS[wanted])}); the policy has {policy.domain.n}"
+            f"`drawing` '{wanted}' is of {len(states)} states ({', '.join(states)}); the policy "
+            f"has {policy.domain.n}"
         )
-    if DRAWN_INPUTS[wanted] != len(policy.alphabet.inputs):
+    if inputs != policy.alphabet.m:
         raise ProblemError(
-            f"`drawing` '{wanted}' shows {DRAWN_INPUTS[wanted]} inputs; "
-            f"the policy has {len(policy.alphabet.inputs)}"
+            f"`drawing` '{wanted}' shows {inputs} inputs; the policy has {policy.alphabet.m}"
         )
     return wanted

@@ -56,20 +56,16 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         policy.cells.kind: structure | packed,
         "rate": RATE if settings is None else 1 / settings.sample_time,
         "slack": SLACK,
-        "sampled": None if model is None else _sampled(policy),
-    }
-
-
-def _sampled(policy: Policy) -> dict[str, Any]:
-    """Return what `choose_substeps` and `fewest_steps` choose by."""
-    return {
-        "states": packed_array(policy.domain.sample(SAMPLES, 0)),
-        "accuracy": ACCURACY,
-        "percentile": PERCENTILE,
-        "ladder": list(LADDER),
-        "falling": FALLING,
-        "stalls": STALLS,
-        "unresolved": UNRESOLVED,
+        "sampled": model
+        and {
+            "states": packed_array(policy.domain.sample(SAMPLES, 0)),
+            "accuracy": ACCURACY,
+            "percentile": PERCENTILE,
+            "ladder": list(LADDER),
+            "falling": FALLING,
+            "stalls": STALLS,
+            "unresolved": UNRESOLVED,
+        },
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import json
 import re
 
 from capsyn.errors import ProblemError
@@ -51,41 +51,29 @@ def program_javascript(program: Program, function: str) -> str:
     ProblemError
         The program has an operation that is not in `OPERATIONS`.
     """
-    parameters = [f"in{k}" for k in range(len(program.inputs))]
-    outputs = [f"out{k}" for k in range(len(program.outputs))]
-    names = [
-        f"{port}[{k}]" for port, (_, size) in zip(parameters, program.inputs) for k in range(size)
-    ]
+    names = [f"in{i}[{k}]" for i, (_, size) in enumerate(program.inputs) for k in range(size)]
+    targets = [f"out{i}[{k}]" for i, (_, size) in enumerate(program.outputs) for k in range(size)]
+    parameters = [f"in{i}" for i in range(len(program.inputs))]
+    parameters += [f"out{i}" for i in range(len(program.outputs))]
     lines = []
     for operation, *operands in program.instructions:
         value = f"v{len(names)}"
         lines.append(f"    const {value} = {_expression(operation, operands, names)};")
         names.append(value)
-    targets = [
-        f"{port}[{k}]" for port, (_, size) in zip(outputs, program.outputs) for k in range(size)
-    ]
     lines += [f"    {target} = {names[k]};" for target, k in zip(targets, program.results)]
-    head = f"  function {function}({', '.join(parameters + outputs)}) {{"
+    head = f"  function {function}({', '.join(parameters)}) {{"
     return "\n".join([head, *lines, "  }"]) + "\n"
 
 
 def _expression(operation: str, operands: list[float], names: list[str]) -> str:
     """Return an operation's C expression as JavaScript: they differ in names only."""
     if operation == "const":
-        return _number(float(operands[0]))
+        return json.dumps(float(operands[0]))  # NaN and Infinity as JavaScript has them
     if operation not in OPERATIONS:
         raise ProblemError(f"a program must be of known operations; got {operation!r}")
     text = OPERATIONS[operation].c.replace("ONE", "1").replace("ZERO", "0")
     text = re.sub(r"\bm_(\w+)", lambda f: f[0] if f[1] in HELPERS else f"Math.{f[1]}", text)
     return text.format(*(names[int(k)] for k in operands))
-
-
-def _number(number: float) -> str:
-    if math.isnan(number):
-        return "NaN"
-    if math.isinf(number):
-        return "Infinity" if number > 0 else "-Infinity"
-    return repr(number)
 
 
 def model_javascript(policy: Policy) -> str:

@@ -4,28 +4,49 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
+import importlib
 import json
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from capsyn.cells.packing import packed_bytes
+from capsyn.compression.complexity import mean_depth
 from capsyn.errors import ProblemError
-from capsyn.exports.certificate import certificate
 from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import Files, Plan
-from capsyn.exports.targets import TARGETS, load
+from capsyn.exports.target import Exported, Target
+from capsyn.policies.file import content_hash
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
+TARGETS = {
+    "c": "c.target",
+    "structured-text": "structured_text.target",
+    "verilog": "verilog.target",
+    "fmu": "fmu.target",
+    "python": "python_module",
+    "javascript": "javascript.target",
+    "dot": "dot",
+    "json": "policy_json.target",
+}
+"""Targets and their modules, each of which has its `Target` as ``TARGET``."""
 GOLDEN, CERTIFICATE, MEASURED = "golden.csv", "certificate.json", "measured.json"
 """Files beside those of a target: vectors, costs, and what is measured here, of C."""
 
 
+def _load(name: str) -> Target:
+    """Return a target of `TARGETS`."""
+    target: Target = importlib.import_module(f"capsyn.exports.{TARGETS[name]}").TARGET
+    return target
+
+
 def all_targets(policy: Policy) -> tuple[str, ...]:
     """Return the targets that a policy can be exported to; not all take oblique splits."""
-    return tuple(name for name in TARGETS if not policy.has_planes or load(name).planes)
+    return tuple(name for name in TARGETS if not policy.has_planes or _load(name).planes)
 
 
 def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
@@ -36,7 +57,7 @@ def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
             raise ProblemError(
                 f"`to` must be one of {', '.join(TARGETS)}, or several; got {describe(target)}"
             )
-        known = load(target).option_names
+        known = _load(target).option_names
         for name in names:
             if name not in known:
                 raise ProblemError(
@@ -102,18 +123,51 @@ def export(
 
 def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) -> Files:
     """Return all files of one target, with vectors, costs and what is measured."""
-    target = load(name)
+    target = _load(name)
     chosen = target.options(**options)
     exported = target.export(plan, golden, chosen)
     for file in {GOLDEN, CERTIFICATE, MEASURED} & set(exported.files):
         raise ProblemError(f"`name` must be another: the export has a {file} of its own")
     vectors = (exported.golden or golden).to_csv(plan)
     exported = dataclasses.replace(exported, files=exported.files | {GOLDEN: vectors})
-    costs = certificate(plan, exported, name, vars(chosen))
+    costs = _certificate(plan, exported, name, vars(chosen))
     files = exported.files | {CERTIFICATE: _json(costs)}
     if target.measure is not None:
         files[MEASURED] = _json(target.measure(exported.files))
     return files
+
+
+def _certificate(
+    plan: Plan, exported: Exported, target: str, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what a decision takes at most, as plain data.
+
+    ``comparisons`` is exact, from the tree; the mean is over the volume, and None where splits are
+    oblique. ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
+    ``changed_by_rounding`` is the share of random states whose symbol is another as the target
+    rounds them; None where it rounds to the policy's own lattice, which changes none.
+    """
+    tree = plan.tree
+    return {
+        "header": list(plan.header),
+        "target": target,
+        "options": dict(options),
+        "policy": plan.policy.name,
+        "sha256": content_hash(plan.policy),
+        "nodes": tree.node_count,
+        "comparisons": {"most": tree.depth, "mean": mean_depth(tree)},
+        "planes": len(tree.cells.planes),
+        "lattice": list(tree.cells.counts),
+        "tree_bytes": packed_bytes(tree.cells),
+        "files": {
+            name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+            for name, content in sorted(exported.files.items())
+        },
+        "guarantee": tree.guarantee.text,
+        "changed_by_rounding": exported.changed,
+        "renamed": dict(exported.renamed),
+        "notes": list(exported.notes),
+    }
 
 
 def _json(data: dict[str, Any]) -> bytes:

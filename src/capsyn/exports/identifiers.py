@@ -20,16 +20,8 @@ def identifiers(
 
     Letters are taken without accents; a plus sign, and a minus sign of a number or at the end of a
     word, become words; everything else than letters, digits and underscores becomes an underscore;
-    a digit in front gets an ``n``; keywords, names in use and names that end up empty get a number.
-
-    Parameters
-    ----------
-    names : texts
-        The names.
-    keywords : texts
-        Words that the language keeps for itself, and names in use.
-    fold : bool
-        Whether the language takes capital and small letters as the same.
+    a digit in front gets an ``n``; `keywords`, with names in use, and names that end up empty get a
+    number. `fold` is whether the language takes capital and small letters as the same.
     """
 
     def key(text: str) -> str:

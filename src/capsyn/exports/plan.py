@@ -16,6 +16,7 @@ from capsyn.policies.policy import DecisionTree, Policy
 from capsyn.validation import describe, finite_array, finite_number, numbers
 from capsyn.version import __version__
 
+_tree_of = functools.lru_cache(maxsize=1)(tree_of)  # kept for the next target
 Files = dict[str, bytes]
 """Contents of files by name."""
 OK, OUTSIDE, NOT_FINITE = 0, 1, 2
@@ -63,16 +64,7 @@ class Plan:
         scale: object = None,
         offset: object = None,
     ) -> Plan:
-        """Return the plan of a policy.
-
-        Parameters
-        ----------
-        safe : symbol index or name, optional
-            Default: the policy's own safe symbol where it has one, else the default control.
-        dwell : float, optional
-            Default: the policy's.
-        scale, offset : (n,) or float, optional
-            Default: 1 and 0: readings are states.
+        """Return the plan of a policy; for the arguments see `capsyn.exports.export.export`.
 
         Raises
         ------
@@ -165,10 +157,7 @@ class Plan:
             for i, (scale, offset) in enumerate(pairs):
                 sign = "-" if offset < 0 else "+"
                 lines.append(f"State {i} = {scale!r} * reading {sign} {abs(offset)!r}")
-        inputs = [
-            name + (f" [{unit}]" if unit else "")
-            for name, unit in zip(policy.alphabet.inputs, policy.alphabet.units)
-        ]
+        inputs = map(with_unit, policy.alphabet.inputs, policy.alphabet.units)
         lines.append(f"Inputs: {', '.join(inputs)}")
         for k, name in enumerate(self.symbol_names):
             value = ", ".join(f"{v!r}" for v in policy.controls[k].tolist())
@@ -197,6 +186,11 @@ class Plan:
         return tuple(lines)
 
 
+def with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit in brackets, if it has one."""
+    return f"{name} [{unit}]" if unit else name
+
+
 def _check_readings(
     domain: Box, counts: tuple[int, ...], scale: np.ndarray, offset: np.ndarray
 ) -> None:
@@ -213,12 +207,6 @@ def _check_readings(
             f"`scale` and `offset` must keep the {counts[i]:,} lattice steps of axis "
             f"'{domain.names[i]}' apart in double precision; got {scale[i]:g} and {offset[i]:g}"
         )
-
-
-@functools.lru_cache(maxsize=1)
-def _tree_of(policy: Policy) -> DecisionTree:
-    """Return the tree of a policy; kept for the next target."""
-    return tree_of(policy)
 
 
 def _symbol(safe: object, alphabet: Alphabet) -> int:

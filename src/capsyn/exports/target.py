@@ -14,20 +14,10 @@ from capsyn.exports.plan import Files, Plan
 class Exported:
     """Files of a target, and what a user must be told.
 
-    Parameters
-    ----------
-    files : dict of bytes by name
-        Its files.
-    renamed : dict, optional
-        Names that are no identifiers of the language, and what they became.
-    notes : tuple of texts, optional
-        What a user must be told.
-    changed : float, optional
-        Share of random states in the domain whose symbol is another than the policy's, as numbers
-        are rounded for the target. None: no state at all, since the target rounds to the policy's
-        own lattice.
-    golden : Golden, optional
-        Vectors of readings as the target holds them. None: those of the plan.
+    `renamed` are names that are no identifiers of the language, and what they became. `changed` is
+    the share of random states in the domain whose symbol is another than the policy's, as numbers
+    are rounded for the target; None: no state at all, since the target rounds to the policy's own
+    lattice. `golden` are vectors of readings as the target holds them; None: those of the plan.
     """
 
     files: Files
@@ -54,16 +44,9 @@ class NameOption:
 class Target:
     """A language that policies are exported to.
 
-    Parameters
-    ----------
-    export : callable
-        ``export(plan, golden, options)`` makes its files.
-    options : type, optional
-        Frozen dataclass of the options of `export`, each with a default.
-    planes : bool, optional
-        Whether it takes trees with oblique splits.
-    measure : callable, optional
-        What is measured of its files here, as plain data. None: nothing.
+    ``export(plan, golden, options)`` makes its files; `options` is a frozen dataclass, each with a
+    default. `planes` is whether it takes trees with oblique splits. `measure` gives what is
+    measured of its files here, as plain data; None: nothing.
     """
 
     export: Callable[[Plan, Golden, Any], Exported]

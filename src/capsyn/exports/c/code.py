@@ -8,39 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.cells.split_tree import SplitTree
-from capsyn.exports.c.language import (
-    LONGEST_PREFIX,
-    RESERVED,
-    comment,
-    double_literal,
-    float_literal,
-    z_type,
-)
+from capsyn.exports.c.language import LONGEST_PREFIX, RESERVED, comment, literal, z_type
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
-from capsyn.exports.c.readings.quantiser import ranked
-from capsyn.exports.c.readings.single import check_single_precision, share_changed
+from capsyn.exports.c.readings.single import check_single_precision, ranked, share_changed
 from capsyn.exports.identifiers import file_name, identifiers, renamed, wanted_name
 from capsyn.exports.plan import Plan
 
 
 @dataclass(frozen=True)
 class Code:
-    """What the files of an export have in common.
+    """What the files of an export have in common, with the options of the target.
 
-    Parameters
-    ----------
-    plan : Plan
-        What is exported.
-    style, arithmetic, readings, tick
-        See the options of the target.
-    prefix, wanted : str
-        What files and functions are called, and what they should have been.
-    tree : SplitTree
-        The tree that is written: over `faces`, where these are looked up.
-    faces : arrays, optional
-        Faces of each axis, in tables of floats.
-    axes : list of CountAxis
-        How counts become steps; none where readings are real numbers.
+    Files and functions are called `prefix`, and should have been called `wanted`. The `tree` is the
+    one that is written: over the `faces` of each axis, where these are looked up in tables of
+    floats. `axes` say how counts become steps; there are none where readings are real numbers.
     """
 
     plan: Plan
@@ -123,4 +104,4 @@ class Code:
 
     def literal(self, value: float) -> str:
         """Return a literal of the type of states."""
-        return float_literal(np.float32(value)) if self.real == "float" else double_literal(value)
+        return literal(value, self.real)

@@ -5,23 +5,22 @@ from __future__ import annotations
 import math
 
 from capsyn.errors import ProblemError
+from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import Part, rows
-from capsyn.exports.plan import Plan
 
 
-def ticks_of(plan: Plan, tick: float) -> int:
-    """Return the least whole ticks of the dwell time, by the rule of capsyn's closed loop."""
-    ticks = plan.dwell / tick - 1e-9
+def declarations(code: Code) -> str:
+    """Return what the header says of the state and its functions, but for ``_step``.
+
+    The dwell time is in the least whole ticks, by the rule of capsyn's closed loop.
+    """
+    prefix, dwell, tick = code.prefix, code.plan.dwell, code.tick
+    ticks = dwell / tick - 1e-9
     if ticks > (1 << 32) - 1:
-        least = plan.dwell / ((1 << 32) - 1)
+        least = dwell / ((1 << 32) - 1)
         raise ProblemError(f"`tick` must be at least {least!r} s; got {tick!r}")
-    return max(1, math.ceil(ticks))
-
-
-def declarations(prefix: str, dwell: float, tick: float, ticks: int) -> str:
-    """Return what the header says of the state and its functions, but for ``_step``."""
     return f"""
-#define {prefix.upper()}_DWELL {ticks}uL /* ticks of {tick!r} s: {dwell!r} s */
+#define {prefix.upper()}_DWELL {max(1, math.ceil(ticks))}uL /* ticks of {tick!r} s: {dwell!r} s */
 
 /* Between decisions; the caller has one for each plant. */
 typedef struct {{
@@ -42,8 +41,9 @@ int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now);
 """
 
 
-def functions(plan: Plan, prefix: str) -> Part:
+def functions(code: Code) -> Part:
     """Return ``_init`` and ``_hold``."""
+    plan, prefix = code.plan, code.prefix
     classes = list(range(plan.labels))
     same, table, reads = "symbol == state->symbol", "", set()
     if plan.same_control:

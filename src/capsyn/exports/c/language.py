@@ -43,15 +43,7 @@ ENTRIES = {
 
 @dataclass(frozen=True)
 class Part:
-    """Functions of C.
-
-    Parameters
-    ----------
-    text : str
-        Their definitions.
-    reads : subset of `ENTRIES`
-        What they read from tables.
-    """
+    """Definitions of functions of C, and what of `ENTRIES` they read from tables."""
 
     text: str
     reads: frozenset[str] = frozenset()
@@ -83,13 +75,10 @@ def macros(reads: Iterable[str]) -> str:
 """
 
 
-def double_literal(value: float) -> str:
-    """Return the shortest literal of a double."""
-    return repr(float(value))
-
-
-def float_literal(value: np.float32) -> str:
-    """Return the shortest literal of a float."""
+def literal(value: float, real: str) -> str:
+    """Return the shortest literal of a type, double or float."""
+    if real == "double":
+        return repr(float(value))
     text = str(np.float32(value))
     return text + ("f" if "." in text or "e" in text else ".0f")
 

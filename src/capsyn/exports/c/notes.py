@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping
 
 import numpy as np
 
 from capsyn.cells.packing import packed_bytes
 from capsyn.errors import ProblemError
+from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import z_type
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
 from capsyn.exports.c.readings.single import SAMPLES
-from capsyn.exports.plan import Plan
 
 TOLD_COUNTS = 1024
 """Bytes of tables of counts that a user is not warned of."""
@@ -21,8 +20,7 @@ TOLD_FACES = 4096
 """Bytes of tables of faces that a user is not told of."""
 
 
-def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
-    """Return each axis of counts with a line about it."""
+def _count_lines(axes: list[CountAxis]) -> list[str]:
     lines = []
     for i, axis in enumerate(axes):
         line = f"Readings are counts r; the step of axis {i} is {axis.text}."
@@ -34,58 +32,47 @@ def count_lines(axes: list[CountAxis]) -> list[tuple[CountAxis, str]]:
             line += (
                 f" Counts are coarse: {axis.missed} of {len(axis.changes) + 1} steps never occur."
             )
-        lines.append((axis, line))
+        lines.append(line)
     return lines
 
 
-def remarks(
-    counts: tuple[int, ...], faces: list[np.ndarray] | None, axes: list[CountAxis]
-) -> tuple[str, ...]:
+def remarks(code: Code) -> tuple[str, ...]:
     """Return what a user is told as the export is made."""
-    lines = [line for _, line in count_lines(axes)]
-    size = 4 * sum(map(len, faces or []))
+    counts, lines = code.tree.counts, _count_lines(code.axes)
+    size = 4 * sum(map(len, code.faces or []))
     if size > TOLD_FACES:
         lines.append(f"tables of the faces take {size:,} bytes; arithmetic lattice has none")
-    if z_type(counts) != "int16_t":
+    if code.integer != "int16_t":
         lines.append(f"lattice steps are of 32 bits: an axis has {max(counts):,}, beyond 16 bits")
     return tuple(lines)
 
 
-def heavy_tables(plan: Plan, axes: list[CountAxis], readings: str, function: str) -> str | None:
-    """Return a warning where tables of counts take more than the tree, else none.
-
-    `function` is the one that takes lattice steps.
-    """
-    sizes = [axis.table_bytes for axis in axes]
+def heavy_tables(code: Code) -> str | None:
+    """Return a warning where tables of counts take more than the tree, else none."""
+    plan, sizes = code.plan, [axis.table_bytes for axis in code.axes]
     tree = packed_bytes(plan.tree.cells)
     if sum(sizes) <= max(tree, TOLD_COUNTS):
         return None
     i = int(np.argmax(sizes))
     name = plan.policy.domain.names[i]
-    why = "counts fall on faces of its lattice" if axes[i].line else "no line gives its steps"
-    warning = f"tables of `readings` {readings} take {sizes[i]:,} bytes for axis '{name}'"
+    why = "counts fall on faces of its lattice" if code.axes[i].line else "no line gives its steps"
+    warning = f"tables of `readings` {code.readings} take {sizes[i]:,} bytes for axis '{name}'"
     warning += f" (the tree: {tree:,}), since {why}: "
     offset = plan.offset.copy()
     step = plan.policy.domain.widths[i] / plan.tree.cells.counts[i]
     offset[i] += min(abs(plan.scale[i]), step) / 2  # between faces
     with contextlib.suppress(ProblemError):  # counts may no more reach every step
-        (moved,) = count_axes(dataclasses.replace(plan, offset=offset), readings, [i])
+        (moved,) = count_axes(dataclasses.replace(plan, offset=offset), code.readings, [i])
         if moved.table_bytes <= sizes[i] / 2:
             warning += f"an `offset` of {float(offset[i])!r} takes {moved.table_bytes:,}; "
-    return f"{warning}otherwise take another `scale`, or give lattice steps to {function}(z)"
+    return (
+        f"{warning}otherwise take another `scale`, or give lattice steps to {code.prefix}_symbol(z)"
+    )
 
 
-def notes(
-    plan: Plan,
-    arithmetic: str,
-    axes: list[CountAxis],
-    renamed: Mapping[str, str],
-    changed: float | None,
-) -> list[str]:
-    """Return what a user must know, as lines.
-
-    `changed` is the share of states whose symbol rounding changes.
-    """
+def notes(code: Code) -> list[str]:
+    """Return what a user must know, as lines."""
+    plan, arithmetic = code.plan, code.arithmetic
     counts = ", ".join(map(str, plan.tree.cells.counts))
     lines = [
         f"Quantisation: the axes have {counts} equal steps. Step k of an axis with C steps "
@@ -104,11 +91,11 @@ def notes(
             what = "readings, scale and offset"
         lines.append(
             f"Single precision: the symbol is the policy's at {state}. Rounding {what} to floats "
-            f"changed the symbol or the status of {changed:.3%} of {SAMPLES:,} random states. A "
-            "periodic state beyond its bounds is brought back in single precision."
+            f"changed the symbol or the status of {code.changed:.3%} of {SAMPLES:,} random states. "
+            "A periodic state beyond its bounds is brought back in single precision."
         )
     domain = plan.policy.domain
-    if any(domain.periodic) and not axes:
+    if any(domain.periodic) and not code.axes:
         most = np.finfo(np.float32 if arithmetic == "float" else np.float64).max
         narrowest = domain.widths[list(domain.periodic)].min()
         turns = 2 * int(np.ceil(np.log2(most) - np.log2(narrowest))) + 1
@@ -117,7 +104,7 @@ def notes(
             f"a loop, the farthest that is finite up to {turns:,}. Where time counts, bring "
             "states near first."
         )
-    lines += [line for _, line in count_lines(axes)]
+    lines += _count_lines(code.axes)
     lines.append(
         "Status: OUTSIDE of the domain, or NOT_FINITE, or OK. Symbols outside are those above."
     )
@@ -128,4 +115,4 @@ def notes(
         "MISRA C:2012: deviations, of the category advisory only: 2.4 (symbols are for "
         "callers), 8.7 (callers may call every function of this file)."
     )
-    return lines + [f"Name '{old}' became {new}." for old, new in renamed.items()]
+    return lines + [f"Name '{old}' became {new}." for old, new in code.renamed.items()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
 import shutil
@@ -27,30 +28,19 @@ RAM = (".data", ".bss")
 
 
 def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
-    """Return what the code takes at ``-Os``, by processor, of those whose compiler is here.
+    """Return what the code takes at ``-Os``, by processor; `prefix` names header and source.
 
-    Parameters
-    ----------
-    files : dict of bytes by name
-        What `capsyn.exports.c.target.files` gave.
-    prefix : str
-        Name of the header and the source, without their endings.
-
-    Returns
-    -------
-    dict of dict
-        Of each processor ``compiler``: its name and version; ``decision``: code and tables from
-        lattice steps, or from states, to a symbol; ``quantiser``: how much more it takes from
-        states, without the compiler's arithmetic; ``with_library``: what both take with it, where
-        it links [bytes]; ``ram``: static memory [bytes]; ``stack`` and ``stack_from_states``: of
-        the deepest chains of calls, without the compiler's arithmetic [bytes]. Without
-        ``quantiser`` where a processor has no double precision. Processors are left out whose
-        compiler is missing, fails or has not its linker.
+    Of each ``compiler``: its name and version; ``decision``: code and tables from lattice steps, or
+    from states, to a symbol; ``quantiser``: how much more it takes from states, without the
+    compiler's arithmetic; ``with_library``: what both take with it, where it links [bytes];
+    ``ram``: static memory [bytes]; ``stack`` and ``stack_from_states``: of the deepest chains of
+    calls, without the compiler's arithmetic [bytes]. Without ``quantiser`` where a processor has no
+    double precision. Processors are left out whose compiler is missing, fails or has not its
+    linker.
     """
+    of_compiler = functools.partial(_of_compiler, files=files, prefix=prefix)
     with ThreadPoolExecutor(len(COMPILERS)) as pool:
-        by_compiler = pool.map(
-            lambda command: _of_compiler(command, files, prefix), COMPILERS.values()
-        )
+        by_compiler = pool.map(of_compiler, COMPILERS.values())
         return {name: measured for name, measured in zip(COMPILERS, by_compiler) if measured}
 
 
@@ -62,10 +52,9 @@ def _of_compiler(command: list[str], files: Files, prefix: str) -> dict[str, int
         for name in (f"{prefix}.h", f"{prefix}.c"):
             Path(directory, name).write_bytes(files[name])
         measured = _measure(command, Path(directory), prefix)
-        version = (
-            _run([command[0], "-dumpfullversion", "-dumpversion"], Path(directory)) or ""
-        ).strip()
-    return {"compiler": f"{command[0]} {version}".strip(), **measured} if measured else {}
+        version = _run([command[0], "-dumpfullversion", "-dumpversion"], Path(directory))
+    compiler = f"{command[0]} {(version or '').strip()}".strip()
+    return {"compiler": compiler, **measured} if measured else {}
 
 
 def _run(command: list[str], directory: Path) -> str | None:
@@ -101,7 +90,8 @@ def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]
     public = f"{prefix}_symbol" in defined
     roots = [f"{prefix}_symbol"] if public else []
     roots += [f"{prefix}_decide"] if f"{prefix}_decide" in defined else []
-    frames = _frames((directory / "code.su").read_text())
+    usage = [line.split("\t") for line in (directory / "code.su").read_text().splitlines()]
+    frames = {row[0].split(":")[-1]: int(row[1]) for row in usage}  # of functions that are left
     calls = _calls(source, prefix)
     by_root = {root: _linked(command, directory, tool, root) for root in roots}
     if not roots or not all(flash for flash, _, _ in by_root.values()):
@@ -146,20 +136,11 @@ def _sections(text: str) -> tuple[int, int]:
     return flash, ram
 
 
-def _frames(text: str) -> dict[str, int]:
-    """Return the bytes of stack of each function that is left, of ``-fstack-usage``."""
-    rows = [line.split("\t") for line in text.splitlines()]
-    return {row[0].split(":")[-1]: int(row[1]) for row in rows}
-
-
 def _calls(source: str, prefix: str) -> dict[str, set[str]]:
     """Return which functions of the source each one names."""
-    calls = {}
-    for body in re.finditer(
-        rf"^\S[^\n]*?\b({prefix}_\w+)\([^;]*?\)\n\{{\n(.*?)^\}}", source, re.M | re.S
-    ):
-        calls[body[1]] = set(re.findall(rf"\b({prefix}_\w+)\(", body[2]))
-    return calls
+    function = rf"^\S[^\n]*?\b({prefix}_\w+)\([^;]*?\)\n\{{\n(.*?)^\}}"
+    bodies = re.finditer(function, source, re.M | re.S)
+    return {body[1]: set(re.findall(rf"\b({prefix}_\w+)\(", body[2])) for body in bodies}
 
 
 def _deepest(name: str, calls: dict[str, set[str]], frames: dict[str, int]) -> int:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from capsyn.exports.c import dwell
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import Part, macros, rows
-from capsyn.exports.c.readings.counts import counts_quantiser
-from capsyn.exports.c.readings.quantiser import StateQuantiser
+from capsyn.exports.c.readings.places import counts_quantiser
+from capsyn.exports.c.readings.quantiser import state_quantiser
 from capsyn.exports.c.styles.grid import grid
 from capsyn.exports.c.styles.nested import nearest, nested
 from capsyn.exports.c.styles.table import table
@@ -19,7 +19,7 @@ def source(code: Code) -> str:
     decision, quantiser, hold = _decision(code), _quantiser(code), Part("")
     states = quantiser.text + _decide(code)
     if code.plan.dwell:
-        hold = dwell.functions(code.plan, code.prefix)
+        hold = dwell.functions(code)
         states += _step(code)
     reads = decision.reads | quantiser.reads | hold.reads
     if code.arithmetic == "lattice":
@@ -33,7 +33,6 @@ def source(code: Code) -> str:
 
 
 def _controls(code: Code) -> str:
-    """Return the table of controls."""
     p, upper = code.prefix, code.prefix.upper()
     entries = [
         "{" + ", ".join(code.literal(v) for v in row) + "}" for row in code.plan.policy.controls
@@ -71,14 +70,10 @@ def _quantiser(code: Code) -> Part:
     places = f"{code.real} y[{n}]" if code.direct else f"{code.integer} z[{n}]"
     static = "" if code.arithmetic == "lattice" else "static "
     opening = f"{static}{p}_status {p}_quantise(const {code.reading} x[{n}], {places})"
-    if code.axes:
-        return counts_quantiser(code.plan, p, opening, code.axes, code.readings)
-    single = code.real == "float"
-    return StateQuantiser(code.plan, p, single, code.direct, code.faces).part(opening)
+    return counts_quantiser(code, opening) if code.axes else state_quantiser(code, opening)
 
 
 def _decide(code: Code) -> str:
-    """Return the function that gives the symbol of states."""
     plan, p, upper = code.plan, code.prefix, code.prefix.upper()
     if plan.nearest:
         known = f"*status != {upper}_NOT_FINITE"
@@ -104,7 +99,6 @@ int16_t {p}_decide(const {code.reading} x[{plan.n}], {p}_status *status)
 
 
 def _step(code: Code) -> str:
-    """Return the function that gives the symbol of states, dwell time allowing."""
     p, n = code.prefix, code.plan.n
     return f"""
 int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,

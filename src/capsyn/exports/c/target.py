@@ -7,9 +7,8 @@ from typing import Any
 
 from capsyn.errors import ProblemError, warn
 from capsyn.exports.c.code import Code
-from capsyn.exports.c.header import header
+from capsyn.exports.c.header import cmake, example, header
 from capsyn.exports.c.notes import heavy_tables, remarks
-from capsyn.exports.c.project import cmake, example
 from capsyn.exports.c.readings.counts import READINGS, golden_counts
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
@@ -79,10 +78,9 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
     if code.axes:
         vectors = golden_counts(plan, code.axes, readings)
-        if heavy := heavy_tables(plan, code.axes, readings, f"{code.prefix}_symbol"):
+        if heavy := heavy_tables(code):
             warn(heavy)
-    notes = remarks(code.tree.counts, code.faces, code.axes)
-    return Exported(files, code.renamed, notes, code.changed, vectors)
+    return Exported(files, code.renamed, remarks(code), code.changed, vectors)
 
 
 def measure(files: Files) -> dict[str, Any]:

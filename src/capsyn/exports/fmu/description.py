@@ -72,7 +72,6 @@ def _states(plan: Plan) -> list[Element]:
 
 
 def _controls(plan: Plan) -> list[Element]:
-    """Return the outputs of the unit that are controls."""
     n, alphabet, names = plan.n, plan.policy.alphabet, variable_names(plan)
     return [
         _variable(names[k], k, "output", "discrete", _real(unit), f"Control {input_name}")

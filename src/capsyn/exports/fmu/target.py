@@ -7,12 +7,14 @@ show in the outputs at once. The parameter ``min_dwell`` overrides the policy's.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import platform
 import subprocess
 import sys
 import tempfile
 import textwrap
+import uuid
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,10 +67,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     name = file_name(options.name, plan.policy.name, KEYWORDS)
     guid = "{" + _guid(plan) + "}"
     source = _source(plan, guid)
-    content = {
-        "modelDescription.xml": description(plan, name, guid),
-        f"sources/{name}.c": source,
-    }
+    content = {"modelDescription.xml": description(plan, name, guid), f"sources/{name}.c": source}
     if not options.sources_only:
         content |= _binary(name, source)
     names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
@@ -80,12 +79,10 @@ TARGET = Target(export, Options)
 
 def _guid(plan: Plan) -> str:
     """Return an identifier of what the unit does, made from the policy and the plan."""
-    import hashlib
-
     parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.scale.tolist()]
     parts += [plan.offset.tolist(), __version__]
     digits = hashlib.sha256(repr(parts).encode()).hexdigest()
-    return "-".join([digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:32]])
+    return str(uuid.UUID(digits[:32]))
 
 
 def _zip(content: dict[str, bytes]) -> bytes:

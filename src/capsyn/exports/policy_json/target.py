@@ -44,13 +44,11 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     schema = resources.files("capsyn.exports.policy_json").joinpath("schema.json").read_bytes()
     text = json.dumps(document(plan), indent=2, allow_nan=False)
     # lists of numbers in one line each
-    text = re.sub(r"\[\n\s+(-?\d[^\[\]{}\"]*?)\n\s+\]", _line, text)
+    text = re.sub(
+        r"\[\n\s+(-?\d[^\[\]{}\"]*?)\n\s+\]", lambda m: f"[{' '.join(m[1].split())}]", text
+    )
     file = f"{file_name(options.name, plan.policy.name)}.json"
     return Exported({file: (text + "\n").encode(), SCHEMA: schema})
-
-
-def _line(match: re.Match[str]) -> str:
-    return "[" + re.sub(r"\s+", " ", match[1]) + "]"
 
 
 def document(plan: Plan) -> dict[str, Any]:

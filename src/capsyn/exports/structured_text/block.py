@@ -18,22 +18,11 @@ TABLES = ("splits", "thresholds", "seconds", "planes")
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A function block that decides.
+    """A function block that decides, with its name and those of its variables.
 
-    Parameters
-    ----------
-    plan : Plan
-        What it decides.
-    table : bool
-        Whether a loop walks through the tree as arrays, else IF statements in functions.
-    name : str
-        Its name.
-    readings, states : n strings
-        Names of its inputs, and of the states that these become.
-    controls : m strings
-        Names of the controls.
-    renamed : dict
-        Names that are no identifiers, and what they became.
+    `table` is whether a loop walks through the tree as arrays, else IF statements in functions.
+    `readings` (n) become `states` (n) and these `steps` (n) by the functions that it `calls`.
+    `renamed` are names that are no identifiers, and what they became.
     """
 
     plan: Plan
@@ -41,7 +30,9 @@ class Block:
     name: str
     readings: tuple[str, ...]
     states: tuple[str, ...]
+    steps: list[str]
     controls: tuple[str, ...]
+    calls: dict[str, str]
     renamed: dict[str, str]
 
     @staticmethod
@@ -49,29 +40,14 @@ class Block:
         """Return the block of a plan; for the arguments see the options of the target."""
         wanted = wanted_name(name, plan.policy.name)
         (block,) = identifiers([wanted[:LONGEST_NAME]], KEYWORDS, fold=True)
-        n, calls = plan.n, _calls(block)
+        n, calls = plan.n, {part: f"{block}_{part}" for part in ("wrap", "step", "tree")}
+        steps = [f"z{i}" for i in range(n)]
         trees = (f"{calls['tree']}{k}" for k in range(1, plan.tree.node_count))
-        kept = {*KEYWORDS, *FIXED, *LOCAL, *TABLES, *_steps(n), block, *calls.values(), *trees}
+        kept = {*KEYWORDS, *FIXED, *LOCAL, *TABLES, *steps, block, *calls.values(), *trees}
         names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
         chosen = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
         states = identifiers([f"state_{i}" for i in range(n)], {*kept, *chosen}, fold=True)
         new_names = renamed([wanted, *names], [block, *chosen])
-        return Block(plan, style == "table", block, chosen[:n], states, chosen[n:], new_names)
-
-    @property
-    def steps(self) -> list[str]:
-        """Names of the lattice steps."""
-        return _steps(self.plan.n)
-
-    @property
-    def calls(self) -> dict[str, str]:
-        """Names of the functions that it calls."""
-        return _calls(self.name)
-
-
-def _steps(n: int) -> list[str]:
-    return [f"z{i}" for i in range(n)]
-
-
-def _calls(block: str) -> dict[str, str]:
-    return {part: f"{block}_{part}" for part in ("wrap", "step", "tree")}
+        readings, controls = chosen[:n], chosen[n:]
+        table = style == "table"
+        return Block(plan, table, block, readings, states, steps, controls, calls, new_names)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from capsyn.cells.split_tree import LEAF
-from capsyn.exports.long_lines import broken
 from capsyn.exports.structured_text.block import Block
-from capsyn.exports.sums import signed_sum
+from capsyn.exports.text import broken, signed_sum
 
 NESTING = 8
 """Most IFs in one another; deeper subtrees are functions of their own."""

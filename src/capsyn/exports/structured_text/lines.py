@@ -6,7 +6,7 @@ import re
 import textwrap
 from collections.abc import Iterable
 
-from capsyn.exports.long_lines import WIDTH
+from capsyn.exports.text import WIDTH
 
 KEYWORDS = frozenset(
     """

@@ -6,10 +6,10 @@ import textwrap
 
 import numpy as np
 
-from capsyn.exports.long_lines import WIDTH, broken
-from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE
+from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, with_unit
 from capsyn.exports.structured_text.block import TABLES, Block
 from capsyn.exports.structured_text.lines import condition, declared, real
+from capsyn.exports.text import WIDTH, broken
 
 SHORT = 32767
 """Largest INT; tables with larger numbers are of DINT, which is twice the size."""
@@ -23,8 +23,7 @@ def declarations(block: Block) -> list[str]:
     alphabet, raw = plan.policy.alphabet, _raw(block)
     lines = [f"FUNCTION_BLOCK {block.name}", "VAR_INPUT"]
     for i, reading in enumerate(block.readings):
-        unit = f" [{domain.units[i]}]" if domain.units[i] else ""
-        is_state = f"{domain.names[i]}{unit}"
+        is_state = with_unit(domain.names[i], domain.units[i])
         if raw[i]:
             scale, offset = float(plan.scale[i]), float(plan.offset[i])
             is_state = f"reading of {is_state} = reading * {scale!r} + {offset!r}"
@@ -35,8 +34,7 @@ def declarations(block: Block) -> list[str]:
     lines += declared("symbol : INT;", f"0 to {plan.default}, see the head of the file")
     lines += declared("status : INT;", "0 in the domain, 1 outside, 2 not finite")
     for k, control in enumerate(block.controls):
-        unit = f" [{alphabet.units[k]}]" if alphabet.units[k] else ""
-        lines += declared(f"{control} : LREAL;", f"{alphabet.inputs[k]}{unit}")
+        lines += declared(f"{control} : LREAL;", with_unit(alphabet.inputs[k], alphabet.units[k]))
     lines.append("END_VAR")
     if block.table:
         lines += ["VAR CONSTANT", *_tables(block), "END_VAR"]
@@ -61,7 +59,6 @@ def _raw(block: Block) -> list[bool]:
 
 
 def _arrays(block: Block) -> dict[str, np.ndarray]:
-    """Return the tables by name."""
     tree = block.plan.tree.cells
     arrays = [tree.split, tree.threshold, tree.second]
     return dict(zip(TABLES, arrays + [tree.planes.ravel()] * bool(len(tree.planes))))
@@ -85,11 +82,6 @@ def _tables(block: Block) -> list[str]:
         lines += textwrap.wrap(text, WIDTH - 8, initial_indent=" " * 8, subsequent_indent=" " * 8)
         lines[-1] += "];"
     return lines
-
-
-def _label(block: Block) -> str:
-    wide = block.plan.tree.cells.threshold.max() > SHORT
-    return "DINT_TO_INT(thresholds[node])" if wide else "thresholds[node]"
 
 
 def body(block: Block) -> list[str]:
@@ -153,7 +145,9 @@ def _decision(block: Block) -> list[str]:
         lines.append("    value := z[axis];")
     lines += ["    IF value >= thresholds[node] THEN", "        node := seconds[node];"]
     lines += ["    ELSE", "        node := node + 1;", "    END_IF;"]
-    lines += ["    axis := splits[node];", "END_WHILE;", f"wanted := {_label(block)};"]
+    wide = tree.threshold.max() > SHORT
+    label = "DINT_TO_INT(thresholds[node])" if wide else "thresholds[node]"
+    lines += ["    axis := splits[node];", "END_WHILE;", f"wanted := {label};"]
     return lines + _gap(block)
 
 
@@ -197,5 +191,4 @@ def _dwelling(block: Block) -> list[str]:
 
 
 def _wide(values: np.ndarray) -> bool:
-    """Return whether numbers need more than 16 bits."""
     return bool(np.abs(values.astype(np.int64)).max() > SHORT)

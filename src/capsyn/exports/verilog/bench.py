@@ -104,59 +104,40 @@ def bench(module: Module, golden: Golden) -> tuple[bytes, bytes, list[str], Gold
 
 
 def _text(module: Module, count: int, bits: int) -> list[str]:
-    """Return the test bench for some vectors of a number of bits."""
+    """Return the test bench for some vectors of a number of bits.
+
+    The module under test has no dwell time, which is no matter of one state.
+    """
     names = [f"in_{i}" for i in range(module.plan.n)]
-    return [
-        f"module {module.name}_tb;",
-        f'    parameter VECTORS = "{module.name}.mem";',
-        f"    localparam COUNT = {count};",
-        f"    reg [{bits - 1}:0] vectors [0:COUNT - 1];",
-        f"    reg [{bits - 1}:0] vector;",
-        *_signals(module, names),
-        *_instance(module, names),
-        *_check(module),
-        *_send(module, names, bits),
-        *(CLOCKED if module.clocked else PLAIN).splitlines(),
-        *FRAME.splitlines(),
-        "endmodule",
-    ]
-
-
-def _signals(module: Module, names: list[str]) -> list[str]:
-    """Return what the module is connected to, and what its answers are compared with."""
-    return [
+    answer_bits = module.symbol_bits + module.tells
+    clocks = ("clk", "rst", "valid_in", "valid_out") * module.clocked
+    answers = ("symbol", "outside")[: 1 + module.tells]
+    wires = [*zip((*clocks, *module.inputs, *answers), (*clocks, *names, *answers))]
+    connected = ",\n".join(f"        .{port}({name})" for port, name in wires)
+    answer = "{outside, symbol}" if module.tells else "symbol"
+    signals = [
         *(f"    reg [{width - 1}:0] {name};" for name, width in zip(names, module.widths)),
         f"    wire [{module.symbol_bits - 1}:0] symbol;",
         *["    wire outside;"] * module.tells,
-        f"    reg [{module.symbol_bits + module.tells - 1}:0] expected;",
+        f"    reg [{answer_bits - 1}:0] expected;",
         *["    reg clk, rst, valid_in;", "    wire valid_out;"] * module.clocked,
-        "    integer sent, seen, wrong;",
     ]
-
-
-def _instance(module: Module, names: list[str]) -> list[str]:
-    """Return the module under test, without a dwell time, which is no matter of one state."""
-    clocks = ("clk", "rst", "valid_in", "valid_out") * module.clocked
-    connected = [f".{name}({name})" for name in clocks]
-    connected += [f".{port}({name})" for port, name in zip(module.inputs, names)]
-    connected += [".symbol(symbol)"] + [".outside(outside)"] * module.tells
-    no_dwell = " #(.DWELL_CYCLES(64'd0))" if module.dwell else ""
-    return [
-        f"    {module.name}{no_dwell} dut (",
-        *(f"        {text}," for text in connected[:-1]),
-        f"        {connected[-1]}",
-        "    );",
-    ]
-
-
-def _check(module: Module) -> list[str]:
-    """Return the task that compares an answer with what the next vector says."""
-    answer = "{outside, symbol}" if module.tells else "symbol"
+    declared = "\n".join(signals)
     return f"""\
+module {module.name}_tb;
+    parameter VECTORS = "{module.name}.mem";
+    localparam COUNT = {count};
+    reg [{bits - 1}:0] vectors [0:COUNT - 1];
+    reg [{bits - 1}:0] vector;
+{declared}
+    integer sent, seen, wrong;
+    {module.name}{" #(.DWELL_CYCLES(64'd0))" if module.dwell else ""} dut (
+{connected}
+    );
     task check;
         begin
             vector = vectors[seen];
-            expected = vector[{module.symbol_bits + module.tells - 1}:0];
+            expected = vector[{answer_bits - 1}:0];
             if ({answer} !== expected || ^expected === 1'bx) begin
                 wrong = wrong + 1;
                 if (wrong <= 10)
@@ -165,16 +146,14 @@ def _check(module: Module) -> list[str]:
             end
             seen = seen + 1;
         end
-    endtask""".splitlines()
-
-
-def _send(module: Module, names: list[str], bits: int) -> list[str]:
-    """Return the task that gives the module the inputs of the next vector."""
-    return f"""\
+    endtask
     task send;
         begin
             vector = vectors[sent];
-            {{{", ".join(names)}}} = vector[{bits - 1}:{module.symbol_bits + module.tells}];
+            {{{", ".join(names)}}} = vector[{bits - 1}:{answer_bits}];
             sent = sent + 1;
         end
-    endtask""".splitlines()
+    endtask
+{CLOCKED if module.clocked else PLAIN}
+{FRAME}
+endmodule""".splitlines()

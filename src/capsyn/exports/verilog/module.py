@@ -31,24 +31,11 @@ FIXED = frozenset(
 
 @dataclass(frozen=True, eq=False)
 class Module:
-    """A circuit that decides.
+    """A circuit that decides, with its name and those of its inputs (n).
 
-    Parameters
-    ----------
-    plan : Plan
-        What it decides.
-    ports : n Ports, optional
-        Of fixed-point inputs. None: inputs are lattice steps.
-    clock : int
-        Default frequency of its clock [Hz].
-    name : str
-        Its name.
-    inputs : n strings
-        Names of the inputs.
-    renamed : dict
-        Names that are no identifiers, and what they became.
-    stages, levels : int
-        Stages of the pipeline, 0 for none, and the levels of the tree in each.
+    `ports` (n) are those of fixed-point inputs; None: inputs are lattice steps. `clock` is the
+    default frequency [Hz]. `renamed` are names that are no identifiers, and what they became. Each
+    of the `stages` of the pipeline, 0 for none, has so many `levels` of the tree.
     """
 
     plan: Plan
@@ -127,11 +114,6 @@ class Module:
         """Whether it has a clock."""
         return self.stages > 0 or self.dwell
 
-    @property
-    def latency(self) -> int:
-        """Clocks from a state to its symbol."""
-        return (self.stages + 1 if self.stages else 0) + self.dwell
-
     @functools.cached_property
     def changed(self) -> float | None:
         """Share of states whose symbol the rounding of the ports changes; None without any."""
@@ -139,7 +121,6 @@ class Module:
 
 
 def _stages(pipeline: bool | int, depth: int) -> int:
-    """Return the stages that are asked for a tree of some levels."""
     if pipeline is True:
         return math.ceil(depth / STAGE_LEVELS)
     stages = 0 if pipeline is False else whole_number("pipeline", pipeline, least=1, most=1000)

@@ -104,14 +104,8 @@ class Port:
         return (-1 - inner if self.negative else inner) * 2.0**-self.fraction
 
 
-def fixed_ports(
-    plan: Plan, bits: tuple[int | None, ...], fraction: tuple[int | None, ...]
-) -> tuple[Port, ...]:
-    """Return the ports of the states; `ProblemError` where steps fall together or do not fit."""
-    return tuple(_port(plan, i, bits[i], fraction[i]) for i in range(plan.n))
-
-
-def _port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port:
+def fixed_port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port:
+    """Return the port of a state; `ProblemError` where its steps fall together or do not fit."""
     domain, count = plan.policy.domain, plan.tree.cells.counts[axis]
     name, periodic = domain.names[axis], domain.periodic[axis]
     scale, offset = float(plan.scale[axis]), float(plan.offset[axis])
@@ -183,7 +177,8 @@ def changed_share(plan: Plan, ports: tuple[Port, ...]) -> float:
     states = domain.lower + rng.random((SHARED, plan.n)) * domain.widths
     before = tree.labels(domain.locate(states, tree.counts))
     numbers = port_numbers(ports, (states - plan.offset) / plan.scale)
-    after = tree.labels(domain.locate(quantised_states(plan, ports, numbers), tree.counts))
+    at_ports = plan.states(quantised_readings(plan, ports, numbers))
+    after = tree.labels(domain.locate(at_ports, tree.counts))
     return float(np.mean(before != after))
 
 
@@ -196,11 +191,6 @@ def quantised_readings(plan: Plan, ports: tuple[Port, ...], numbers: np.ndarray)
     """Return the readings (K, n) that numbers (K, n) stand for."""
     periodic = plan.policy.domain.periodic
     return np.stack([p.readings(numbers[:, p.axis], periodic[p.axis]) for p in ports], axis=1)
-
-
-def quantised_states(plan: Plan, ports: tuple[Port, ...], numbers: np.ndarray) -> np.ndarray:
-    """Return the states (K, n) that numbers (K, n) stand for."""
-    return plan.states(quantised_readings(plan, ports, numbers))
 
 
 def fold(port: Port, name: str, periodic: bool) -> tuple[int, int, int]:

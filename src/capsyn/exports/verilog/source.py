@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from decimal import Decimal
 
 from capsyn.errors import ProblemError
-from capsyn.exports.long_lines import broken
+from capsyn.exports.text import broken
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import Port, fold, width_of
-from capsyn.exports.verilog.tree import TreeCircuit
+from capsyn.exports.verilog.tree import combinational, pipelined
 from capsyn.exports.verilog.words import comment, signed
 
 UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
@@ -32,14 +32,12 @@ def source(module: Module, about: Sequence[str]) -> list[str]:
             lines.append(f"    wire unused_{i} = &{{1'b0, {module.inputs[i]}}};")
     if module.ports:
         lines += _outside(module)
-    circuit = TreeCircuit(module)
-    lines += circuit.pipelined(used) if module.stages else circuit.combinational()
+    lines += pipelined(module, used) if module.stages else combinational(module)
     lines += _end(module)
     return [*lines, "endmodule", "", "`default_nettype wire"]
 
 
 def _about(module: Module) -> Iterator[str]:
-    """Yield what the ports mean."""
     plan, domain = module.plan, module.plan.policy.domain
     if module.renamed:
         yield from (f"Renamed: {old!r} is {new}" for old, new in module.renamed.items())
@@ -67,7 +65,8 @@ def _about(module: Module) -> Iterator[str]:
     if not module.clocked:
         yield "A circuit without a clock or registers."
     else:
-        yield f"Latency {module.latency} clocks; one state a clock."
+        latency = (module.stages + 1 if module.stages else 0) + module.dwell
+        yield f"Latency {latency} clocks; one state a clock."
 
 
 def _bounds(module: Module, port: Port) -> str:
@@ -79,10 +78,9 @@ def _interface(module: Module) -> list[str]:
     lines = [f"module {module.name}"]
     if module.dwell:
         exact = Decimal(f"{module.plan.dwell:.12g}")  # 0.1 * 3 is 0.3
-        units = [k for k in UNITS.values() if exact * k == int(exact * k)]
-        unit = units[0] if units else UNITS["ns"]
+        fits = ((name, k) for name, k in UNITS.items() if exact * k == int(exact * k))
+        label, unit = next(fits, ("ns", UNITS["ns"]))
         amount = math.ceil(exact * unit)
-        label = next(k for k, v in UNITS.items() if v == unit)
         if amount * module.clock // unit >= 2**63:
             raise ProblemError(
                 f"`dwell` must be less than 2^63 clocks of {module.clock} Hz; got {exact} s"
@@ -121,18 +119,16 @@ def _front(module: Module, i: int) -> list[str]:
     lines = [f"{kind} v{i} = {value};"]
     turned = f"z{i}" if module.direct else f"w{i}"
     if periodic:
-        rows: list[str] = []
-        lows: list[str] = []
-        start, k = port.first + port.turn, 1
-        while start <= port.most:
-            rows.insert(0, f"v{i} >= {signed(start, port.bits)} ? v{i} - {_turns(k, port)} :")
-            start, k = start + port.turn, k + 1
-        start, k = port.first, 1
-        while start > port.least:
-            lows.insert(0, f"v{i} < {signed(start, port.bits)} ? v{i} + {_turns(k, port)} :")
-            start, k = start - port.turn, k + 1
-        rows = [f"        {row}" for row in [*rows, *lows, f"v{i};"]]
-        lines += [f"{kind} {turned} =", *rows]
+        ends = (
+            (">=", "-", range(port.first + port.turn, port.most + 1, port.turn)),
+            ("<", "+", range(port.first, port.least, -port.turn)),
+        )
+        lines.append(f"{kind} {turned} =")
+        for test, sign, starts in ends:  # the farthest turns first
+            for k in range(len(starts), 0, -1):
+                far = f"v{i} {test} {signed(starts[k - 1], port.bits)}"
+                lines.append(f"        {far} ? v{i} {sign} {_turns(k, port)} :")
+        lines.append(f"        v{i};")
     else:
         lines.append(f"{kind} {turned} = v{i};")
     return lines if module.direct else lines + _product(module, i, port, periodic)

@@ -12,7 +12,7 @@ from capsyn.exports.plan import Plan
 from capsyn.exports.target import Exported, Target
 from capsyn.exports.verilog.bench import bench
 from capsyn.exports.verilog.module import Module
-from capsyn.exports.verilog.ports import Port, fixed_ports
+from capsyn.exports.verilog.ports import Port, fixed_port
 from capsyn.exports.verilog.source import source
 from capsyn.validation import describe, finite_number, one_of, whole_number
 
@@ -49,7 +49,8 @@ class Options:
         """Return the fixed-point ports; None for inputs lattice."""
         if self.inputs == "fixed":
             bits = _per_state("bits", self.bits, plan.n, 2)
-            return fixed_ports(plan, bits, _per_state("fraction", self.fraction, plan.n, 0))
+            fraction = _per_state("fraction", self.fraction, plan.n, 0)
+            return tuple(map(fixed_port, [plan] * plan.n, range(plan.n), bits, fraction))
         if self.bits is not None or self.fraction is not None:
             raise ProblemError("`bits` and `fraction` must be given for inputs fixed only")
         return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable
 
-from capsyn.exports.long_lines import WIDTH
+from capsyn.exports.text import WIDTH
 
 KEYWORDS = frozenset(
     """

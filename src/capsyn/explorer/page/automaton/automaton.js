@@ -1,33 +1,17 @@
 import { byId, element } from "../dom/elements.js";
-import { whole } from "../dom/text.js";
+import { counted, whole } from "../dom/text.js";
 import { progress, symbolAt } from "../state/tracks.js";
-import { placed } from "./places.js";
+import { LETTERS, placed } from "./places.js";
 import { edgeShape, emptyShape, vertexShape } from "./shapes.js";
-import { makeTaken } from "./taken.js";
-import { makeWords } from "./words.js";
 
 /** Up to so many symbols, arrows that are proved impossible are drawn. */
 const MOST_OFF = 10;
 
 /**
- * @typedef {object} Graph  The picture of the automaton. Labels are symbols, the default's last.
- * @property {App} app  see `../state/app.js`
- * @property {HTMLElement} root
- * @property {HTMLElement} caption  what is told below
- * @property {object} layout  see `placed`
- * @property {object} words  see `makeWords`
- * @property {object} taken  see `makeTaken`
- * @property {function} symbolOf  the symbol of a label
- * @property {object[]} circles  see `vertexShape`
- * @property {object[]} arrows  see `edgeShape`; `count` is how often it has been taken so far
- * @property {?number} shown  the label whose edges alone are shown
- */
-
-/**
  * Return the graph of the finite state machine: {draw, sweep, taken}. An edge shows the cells of
  * the region that is its guard, and how often the active trajectory has taken it so far; where
  * there is no room, cells and stays stand beside the symbol. A symbol that is pointed at, or has
- * the focus, shows its edges alone, and tells them in words.
+ * the focus, shows its edges alone, and tells them in words. Labels are symbols, the default last.
  */
 export function makeAutomaton(app) {
   const { data } = app, last = data.controls.length - 1, words = makeWords(data);
@@ -121,4 +105,58 @@ function write({ app, words, layout }, edge, count) {
   const full = layout.kind === "pair" || edge.source === edge.target;
   edge.lines[0].textContent = full ? words.cells(edge.target) : count ? times : "";
   edge.lines[1].textContent = full ? times : "";
+}
+
+/**
+ * Return how an automaton is told in words: {name, short, cells, edge}. Of a label its name, the
+ * name cut to where there is room, and its cells; and an edge, with its `count` so far.
+ */
+function makeWords({ automaton: { vertices, what }, symbols, loops }) {
+  const sizes = new Map(vertices.map(({ symbol, cells }) => [symbol, cells]));
+  const name = label => symbols[label];
+  const cells = label => counted(sizes.get(label), what === "leaves" ? "leaf" : "cell", what);
+
+  function short(label) {
+    const text = name(label);
+    return text.length > LETTERS ? `${text.slice(0, LETTERS - 1)}…` : text;
+  }
+
+  const edge = ({ source, target, possible, sliding, count }) => [
+    `${name(source)} → ${name(target)}: ${cells(target)}`,
+    loops && `taken ${whole(count ?? 0)}×`,
+    possible === false && "proved impossible",
+    possible === null && loops && "not decided",
+    sliding && "chatters somewhere",
+  ].filter(Boolean).join(", ");
+
+  return { name, short, cells, edge };
+}
+
+/**
+ * Return a counter of a track's transitions: {follow(track, now), count(source, target), all}.
+ * Labels are those of the automaton; `last` is the default's.
+ */
+function makeTaken(last) {
+  const labelOf = symbol => (symbol < 0 ? last : symbol);
+  let track = null, sample = 0, counts = new Map();
+
+  /** Count up to a sample; another track, or going back, counts anew. */
+  function follow(next, now) {
+    const symbols = next?.symbols ?? [], stop = Math.min(now, symbols.length - 1);
+    if (track !== next || stop < sample || !symbols.length) {
+      [track, sample, counts] = [next, 0, new Map()];
+    }
+    for (let k = sample + 1; k <= stop; k++) {
+      const key = `${labelOf(symbols[k - 1])}>${labelOf(symbols[k])}`;
+      counts.set(key, (counts.get(key) ?? 0) + 1);
+    }
+    sample = Math.max(stop, 0);
+  }
+
+  return {
+    follow,
+    count: (source, target) => counts.get(`${source}>${target}`) ?? 0,
+    /** How often each edge has been taken, by "source>target". */
+    all: () => Object.fromEntries(counts),
+  };
 }

@@ -37,7 +37,6 @@ export function vertexShape({ layout, words, theme, symbolOf }, label, [x, y]) {
   return { label, node, stays };
 }
 
-/** Put lines of text beside a vertex; return them. */
 function put(node, [x, y], lines, anchor) {
   const spans = lines.map((line, row) =>
     shape("tspan", { x, dy: row ? 11 : 0, class: row ? "" : "name" }, line));

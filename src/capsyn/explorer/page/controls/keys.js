@@ -1,5 +1,5 @@
 import { byId } from "../dom/elements.js";
-import { outline } from "../state/changes.js";
+import { look } from "../state/changes.js";
 
 /** Listen to the keys of the page, and to the buttons of its head. */
 export function listenToKeys(app) {
@@ -8,7 +8,7 @@ export function listenToKeys(app) {
   byId("keys").addEventListener("click", () => help.showModal());
   const keys = {
     " ": () => bar?.toggle(), r: () => bar?.rewind(), d: () => theme.toggle(),
-    o: () => outline(app, !view.outlines),
+    o: () => look(app, () => (view.outlines = !view.outlines)),
     "[": () => tools.show(view.level - 1), "]": () => tools.show(view.level + 1),
     "?": () => help.showModal(),
   };

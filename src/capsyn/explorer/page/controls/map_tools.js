@@ -1,7 +1,6 @@
-import { byId, element } from "../dom/elements.js";
-import { changed, outline, showAll, zoom } from "../state/changes.js";
-import { labelled } from "./fields.js";
-import { makeSlices } from "./slices.js";
+import { byId, element, labelled } from "../dom/elements.js";
+import { short, withUnit } from "../dom/text.js";
+import { look, moved, zoom } from "../state/changes.js";
 
 /** Time between the levels of a replay [ms]. */
 const PAUSE = 800;
@@ -15,7 +14,7 @@ export function makeMapTools(app) {
   const axes = makeAxes(app), levels = makeLevels(app), slices = makeSlices(app);
   const outlines = element("input", {
     id: "outlines", type: "checkbox", checked: view.outlines,
-    onchange: () => outline(app, outlines.checked),
+    onchange: () => look(app, () => (view.outlines = outlines.checked)),
   });
   byId("map-tools").append(...[
     several && labelled("across", axes.pickers[0]),
@@ -27,7 +26,7 @@ export function makeMapTools(app) {
   byId("zoom").append(
     button("+", "Zoom in", () => zoom(app, 0.7)),
     button("−", "Zoom out", () => zoom(app, 1 / 0.7)),
-    button("⤢", "Show all", () => showAll(app)),
+    button("⤢", "Show all", () => look(app, () => view.reset())),
   );
 
   function sync() {
@@ -50,10 +49,7 @@ function makeAxes(app) {
   const { data, view } = app;
   const picker = side => element("select", {
     id: ["axis-x", "axis-y"][side],
-    onchange: event => {
-      view.choose(side, Number(event.target.value));
-      changed(app);
-    },
+    onchange: event => look(app, () => view.choose(side, Number(event.target.value))),
   }, data.domain.names.map((name, i) => element("option", { value: i }, name)));
   const pickers = [picker(0), picker(1)];
   const sync = () => pickers.forEach((select, side) => (select.value = String(view.axes[side])));
@@ -74,8 +70,7 @@ function makeLevels(app) {
 
   function show(value) {
     clearTimeout(timer);
-    view.level = Math.min(Math.max(value, 0), lookup.levels);
-    changed(app);
+    look(app, () => (view.level = Math.min(Math.max(value, 0), lookup.levels)));
   }
 
   function play(value) {
@@ -89,4 +84,40 @@ function makeLevels(app) {
   }
 
   return { slider, text, replay, show, sync };
+}
+
+/** Sliders for the states that are not in the plane of the map: {sync, follows}. */
+function makeSlices(app) {
+  const { data, view } = app, { names, units, lower, upper } = data.domain, n = names.length;
+  const root = byId("sliders");
+  const follow = element("input", {
+    id: "follow", type: "checkbox", checked: n > 2, onchange: () => moved(app),
+  });
+
+  const rows = names.map((name, i) => {
+    const input = element("input", {
+      type: "range", id: `slice-${i}`, min: lower[i], max: upper[i], value: view.fixed[i],
+      step: (upper[i] - lower[i]) / 200,
+      oninput: () => {
+        follow.checked = false;
+        look(app, () => (view.fixed[i] = Number(input.value)));
+      },
+    });
+    const output = element("output", { for: `slice-${i}` });
+    const row = labelled(withUnit(name, units[i]), input, output);
+    root.append(row);
+    return { row, input, output };
+  });
+  if (data.loops) root.append(labelled("follow the trajectory", follow));
+
+  function sync() {
+    rows.forEach(({ row, input, output }, i) => {
+      row.hidden = n < 3 || view.axes.includes(i);
+      input.value = String(view.fixed[i]);
+      output.textContent = short(view.fixed[i], 3);
+    });
+    root.hidden = n < 3;
+  }
+
+  return { sync, follows: () => follow.checked };
 }

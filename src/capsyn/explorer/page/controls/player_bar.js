@@ -1,7 +1,6 @@
-import { byId, element } from "../dom/elements.js";
+import { byId, element, labelled } from "../dom/elements.js";
 import { short } from "../dom/text.js";
 import { longest } from "../state/tracks.js";
-import { labelled } from "./fields.js";
 import { pace } from "./pace.js";
 
 /** Speeds of the player, in seconds of the system per second where runs take about ten. */

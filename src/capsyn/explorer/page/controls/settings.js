@@ -1,7 +1,6 @@
-import { byId, element } from "../dom/elements.js";
+import { byId, element, labelled } from "../dom/elements.js";
 import { short, whole } from "../dom/text.js";
 import { rerun } from "../state/trajectories.js";
-import { labelled } from "./fields.js";
 import { usualDuration } from "./pace.js";
 
 const MOST_SAMPLES = 400_000, MOST_STEPS = 10_000_000;

@@ -18,3 +18,42 @@ export function cleared(canvas, scale) {
   context.setTransform(scale, 0, 0, scale, 0, 0);
   return context;
 }
+
+export function stroke(context, color, width, ...points) {
+  context.beginPath();
+  points.forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
+  context.strokeStyle = color;
+  context.lineWidth = width;
+  context.lineCap = "round";
+  context.lineJoin = "round";
+  context.stroke();
+}
+
+/** Draw a disc, with an edge if it has a width. */
+export function disc(context, color, [x, y], radius, edge = color, width = 0) {
+  context.beginPath();
+  context.arc(x, y, radius, 0, 2 * Math.PI);
+  context.fillStyle = color;
+  context.fill();
+  if (!width) return;
+  context.strokeStyle = edge;
+  context.lineWidth = width;
+  context.stroke();
+}
+
+/** Write text; `font` has its size, in pixels of the context, and its weight before. */
+export function write(context, text, [x, y], color, font, align = "center", baseline = "middle") {
+  context.fillStyle = color;
+  context.font = `${font}px system-ui, sans-serif`;
+  context.textAlign = align;
+  context.textBaseline = baseline;
+  context.fillText(text, x, y);
+}
+
+/** Draw an arrow along the horizontal; none where it is too short. */
+export function arrow(context, color, x, y, length) {
+  if (Math.abs(length) < 2) return;
+  const tip = x + length, back = Math.sign(length) * 6;
+  stroke(context, color, 2.5, [x, y], [tip, y]);
+  stroke(context, color, 2.5, [tip - back, y - 5], [tip, y], [tip - back, y + 5]);
+}

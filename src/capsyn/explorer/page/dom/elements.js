@@ -18,5 +18,9 @@ function fill(node, attributes, children) {
   return node;
 }
 
-/** Return the element of an id. */
+/** Return a control with its name. */
+export function labelled(text, control, ...more) {
+  return element("label", {}, element("span", { title: text }, text), control, ...more);
+}
+
 export const byId = id => document.getElementById(id);

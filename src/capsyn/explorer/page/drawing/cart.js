@@ -1,4 +1,4 @@
-import { arrow, disc, stroke } from "./strokes.js";
+import { arrow, disc, stroke } from "../dom/canvas.js";
 
 /** A cart on rails, its pole (positive angles to the left), and how it is accelerated. */
 function cart(context, { width }, theme, { at, rail, length, angle, push, color }) {
@@ -7,14 +7,11 @@ function cart(context, { width }, theme, { at, rail, length, angle, push, color 
   context.beginPath();
   context.roundRect(at - 24, rail - 9, 48, 18, 4);
   context.fill();
-  for (const wheel of [-13, 13]) disc(context, theme.ink, at + wheel, rail + 10, 4.5);
+  for (const wheel of [-13, 13]) disc(context, theme.ink, [at + wheel, rail + 10], 4.5);
   const tip = [at - length * Math.sin(angle), rail - length * Math.cos(angle)];
   stroke(context, theme.ink, 4, [at, rail], tip);
-  disc(context, theme.ink, at, rail, 4);
-  disc(context, color, ...tip, 9);
-  context.strokeStyle = theme.ink;
-  context.lineWidth = 2;
-  context.stroke();
+  disc(context, theme.ink, [at, rail], 4);
+  disc(context, color, tip, 9, theme.ink, 2);
   arrow(context, theme.ink, at + Math.sign(push) * 32, rail, push * 30);
 }
 
@@ -25,7 +22,6 @@ export function pendulum(context, size, theme, { state, control, color, stronges
   cart(context, size, theme, { ...setting, angle: state[0], push: control[0] / strongest, color });
 }
 
-/** The cart where it is on its rails. */
 export function cartPole(context, size, theme, { state, control, color, strongest, data }) {
   const [low, high] = [data.domain.lower[0], data.domain.upper[0]], pole = data.drawn_length;
   const reach = Math.max(high - low, 2.2 * Math.abs(state[0] - (low + high) / 2));

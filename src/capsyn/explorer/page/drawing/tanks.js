@@ -1,4 +1,4 @@
-import { stroke } from "./strokes.js";
+import { stroke, write } from "../dom/canvas.js";
 
 const WATER = { light: "#5aa7dd", dark: "#3f86bb" };
 
@@ -17,7 +17,7 @@ function valve(context, theme, x, y, open, name) {
   context.strokeStyle = theme.ink;
   context.lineWidth = 1.5;
   context.stroke();
-  label(context, theme, x, y - 11, name);
+  write(context, name, [x, y - 11], theme.quiet, "11", "center", "alphabetic");
 }
 
 /** A tank with its walls, water and name, and the level that is aimed at. */
@@ -33,14 +33,7 @@ function tank(context, theme, { x, wide, bottom, unit }, level, aim, name) {
     stroke(context, theme.ink, 1.5, [x - 5, y], [x + wide + 5, y]);
     context.setLineDash([]);
   }
-  label(context, theme, x + wide / 2, bottom + 14, name);
-}
-
-function label(context, theme, x, y, text) {
-  context.fillStyle = theme.quiet;
-  context.font = "11px system-ui, sans-serif";
-  context.textAlign = "center";
-  context.fillText(text, x, y);
+  write(context, name, [x + wide / 2, bottom + 14], theme.quiet, "11", "center", "alphabetic");
 }
 
 /** Two tanks, the first above the second, with their valves. */

@@ -98,7 +98,7 @@ function decide({ data, lookup }, course, { outside, deviations, normal, dwell }
   if (seen.status !== INSIDE) course.away += 1;
   if (seen.symbol === NONE) return seen.status === NOT_FINITE ? "not finite" : "left the domain";
   const first = course.symbol === NONE;
-  const changes = first || differ(controlOf(data, seen.symbol), controlOf(data, course.symbol));
+  const changes = first || differ(data.controls.at(seen.symbol), data.controls.at(course.symbol));
   if (first || (changes && course.held >= dwell)) {
     if (!first) course.switches += 1;
     course.held = 0;
@@ -106,14 +106,14 @@ function decide({ data, lookup }, course, { outside, deviations, normal, dwell }
   if (course.held === 0 || !changes) course.symbol = seen.symbol;
   course.held += 1;
   course.symbols[k] = course.symbol;
-  const control = controlOf(data, course.symbol);
+  const control = data.controls.at(course.symbol);
   course.u.set(control, k * control.length);
   return null;
 }
 
 /** Go on to the next sample under the controls that act: decided before, or the default. */
 function act({ data, advance }, { x, gathered, symbols }, { whole, rest, before, now, steps }, k) {
-  const acting = sample => controlOf(data, sample < 0 ? -1 : symbols[sample]);
+  const acting = sample => data.controls.at(sample < 0 ? -1 : symbols[sample]);
   if (rest > 0) advance(x, gathered, acting(k - whole - 1), before, steps);
   advance(x, gathered, acting(k - whole), now, steps);
 }
@@ -132,10 +132,6 @@ function result({ data, model }, course, { rate, steps }, k) {
     totalCost: gathered[0] + terminal[0],
     ended, arrived, switches, outside: away, rate, substeps: steps,
   };
-}
-
-function controlOf({ controls }, symbol) {
-  return controls[symbol < 0 ? controls.length - 1 : symbol];
 }
 
 function differ(u, v) {

@@ -28,7 +28,6 @@ export const toShares = (frame, [x, y]) => [
 export const within = (frame, [x, y]) => x >= frame.x - 1 && x <= frame.x + frame.width + 1 &&
   y >= frame.y - 1 && y <= frame.y + frame.height + 1;
 
-/** Whether shares are in the plane. */
 export const isIn = shares => shares.every(share => share >= 0 && share <= 1);
 
 /** Return the shares that are in the plane and nearest. */

@@ -3,28 +3,17 @@ import { byId } from "../dom/elements.js";
 import { ordered } from "../state/tracks.js";
 import { drawAxes } from "./axes.js";
 import { framed, toPixels } from "./frame.js";
-import { listenToKeys } from "./keyboard.js";
+import { listenToKeys, listenToMouse } from "./input.js";
 import { makeLines } from "./lines.js";
 import { drawEnds, drawPointer, drawTarget, drawTrack } from "./marks.js";
-import { listenToMouse } from "./mouse.js";
 import { picture } from "./picture.js";
 import { targetPaths } from "./target.js";
 
 /**
- * @typedef {object} PolicyMap  The map and what is drawn on it.
- * @property {App} app  see `../state/app.js`
- * @property {HTMLCanvasElement} base  what stays: the picture and the axes
- * @property {HTMLCanvasElement} overlay  what moves, and what listens
- * @property {{x, y, width, height}} frame  where the plane is [CSS pixels]
- * @property {number} scale  pixels of the canvases per CSS pixel
- * @property {?object} target  see `targetPaths`
- * @property {object} lines  see `makeLines`
- * @property {{x: string[], y: string[]}} ticks  the texts at the axes
- */
-
-/**
  * Return the map of the page: {draw, sweep, redraw, shown}. `draw` paints all, `sweep` what moves;
- * `redraw` tells how long a picture takes, and `shown` what is drawn.
+ * `redraw` tells how long a picture takes, and `shown` what is drawn. On the canvas `base` is what
+ * stays, the picture and the axes; on `overlay` what moves, and what listens. `frame` is where the
+ * plane is [CSS pixels], `scale` the pixels of a canvas per CSS pixel.
  */
 export function makeMap(app) {
   const map = {

@@ -1,3 +1,4 @@
+import { disc, write } from "../dom/canvas.js";
 import { readable } from "../dom/colors.js";
 import { progress, symbolAt } from "../state/tracks.js";
 import { toPixels, within } from "./frame.js";
@@ -5,17 +6,17 @@ import { toPixels, within } from "./frame.js";
 /** The target: hatched, within a dashed line. */
 export function drawTarget(context, { edge, hatch }, theme) {
   context.lineCap = "butt";
-  context.lineWidth = 1;
-  context.strokeStyle = theme.hatch;
-  context.stroke(hatch);
-  context.strokeStyle = theme.halo;
-  context.lineWidth = 3;
-  context.stroke(edge);
+  trace(context, hatch, theme.hatch, 1);
+  trace(context, edge, theme.halo, 3);
   context.setLineDash([5, 4]);
-  context.strokeStyle = theme.ink;
-  context.lineWidth = 1.6;
-  context.stroke(edge);
+  trace(context, edge, theme.ink, 1.6);
   context.setLineDash([]);
+}
+
+function trace(context, path, color, width) {
+  context.strokeStyle = color;
+  context.lineWidth = width;
+  context.stroke(path);
 }
 
 /** A line in a colour, with a halo that sets it off. */
@@ -23,11 +24,8 @@ function drawLine(context, line, { halo }, color, width, alpha = 1) {
   context.globalAlpha = alpha;
   context.lineJoin = "round";
   context.lineCap = "round";
-  for (const [paint, wide] of [[halo, width + 2.5], [color, width]]) {
-    context.strokeStyle = paint;
-    context.lineWidth = wide;
-    context.stroke(line);
-  }
+  trace(context, line, halo, width + 2.5);
+  trace(context, line, color, width);
   context.globalAlpha = 1;
 }
 
@@ -46,29 +44,14 @@ export function drawEnds(context, { app, frame }, track) {
   const { theme, view } = app, color = theme.track(track.color), now = progress(app, track);
   const start = toPixels(frame, view.place(track.states[0]));
   if (within(frame, start)) {
-    drawDisc(context, start, 8.5, color, theme.halo, 2);
-    context.fillStyle = readable(color);
-    context.font = "600 11px system-ui, sans-serif";
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    context.fillText(String(track.number), start[0], start[1] + 0.5);
+    disc(context, color, start, 8.5, theme.halo, 2);
+    write(context, String(track.number), [start[0], start[1] + 0.5], readable(color), "600 11");
   }
   const here = toPixels(frame, view.place(track.states[now]));
   if (now === 0 || !within(frame, here)) return;
-  drawDisc(context, here, 6, theme.color(symbolAt(track, now)), color, 2.5);
+  disc(context, theme.color(symbolAt(track, now)), here, 6, color, 2.5);
 }
 
-function drawDisc(context, [x, y], radius, color, edge, width) {
-  context.beginPath();
-  context.arc(x, y, radius, 0, 2 * Math.PI);
-  context.fillStyle = color;
-  context.fill();
-  context.strokeStyle = edge;
-  context.lineWidth = width;
-  context.stroke();
-}
-
-/** The state that is pointed at, and its cell. */
 export function drawPointer(context, { app, frame }) {
   const { theme, view, pointed } = app;
   if (!pointed) return;

@@ -51,15 +51,10 @@ class Edge {
       if (!this.places.has(side)) this.places.set(side, this.between(from, to, corners[k]));
       return side;
     });
-    for (let k = 0; k + 1 < crossed.length; k += 2) {
-      this.link(crossed[k], crossed[k + 1]);
-      this.link(crossed[k + 1], crossed[k]);
-    }
-  }
-
-  link(one, other) {
-    if (!this.links.has(one)) this.links.set(one, []);
-    this.links.get(one).push(other);
+    crossed.forEach((side, k) => {
+      if (!this.links.has(side)) this.links.set(side, []);
+      this.links.get(side).push(crossed[k ^ 1]);
+    });
   }
 
   /** The place between two points of the grid where it is; `first` is what is at `from`. */

@@ -1,6 +1,45 @@
 import { byId, element } from "../dom/elements.js";
-import { short, withUnit } from "../dom/text.js";
+import { counted, short, withUnit } from "../dom/text.js";
+import { MIXED } from "../policy/symbols.js";
+import { showOnly } from "../state/changes.js";
 import { swatch } from "../state/swatches.js";
+
+/** Show what the policy is called and how large it is, and hide what there is nothing for. */
+export function showTitle({ data, loop }) {
+  const n = data.domain.names.length, { classList } = document.body;
+  byId("name").textContent = data.name;
+  byId("summary").textContent = [
+    counted(n, "state"),
+    counted(data.symbols.length - 1, "symbol"),
+    data.tree ? counted((data.tree.split.shape[0] + 1) / 2, "leaf", "leaves")
+      : counted(data.automaton.vertices.reduce((sum, v) => sum + v.cells, 0), "cell"),
+    data.statistics.solves && counted(data.statistics.solves, "solve"),
+  ].filter(Boolean).join(" · ");
+  classList.toggle("undrawn", !data.drawing);
+  classList.toggle("flat", n === 1);
+  classList.toggle("static", !loop);
+  for (const id of ["player", "tracks", "series", "status", "settings"]) byId(id).hidden = !loop;
+}
+
+/** Fill the legend: symbols, each of which shows its cells alone, the target, and mixed cells. */
+export function showLegend(app) {
+  const { data, loop, lookup, view } = app, root = byId("legend");
+  const symbols = [...Array(data.symbols.length - 1).keys()];
+  if (data.shares.at(-1) > 0) symbols.push(-1);
+  const entry = (more, ...content) =>
+    root.append(element("span", { role: "listitem", ...more }, ...content));
+  for (const symbol of symbols) {
+    entry({}, element("button", {
+      type: "button", class: "key", title: "Show only its cells", "data-symbol": symbol,
+      onpointerenter: () => showOnly(app, symbol), onpointerleave: () => showOnly(app, null),
+      onfocus: () => showOnly(app, symbol), onblur: () => showOnly(app, null),
+    }, swatch(symbol), data.symbols.at(symbol)));
+  }
+  if (loop && data.target && view.n > 1) {
+    entry({ title: data.target.text }, element("span", { class: "line" }), "target");
+  }
+  if (lookup.levels > 0) entry({ class: "later" }, swatch(MIXED), "still to split");
+}
 
 /** Fill the facts of the page: tables of the states and symbols, and sections of rows. */
 export function showFacts(app) {

@@ -33,7 +33,6 @@ function rowsOf({ data, view }, { state, symbol, cell }) {
   return [...rows, ["cell", `${final}${whole(cell.leaf)}, ${depth}: ${box(cell)}`]];
 }
 
-/** Values with their names and units. */
 function values(names, units, numbers) {
   return names.map((name, i) => {
     const text = short(numbers[i]);
@@ -41,7 +40,6 @@ function values(names, units, numbers) {
   }).join(", ");
 }
 
-/** The bounds of a cell. */
 function box({ lower, upper }) {
   if (!lower) return "cut by oblique splits";
   return lower.map((low, i) => {

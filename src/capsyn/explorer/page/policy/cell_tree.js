@@ -54,7 +54,6 @@ export class CellTree {
     return levels.reduce((most, level) => Math.max(most, level), 0);
   }
 
-  /** The place of the cell with lattice steps z. */
   find(z) {
     return this.descend(z).place;
   }

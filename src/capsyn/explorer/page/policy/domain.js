@@ -19,12 +19,10 @@ export class Domain {
     return k >= counts[i] ? upper[i] : lower[i] + (upper[i] - lower[i]) * (k / counts[i]);
   }
 
-  /** The lattice step of a component. */
   step(i, x) {
     return latticeStep(x, this.lower[i], this.upper[i], this.periodic[i], this.counts[i]);
   }
 
-  /** The lattice steps of a state. */
   steps(x) {
     const z = new Array(this.n);
     for (let i = 0; i < this.n; i++) z[i] = this.step(i, x[i]);

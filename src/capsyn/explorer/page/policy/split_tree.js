@@ -21,7 +21,6 @@ export class SplitTree {
     return sum;
   }
 
-  /** The leaf with lattice steps z. */
   find(z) {
     const { split, threshold, second } = this;
     let node = 0;

@@ -1,7 +1,6 @@
 import uPlot from "../../vendor/uPlot.esm.js";
 import { tickText } from "../dom/text.js";
 import { longest, ordered } from "../state/tracks.js";
-import { extremes } from "./pieces.js";
 
 const HEIGHTS = { state: 96, input: 68, cost: 82 };
 const STRIP = 14, FOOT = 24, LEFT = 58, RIGHT = 20;
@@ -71,4 +70,22 @@ function rangeOf(row) {
     const pad = (high - low || Math.abs(high) || 1) * (row.all ? 0.25 : 0.08);
     return [low - pad, high + pad];
   };
+}
+
+/** Return samples of a curve of `count` that keep its least and greatest value in every piece. */
+function extremes(count, value, pieces) {
+  const kept = [], each = Math.max(1, count / pieces);
+  if (each <= 3) return Array.from({ length: count }, (_, k) => k);
+  for (let start = 0; start < count; start += each) {
+    const from = Math.floor(start), to = Math.min(count, Math.floor(start + each));
+    let [low, high] = [from, from];
+    for (let k = from + 1; k < to; k++) {
+      const here = value(k);
+      if (here < value(low)) low = k;
+      if (here > value(high)) high = k;
+    }
+    kept.push(...[...new Set([from, low, high])].sort((a, b) => a - b));
+  }
+  if (kept.at(-1) !== count - 1) kept.push(count - 1);
+  return kept;
 }

@@ -1,21 +1,9 @@
 import uPlot from "../../vendor/uPlot.esm.js";
 import { byId, element } from "../dom/elements.js";
+import { withUnit } from "../dom/text.js";
 import { longest, ordered } from "../state/tracks.js";
 import { plotData, plotOptions } from "./plots.js";
-import { rowsOf } from "./rows.js";
 import { makeStrips } from "./strips.js";
-
-/**
- * @typedef {object} Series  The time series of the tracks.
- * @property {App} app  see `../state/app.js`
- * @property {HTMLElement} root
- * @property {object} strips  see `makeStrips`
- * @property {Row[]} rows  see `rows.js`
- * @property {object} sync  what the plots' cursors share
- * @property {uPlot[]} plots  with {row, now, note}: its row, the line of the present, a text
- * @property {string} built  what they were built for
- * @property {number} width  of the root [CSS pixels]
- */
 
 /**
  * Return the time series of the tracks: {show, sweep, shown}. `show` takes the tracks and the theme
@@ -27,6 +15,26 @@ export function makeSeries(app) {
   const series = { app, root, strips, rows, sync, plots: [], built: "", width: 0 };
   new ResizeObserver(() => resize(series)).observe(root);
   return { show: () => show(series), sweep: () => sweep(series), shown: () => shown(series) };
+}
+
+/**
+ * Return the rows of a policy: its states, its inputs, the symbols and the cost. A curve has
+ * `value(track, k)` at sample k, others `paint(plot)`; an input has the `values` that it may have,
+ * ascending, for its ticks, `all` with the default control, and `of(symbol)`.
+ */
+function rowsOf({ domain, alphabet, controls }, strips) {
+  return [
+    ...domain.names.map((name, i) => ({
+      kind: "state", name: withUnit(name, domain.units[i]), value: (track, k) => track.states[k][i],
+    })),
+    ...alphabet.inputs.map((name, i) => ({
+      kind: "input", name: withUnit(name, alphabet.units[i]), paint: strips.inputs(i),
+      values: [...new Set(controls.slice(0, -1).map(control => control[i]))].sort((a, b) => a - b),
+      all: controls.map(control => control[i]), of: symbol => controls.at(symbol)[i],
+    })),
+    { kind: "symbols", name: "symbol", paint: strips.symbols },
+    { kind: "cost", name: "running cost so far", value: (track, k) => track.cost[k] },
+  ];
 }
 
 function show(series) {

@@ -1,5 +1,5 @@
+import { write } from "../dom/canvas.js";
 import { longest, ordered } from "../state/tracks.js";
-import { pieces } from "./pieces.js";
 
 /** Width of the pieces of time that are looked at as one, in CSS pixels. */
 const PIECE = 3;
@@ -9,6 +9,28 @@ const pixel = (plot, sample, rate) => Math.round(plot.valToPos(sample / rate, "x
 /** The pixels where piece k of a track begins and ends. */
 const ends = (plot, { symbols, rate }, each, k) =>
   [k * each, Math.min((k + 1) * each, symbols.length)].map(sample => pixel(plot, sample, rate));
+
+/**
+ * Return what a closed loop did in equal pieces of time: for each piece that it reached
+ * {shares, changes, from, to}, the shares of its time by symbol, how often the symbol changed in
+ * it, and the samples [from, to) that it meets. `track` has symbols and rate [1/s].
+ */
+function pieces({ symbols, rate }, length, count) {
+  const reached = [], each = (length * rate) / count;
+  for (let piece = 0; piece < count; piece++) {
+    const start = piece * each, end = Math.min(start + each, symbols.length);
+    if (!(end > start)) break;
+    const from = Math.floor(start), to = Math.ceil(end), shares = new Map();
+    let changes = 0;
+    for (let k = from; k < to; k++) {
+      const weight = (Math.min(k + 1, end) - Math.max(k, start)) / (end - start);
+      shares.set(symbols[k], (shares.get(symbols[k]) ?? 0) + weight);
+      if (k > from && symbols[k] !== symbols[k - 1]) changes += 1;
+    }
+    reached.push({ shares, changes, from, to });
+  }
+  return reached;
+}
 
 /** Return painters of inputs and symbols over time: {inputs(i), symbols, pieces(track, plot)}. */
 export function makeStrips(app) {
@@ -33,7 +55,6 @@ export function makeStrips(app) {
   };
 }
 
-/** An input of each track. */
 function paintInputs(app, i, plot, piecesOf) {
   const { ctx } = plot, scale = scaleOf(plot), most = app.tracks.length - 1;
   ctx.save();
@@ -81,11 +102,8 @@ function paintSymbols(app, plot, piecesOf) {
     const top = bbox.top + place * row + scale, height = row - 2 * scale;
     paintBand(plot, track, piecesOf(track, plot), { top, height, theme: app.theme });
     if (app.tracks.length < 2) return;
-    ctx.fillStyle = app.theme.track(track.color);
-    ctx.font = `600 ${11 * scale}px system-ui, sans-serif`;
-    ctx.textAlign = "right";
-    ctx.textBaseline = "middle";
-    ctx.fillText(String(track.number), bbox.left - 5 * scale, top + height / 2);
+    const at = [bbox.left - 5 * scale, top + height / 2], color = app.theme.track(track.color);
+    write(ctx, String(track.number), at, color, `600 ${11 * scale}`, "right");
   });
   ctx.restore();
 }

@@ -1,5 +1,4 @@
 import { byId } from "../dom/elements.js";
-import { makeNote, makeSoon } from "../dom/later.js";
 import { makeLoop } from "../loop/loop.js";
 import { makeLookup } from "../policy/lookup.js";
 import { moved, restyle } from "./changes.js";
@@ -15,30 +14,13 @@ const NOTED = 4000;
  * @typedef {object} App  The page: what it is of, what it shows, and its parts.
  * @property {object} data  what `page_data` gives
  * @property {?object} model  what `model_javascript` gives
- * @property {object} lookup  see `makeLookup`
  * @property {?object} loop  see `makeLoop`; null without a model
- * @property {View} view  the plane of the map
- * @property {object} theme  see `makeTheme`
- * @property {object} player  see `makePlayer`
- * @property {Track[]} tracks  the trajectories that are shown, see `tracks.js`
- * @property {?Track} active  the one that all parts show
+ * @property {object[]} tracks  the trajectories that are shown, see `compute` of `trajectories.js`
+ * @property {?object} active  the one that all parts show
  * @property {number} started  how many were started since there was none
- * @property {?Pointed} pointed  what is pointed at, see `pointing.js`
- * @property {function} soon  soon(name, action), see `makeSoon`
- * @property {function} note  note(text) says something over the map for a while
- * @property {Parts} parts  what is on the page; filled in when it starts
- *
- * @typedef {object} Parts  The parts of the page. None calls another: they change the state by the
- * functions of `changes.js`, `pointing.js` and `trajectories.js`, which have the parts show it.
- * @property {object} map  {draw, sweep, redraw, shown}
- * @property {object} tools  {sync, show, follows}, over the map
- * @property {object} automaton  {draw, sweep, taken}
- * @property {object} drawing  {draw}
- * @property {object} chips  {draw, sweep}, the tracks in words
- * @property {object} readout  {draw}
- * @property {?object} settings  {options, summary, keeps}; null without a model, as all below
- * @property {?object} bar  {sync, toggle, rewind}, of the player
- * @property {?object} series  {show, sweep, shown}
+ * @property {?object} pointed  what is pointed at: {state (n), cell, symbol, status}
+ * @property {object} parts  what `main.js` puts on the page. None calls another: they change the
+ *   state by the functions of `changes.js` and `trajectories.js`, which have the parts show it
  */
 
 /** Return the state of the page without its parts; `model` is what `model_javascript` makes. */
@@ -54,4 +36,27 @@ export function makeApp(model) {
   app.theme = makeTheme(data.symbols.length - 1, data.palette, () => restyle(app));
   app.player = makePlayer(() => longest(app.tracks), () => moved(app));
   return app;
+}
+
+/** Return a function that does something once before the next frame, however often it is asked. */
+function makeSoon() {
+  const waiting = new Set();
+  return (name, action) => {
+    if (waiting.has(name)) return;
+    waiting.add(name);
+    requestAnimationFrame(() => {
+      waiting.delete(name);
+      action();
+    });
+  };
+}
+
+/** Return a function that shows text in an element for a time [ms]. */
+function makeNote(element, time) {
+  let timer = null;
+  return text => {
+    clearTimeout(timer);
+    element.textContent = text;
+    timer = setTimeout(() => (element.textContent = ""), time);
+  };
 }

@@ -1,6 +1,5 @@
 import { byId } from "../dom/elements.js";
 import { paintSwatches } from "./swatches.js";
-import { reread } from "./pointing.js";
 import { progress } from "./tracks.js";
 
 /** Show everything anew: the plane, the level or the outlines have changed. */
@@ -12,7 +11,6 @@ export function changed(app) {
   drawSoon(app);
 }
 
-/** Draw the map before the next frame. */
 export function drawSoon({ soon, parts }) {
   soon("map", () => parts.map.draw());
 }
@@ -41,7 +39,6 @@ export function showTracks({ parts }) {
   parts.bar?.sync();
 }
 
-/** Show everything in the colours of the theme. */
 export function restyle(app) {
   const { theme, parts } = app;
   byId("theme").textContent = theme.mode === "dark" ? "Light" : "Dark";
@@ -54,8 +51,7 @@ export function restyle(app) {
 
 /** Zoom by a factor about a state: what is pointed at, or the middle, unless given. */
 export function zoom(app, factor, state = app.pointed?.state ?? app.view.state(0.5, 0.5)) {
-  app.view.zoom(factor, state);
-  changed(app);
+  look(app, view => view.zoom(factor, state));
 }
 
 /** Fade all symbols but one on the map; none for null. */
@@ -64,14 +60,31 @@ export function showOnly(app, symbol) {
   drawSoon(app);
 }
 
-/** Outline the cells on the map, or not. */
-export function outline(app, wanted) {
-  app.view.outlines = wanted;
+/** Change the view, and show everything anew. */
+export function look(app, change) {
+  change(app.view);
   changed(app);
 }
 
-/** Show all of the plane. */
-export function showAll(app) {
-  app.view.reset();
-  changed(app);
+/** Point at a state, or at none. */
+export function point(app, state) {
+  app.pointed = state ? read(app, state) : null;
+  app.parts.readout.draw();
+  app.soon("sweep", () => app.parts.map.sweep());
+}
+
+/** Read the place that is pointed at again: the plane or the other states have changed. */
+function reread(app) {
+  const { view, pointed, parts } = app;
+  if (pointed) app.pointed = read(app, view.state(...view.place(pointed.state)));
+  parts.readout.draw();
+}
+
+function read({ lookup, view }, state) {
+  const cell = lookup.cell(state);
+  if (cell && cell.lower) {
+    const turned = (edge, i) => edge + state[i] - view.wrapped(state[i], i);
+    Object.assign(cell, { lower: cell.lower.map(turned), upper: cell.upper.map(turned) });
+  }
+  return { state, cell, ...lookup.symbol(state) };
 }

@@ -6,7 +6,6 @@ export function swatch(symbol) {
   return element("span", { class: "swatch", "data-symbol": symbol });
 }
 
-/** Fill all squares. */
 export function paintSwatches(theme) {
   for (const node of document.querySelectorAll(".swatch")) {
     const symbol = Number(node.dataset.symbol);

@@ -1,13 +1,3 @@
-/**
- * @typedef {object} Track  A trajectory of the closed loop: what `run` of `makeLoop` returns, and
- * @property {Float64Array[]} states  (K+1) of (n) [state units]
- * @property {object} options  what it was computed with
- * @property {number[]} start  (n) where it was asked to start [state units]
- * @property {string} words  what is unusual about its options
- * @property {number} number  its number on the page
- * @property {number} color  of the theme's colours for tracks
- */
-
 /** Return how long the longest of some tracks is [s]; 0 if there is none. */
 export function longest(tracks) {
   return tracks.reduce((most, track) => Math.max(most, track.t.at(-1)), 0);

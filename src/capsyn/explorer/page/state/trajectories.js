@@ -44,14 +44,12 @@ export function rerun(app) {
   else again(app, app.active.start);
 }
 
-/** Make a track the active one. */
 export function choose(app, track) {
   app.active = track;
   showTracks(app);
   moved(app);
 }
 
-/** Remove a track. */
 export function drop(app, track) {
   app.tracks = app.tracks.filter(other => other !== track);
   if (app.active === track) app.active = app.tracks.at(-1) ?? null;
@@ -72,7 +70,11 @@ function again(app, x0) {
   moved(app);
 }
 
-/** Return the trajectory from a state under the settings; where they are wrong say so: null. */
+/**
+ * Return the trajectory from a state under the settings; where they are wrong say so: null. It is
+ * what `run` of `makeLoop` returns, its states one by one, where it was asked to start, and `words`
+ * on what is unusual about its options; on the page it gets a number, and a colour of the theme.
+ */
 function compute({ loop, lookup: { n }, note, parts: { settings } }, x0) {
   const options = settings.options();
   if (typeof options === "string") {

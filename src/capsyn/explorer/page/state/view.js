@@ -25,7 +25,6 @@ export class View {
     return this.upper[axis] - this.lower[axis];
   }
 
-  /** Show all of the plane. */
   reset() {
     this.bounds = this.axes.flatMap(axis => [this.lower[axis], this.upper[axis]]);
   }
@@ -90,7 +89,6 @@ export class View {
       : Math.min(Math.max(value, this.lower[axis]), this.upper[axis]);
   }
 
-  /** The bounds of a side of the plane. */
   side(side) {
     return this.bounds.slice(2 * side, 2 * side + 2);
   }

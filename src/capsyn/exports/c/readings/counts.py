@@ -20,17 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.exports.c.language import Part, rows, z_type
 from capsyn.exports.c.readings.lines import Line, line_of
-from capsyn.exports.c.readings.places import (
-    line_name,
-    line_step,
-    listed,
-    masked,
-    placed,
-    table_step,
-    turned,
-)
 from capsyn.exports.crossings import least_reaching
 from capsyn.exports.golden import GOLDEN, Golden, decide
 from capsyn.exports.plan import Plan
@@ -40,8 +30,6 @@ READINGS = ("real", "int16", "int32")
 """What readings may be."""
 WHOLE = 1e-3
 """Counts by which a turn may miss a whole number."""
-MOST_IN_LINE = 70
-"""Characters of a function's name and arguments that stay in one line."""
 
 
 @dataclass(frozen=True)
@@ -118,18 +106,13 @@ def count_axes(plan: Plan, readings: str, numbers: Sequence[int] | None = None) 
         The integers do not reach the first and the last step of an axis, a count is wider than an
         axis, or a turn of a periodic axis is no whole number of counts.
     """
-    bits = _bits(readings)
+    bits = limit_of(readings).bit_length()
     return [_axis(plan, i, bits) for i in (range(plan.n) if numbers is None else numbers)]
 
 
-def _bits(readings: str) -> int:
-    """Return the width of counts."""
-    return int(readings.removeprefix("int"))
-
-
-def _limit(readings: str) -> int:
+def limit_of(readings: str) -> int:
     """Return how many counts there are from 0 on."""
-    return 1 << (_bits(readings) - 1)
+    return 1 << (int(readings.removeprefix("int")) - 1)
 
 
 def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
@@ -199,7 +182,7 @@ def _narrow(bits: int, name: str, lower: float, upper: float, needed: int) -> Pr
 
 def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
     """Return golden vectors of counts: inside, around changes and bounds, anywhere, at limits."""
-    limit = _limit(readings)
+    limit = limit_of(readings)
     rng = stream(0, GOLDEN)
     counts, in_turn = [], []
     for axis in axes:
@@ -223,99 +206,3 @@ def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
         in_turn.append(-1 - inner if axis.falling else inner)
     golden = decide(plan, np.column_stack(in_turn).astype(np.float64))
     return dataclasses.replace(golden, readings=np.column_stack(counts))
-
-
-def counts_quantiser(
-    plan: Plan, prefix: str, opening: str, axes: list[CountAxis], readings: str
-) -> Part:
-    """Return the function ``opening(x, z)``, x being counts, with what it needs."""
-    integer = z_type(plan.tree.cells.counts)
-    limit = _limit(readings)
-    tables = {name: table for i, axis in enumerate(axes) for name, table in _tables(i, axis)}
-    wide = any(not -(1 << 15) <= entry < 1 << 15 for table in tables.values() for entry in table)
-    kind = "INT32" if wide else "INT16"
-    lines = [axis.line for axis in axes if axis.line and axis.top]
-    text = ""
-    if any(axis.line and axis.top and not axis.turn for axis in axes):
-        text += placed(prefix)
-    if any(axis.turn & (axis.turn - 1) for axis in axes if axis.turn):
-        text += turned(prefix)
-    if any(axis.turn and not axis.turn & (axis.turn - 1) for axis in axes):
-        text += masked(prefix)
-    for form in sorted({(line.wide, line.last > 0) for line in lines}):
-        text += line_step(prefix, integer, *form)
-    if any(line.listed for line in lines):
-        text += listed(prefix, integer, kind)
-    if any(axis.line is None for axis in axes):
-        text += table_step(prefix, integer, kind)
-    declared, body = [], []
-    for name, entries in tables.items():
-        declared.append(
-            f"    static const {kind.lower()}_t {name}[{len(entries)}] CAPSYN_ROM = {{\n"
-            f"{rows(list(map(_literal, entries)))}\n    }};"
-        )
-    for i, axis in enumerate(axes):
-        around = "-1 - " if axis.falling else ""
-        declared.append(f"    const int32_t r{i} = {around}(int32_t)x[{i}];")
-        least, most = axis.inside
-        beyond = [f"(r{i} < {_literal(least)})"] * (least > -limit)
-        beyond += [f"(r{i} > {_literal(most)})"] * (most < limit - 1)
-        if beyond and not axis.turn:
-            body.append(f"    if ({' || '.join(beyond)}) {{")
-            body += [f"        status = {prefix.upper()}_OUTSIDE;", "    }"]
-        place = _place_of(prefix, i, axis)
-        if axis.line and axis.line.listed:  # asked more than once
-            declared.append(f"    const int32_t p{i} = {place};")
-            place = f"p{i}"
-        step = _step(prefix, i, axis, place, integer)
-        if step == "0":
-            declared[-1] += f"\n    (void)r{i};" if axis.turn or not beyond else ""
-        body.append(f"    z[{i}] = {step};")
-    declared.append(f"    {prefix}_status status = {prefix.upper()}_OK;")
-    function = "\n".join([*declared, *body, "    return status;"])
-    return Part(f"{text}\n{opening}\n{{\n{function}\n}}\n", frozenset([kind] if tables else []))
-
-
-def _tables(i: int, axis: CountAxis) -> list[tuple[str, list[int]]]:
-    """Return the tables of an axis and their names."""
-    if axis.line is None:
-        tables = [(f"counts{i}", axis.changes)]
-    else:
-        tables = [(f"less{i}", np.array(axis.line.less)), (f"more{i}", np.array(axis.line.more))]
-    return [(name, (places + axis.begin).tolist()) for name, places in tables if len(places)]
-
-
-def _literal(value: int) -> str:
-    return str(value) if value > -(1 << 31) else f"({value + 1} - 1)"
-
-
-def _place_of(prefix: str, i: int, axis: CountAxis) -> str:
-    """Return the expression of what the step of ``r<i>`` is found from."""
-    if axis.turn & (axis.turn - 1):
-        return f"{prefix}_turned(r{i}, {axis.first}, {axis.turn})"
-    if axis.turn:
-        return f"{prefix}_masked(r{i}, {axis.first}uL, {axis.turn - 1}uL)"
-    if axis.line is None:
-        return f"r{i}"
-    return f"{prefix}_place(r{i}, {_literal(axis.first)}, {_literal(axis.first + axis.top)})"
-
-
-def _step(prefix: str, i: int, axis: CountAxis, place: str, integer: str) -> str:
-    """Return the expression of the step at a place."""
-    line = axis.line
-    if not len(axis.changes):
-        return "0"
-    begin = axis.begin if line or axis.turn else 0  # a table without turns is asked of counts
-    count = f"{place} {'-' if begin < 0 else '+'} {abs(begin)}" if begin else place
-    if line is None:
-        return f"{prefix}_axis_rank({count}, counts{i}, {len(axis.changes) + 1})"
-    function = f"{prefix}_{line_name(line.wide, line.last > 0)}"
-    addend = f"{line.addend}{'uLL' if line.wide else 'uL'}"
-    last = f", {line.last}" if line.last else ""
-    numbers = f"{line.factor}uL, {addend}, {line.shift}u{last}"
-    gap = "\n        " if len(function + place + numbers) > MOST_IN_LINE else " "
-    step = f"{function}({place},{gap}{numbers})"
-    for sign, name, places in (("-", "less", line.less), ("+", "more", line.more)):
-        if places:
-            step += f"\n        {sign} {prefix}_axis_listed({count}, {name}{i}, {len(places)})"
-    return f"({integer})({step})" if line.listed else step

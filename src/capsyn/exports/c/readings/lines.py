@@ -172,21 +172,15 @@ def near_line(changes: np.ndarray, top: int, wide: bool, held: bool) -> Line | N
             addend = int(tried[broken.argmin()])
             if broken.min() < fewest and runs.fits(factor, addend, wide):
                 line = Line(factor, addend, shift, wide, runs.last if held else 0)
-                leaving = _leaving(line, changes, top)
-                if leaving is not None:
-                    fewest, best = (
-                        int(broken.min()),
-                        replace(line, less=leaving[0], more=leaving[1]),
-                    )
+                if with_lists := _listing(line, changes, top):
+                    fewest, best = int(broken.min()), with_lists
         if best:
             break
     return best
 
 
-def _leaving(
-    line: Line, changes: np.ndarray, top: int
-) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
-    """Return the places whose step is one less, and one more; none where some are farther off.
+def _listing(line: Line, changes: np.ndarray, top: int) -> Line | None:
+    """Return the line with the places that are one step off; none where some are farther off.
 
     The line's own changes are computed, not the steps of all places.
     """
@@ -203,7 +197,8 @@ def _leaving(
     before = np.repeat(np.cumsum(lengths) - lengths, lengths)
     places = np.repeat(begins[wrong], lengths) + np.arange(lengths.sum()) - before
     signs = np.repeat(off[wrong], lengths)
-    return tuple(places[signs < 0].tolist()), tuple(places[signs > 0].tolist())
+    less, more = (tuple(places[signs == sign].tolist()) for sign in (-1, 1))
+    return replace(line, less=less, more=more)
 
 
 def line_of(changes: np.ndarray, top: int, coarse: bool, entry: int) -> Line | None:

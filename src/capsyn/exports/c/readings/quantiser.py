@@ -10,195 +10,65 @@ the rounded one.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.cells.split_tree import SplitTree
-from capsyn.errors import ProblemError
-from capsyn.exports.c.language import (
-    Part,
-    double_literal,
-    float_literal,
-    round_up,
-    rows,
-    search,
-    z_type,
-)
-from capsyn.exports.plan import Plan
+from capsyn.exports.c.code import Code
+from capsyn.exports.c.language import Part, round_up, rows, search, z_type
 from capsyn.modelling.domain import Box
 
-MOST_FACES = 16_000
-"""Most faces in tables of floats: 64 kB are what 16 bits can point at."""
 
+def state_quantiser(code: Code, opening: str) -> Part:
+    """Return the function ``opening(x, places)`` with the functions and tables that it calls.
 
-def ranked(tree: SplitTree, domain: Box) -> tuple[SplitTree, list[np.ndarray]]:
-    """Return a tree over those faces alone that it compares with, and the faces of each axis.
-
-    A tree with oblique splits is the same, with all faces, up to `MOST_FACES`.
+    Places are states ``y`` in the domain's period where the tree compares these, else lattice steps
+    ``z``: looked up in tables where there are faces, else estimated. Those of a state that is not
+    finite are 0.
     """
-    total = sum(tree.counts) - tree.n
-    if len(tree.planes) and total > MOST_FACES:
-        raise ProblemError(
-            f"`arithmetic` float tabulates all {total:,} faces of a tree with oblique splits; more "
-            f"than {MOST_FACES:,} are too many: take lattice, with readings int16 where there are "
-            "no doubles"
-        )
-    numbers = [np.arange(1, count) for count in tree.counts]
-    threshold = tree.threshold.copy()
-    if not len(tree.planes):
-        for i in range(tree.n):
-            at = tree.split == i
-            numbers[i], rank = np.unique(tree.threshold[at], return_inverse=True)
-            threshold[at] = rank.ravel() + 1
-    counts = tuple(len(k) + 1 for k in numbers)
-    faces = [domain.faces(i, k, tree.counts[i]) for i, k in enumerate(numbers)]
-    return SplitTree(counts, tree.split, threshold, tree.second, tree.planes), faces
+    upper, n = code.prefix.upper(), code.plan.n
+    finite = " && ".join(f"{code.prefix}_finite(x{i})" for i in range(n))
+    zero = f"y[{{}}] = {code.literal(0.0)}" if code.direct else "z[{}] = 0"
+    body = [
+        *_declarations(code),
+        f"    {code.prefix}_status status = {upper}_OK;",
+        f"    if ({finite}) {{",
+        *(line for i in range(n) for line in _outside(code, i)),
+        *(line for i in range(n) for line in _place(code, i)),
+        "    } else {",
+        f"        status = {upper}_NOT_FINITE;",
+        *(f"        {zero.format(i)};" for i in range(n)),
+        "    }",
+        "    return status;",
+    ]
+    text = _functions(code) + "\n".join(["", opening, "{", *body, "}", ""])
+    return Part(text, frozenset() if code.faces is None else frozenset({"FLOAT"}))
 
 
-@dataclass(frozen=True)
-class StateQuantiser:
-    """The function from states or readings in floating point to places, with what it needs.
-
-    Parameters
-    ----------
-    plan : Plan
-        What is exported.
-    prefix : str
-        What names of functions begin with.
-    single : bool
-        Whether states are floats, else doubles.
-    direct : bool
-        Whether places are states ``y`` in the domain's period, else lattice steps ``z``.
-    faces : arrays, optional
-        Faces of each axis, for steps by a table. Default: estimated steps.
-    """
-
-    plan: Plan
-    prefix: str
-    single: bool
-    direct: bool
-    faces: list[np.ndarray] | None
-
-    @property
-    def real(self) -> str:
-        """Type of states."""
-        return "float" if self.single else "double"
-
-    def literal(self, value: float) -> str:
-        """Return a literal of the type of states."""
-        return float_literal(np.float32(value)) if self.single else double_literal(value)
-
-    @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Lower and upper bounds, and last states in the domain; floats reach what doubles do."""
-        lower, upper = self.plan.policy.domain.lower, self.plan.policy.domain.upper
-        if self.single:
-            return round_up(lower), round_up(upper), -round_up(-upper)
-        return lower, upper, upper
-
-    def wraps(self, i: int) -> bool:
-        """Whether a state must be brought into its period to find its place."""
-        periodic = self.plan.policy.domain.periodic[i]
-        return periodic and (self.faces is None or len(self.faces[i]) > 0)
-
-    def part(self, opening: str) -> Part:
-        """Return the function ``opening(x, places)`` with the functions and tables that it calls.
-
-        A state that is not finite has the places 0.
-        """
-        upper, n = self.prefix.upper(), self.plan.n
-        finite = " && ".join(f"{self.prefix}_finite(x{i})" for i in range(n))
-        zero = f"y[{{}}] = {self.literal(0.0)}" if self.direct else "z[{}] = 0"
-        body = [
-            *self._declarations(),
-            f"    {self.prefix}_status status = {upper}_OK;",
-            f"    if ({finite}) {{",
-            *(line for i in range(n) for line in self._outside(i)),
-            *(line for i in range(n) for line in self._place(i)),
-            "    } else {",
-            f"        status = {upper}_NOT_FINITE;",
-            *(f"        {zero.format(i)};" for i in range(n)),
-            "    }",
-            "    return status;",
-        ]
-        text = self._functions() + "\n".join(["", opening, "{", *body, "}", ""])
-        return Part(text, frozenset() if self.faces is None else frozenset({"FLOAT"}))
-
-    def _functions(self) -> str:
-        """Return the functions that it calls."""
-        domain, counts = self.plan.policy.domain, self.plan.tree.cells.counts
-        text = _finite(self.prefix, self.real)
-        if self.plan.folded:
-            text += _scaled(self.prefix, self.real)
-        if any(self.wraps(i) for i in range(self.plan.n)):
-            text += _wrap(self.prefix, self.real)
-        if self.faces is not None:
-            text += _rank(self.prefix, max(map(len, self.faces)) + 1)
-        elif not self.direct:
-            text += _step(self.prefix, z_type(counts), margin(domain, counts))
-        return text
-
-    def _declarations(self) -> list[str]:
-        """Return the declarations of the states, and of the faces of each axis."""
-        lines = [f"    const {self.real} x{i} = {self._state(i)};" for i in range(self.plan.n)]
-        for i, values in enumerate(self.faces or ()):
-            if len(values):
-                entries = rows([float_literal(face) for face in round_up(values)])
-                table = f"static const float faces{i}[{len(values)}] CAPSYN_ROM"
-                lines.insert(i, f"    {table} = {{\n{entries}\n    }};")
-        return lines
-
-    def _state(self, i: int) -> str:
-        """Return the state of an axis."""
-        if not self.plan.folded:
-            return f"x[{i}]"
-        factors = f"{self.literal(self.plan.scale[i])}, {self.literal(self.plan.offset[i])}"
-        return f"{self.prefix}_scaled(x[{i}], {factors})"
-
-    def _outside(self, i: int) -> Iterator[str]:
-        """Yield what tells states beyond the bounds of an axis."""
-        if not self.plan.policy.domain.periodic[i]:
-            lower, _, last = self.bounds
-            least, most = self.literal(lower[i]), self.literal(last[i])
-            yield f"        if ((x{i} < {least}) || (x{i} > {most})) {{"
-            yield f"            status = {self.prefix.upper()}_OUTSIDE;"
-            yield "        }"
-
-    def _place(self, i: int) -> Iterator[str]:
-        """Yield what gives the place of a finite state on an axis."""
-        domain, count = self.plan.policy.domain, self.plan.tree.cells.counts[i]
-        lower, upper, _ = self.bounds
-        width = float(upper[i]) - float(lower[i]) if self.single else float(domain.widths[i])
-        bounds = f"{self.literal(lower[i])}, {self.literal(width)}"
-        step, state = f"{self.prefix}_axis_step", f"x{i}"
-        if self.wraps(i):
-            wrapped = f"{self.prefix}_wrapped({state}, {bounds}, {self.literal(upper[i])})"
-            state = f"inner{i}"
-            yield f"        const {self.real} {state} = {wrapped};"
-        if self.direct:
-            yield f"        y[{i}] = {state};"
-        elif self.faces is None:
-            scale = double_literal(count / domain.widths[i])
-            yield f"        z[{i}] = {step}({state}, {bounds}, {scale}, {count});"
-        elif len(self.faces[i]):
-            yield f"        z[{i}] = {step}({state}, faces{i}, {len(self.faces[i]) + 1});"
-        else:
-            yield f"        z[{i}] = 0;"
+def _bounds(code: Code) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return lower and upper bounds, and last states inside; floats reach what doubles do."""
+    lower, upper = code.plan.policy.domain.lower, code.plan.policy.domain.upper
+    if code.real == "float":
+        return round_up(lower), round_up(upper), -round_up(-upper)
+    return lower, upper, upper
 
 
-def _finite(prefix: str, real: str) -> str:
-    most = "FLT_MAX" if real == "float" else "DBL_MAX"
-    return f"""
+def _wraps(code: Code, i: int) -> bool:
+    """Return whether a state must be brought into its period to find its place."""
+    periodic = code.plan.policy.domain.periodic[i]
+    return periodic and (code.faces is None or len(code.faces[i]) > 0)
+
+
+def _functions(code: Code) -> str:
+    domain, counts = code.plan.policy.domain, code.tree.counts
+    prefix, real, most = code.prefix, code.real, "FLT_MAX" if code.real == "float" else "DBL_MAX"
+    text = f"""
 static bool {prefix}_finite({real} x)
 {{
     return (x >= -{most}) && (x <= {most});
 }}
 """
-
-
-def _scaled(prefix: str, real: str) -> str:
-    return f"""
+    if code.plan.folded:
+        text += f"""
 /* Return the state of a reading; volatile: rounded before the sum. */
 static {real} {prefix}_scaled({real} reading, {real} scale, {real} offset)
 {{
@@ -206,6 +76,63 @@ static {real} {prefix}_scaled({real} reading, {real} scale, {real} offset)
     return part + offset;
 }}
 """
+    if any(_wraps(code, i) for i in range(code.plan.n)):
+        text += _wrap(prefix, real)
+    if code.faces is not None:
+        text += _rank(prefix, max(map(len, code.faces)) + 1)
+    elif not code.direct:
+        text += _step(prefix, code.integer, margin(domain, counts))
+    return text
+
+
+def _declarations(code: Code) -> list[str]:
+    lines = [f"    const {code.real} x{i} = {_state(code, i)};" for i in range(code.plan.n)]
+    for i, values in enumerate(code.faces or ()):
+        if len(values):
+            entries = rows([code.literal(face) for face in round_up(values)])
+            table = f"static const float faces{i}[{len(values)}] CAPSYN_ROM"
+            lines.insert(i, f"    {table} = {{\n{entries}\n    }};")
+    return lines
+
+
+def _state(code: Code, i: int) -> str:
+    if not code.plan.folded:
+        return f"x[{i}]"
+    factors = f"{code.literal(code.plan.scale[i])}, {code.literal(code.plan.offset[i])}"
+    return f"{code.prefix}_scaled(x[{i}], {factors})"
+
+
+def _outside(code: Code, i: int) -> Iterator[str]:
+    """Yield what tells states beyond the bounds of an axis."""
+    if not code.plan.policy.domain.periodic[i]:
+        lower, _, last = _bounds(code)
+        least, most = code.literal(lower[i]), code.literal(last[i])
+        yield f"        if ((x{i} < {least}) || (x{i} > {most})) {{"
+        yield f"            status = {code.prefix.upper()}_OUTSIDE;"
+        yield "        }"
+
+
+def _place(code: Code, i: int) -> Iterator[str]:
+    """Yield what gives the place of a finite state on an axis."""
+    domain, count = code.plan.policy.domain, code.plan.tree.cells.counts[i]
+    lower, upper, _ = _bounds(code)
+    single = code.real == "float"
+    width = float(upper[i]) - float(lower[i]) if single else float(domain.widths[i])
+    bounds = f"{code.literal(lower[i])}, {code.literal(width)}"
+    step, state = f"{code.prefix}_axis_step", f"x{i}"
+    if _wraps(code, i):
+        wrapped = f"{code.prefix}_wrapped({state}, {bounds}, {code.literal(upper[i])})"
+        state = f"inner{i}"
+        yield f"        const {code.real} {state} = {wrapped};"
+    if code.direct:
+        yield f"        y[{i}] = {state};"
+    elif code.faces is None:
+        scale = code.literal(count / domain.widths[i])
+        yield f"        z[{i}] = {step}({state}, {bounds}, {scale}, {count});"
+    elif len(code.faces[i]):
+        yield f"        z[{i}] = {step}({state}, faces{i}, {len(code.faces[i]) + 1});"
+    else:
+        yield f"        z[{i}] = 0;"
 
 
 def _wrap(prefix: str, real: str) -> str:

@@ -17,6 +17,8 @@ SAMPLES = 20_000
 """Random states at which the effect of rounding is counted."""
 LARGEST_PERIODIC = 1e31
 """Largest bound of a periodic axis: no float minus a bound overflows."""
+MOST_FACES = 16_000
+"""Most faces in tables of floats: 64 kB are what 16 bits can point at."""
 
 
 def check_single_precision(plan: Plan, tree: SplitTree) -> None:
@@ -51,6 +53,30 @@ def check_single_precision(plan: Plan, tree: SplitTree) -> None:
             )
 
 
+def ranked(tree: SplitTree, domain: Box) -> tuple[SplitTree, list[np.ndarray]]:
+    """Return a tree over those faces alone that it compares with, and the faces of each axis.
+
+    A tree with oblique splits is the same, with all faces, up to `MOST_FACES`.
+    """
+    total = sum(tree.counts) - tree.n
+    if len(tree.planes) and total > MOST_FACES:
+        raise ProblemError(
+            f"`arithmetic` float tabulates all {total:,} faces of a tree with oblique splits; more "
+            f"than {MOST_FACES:,} are too many: take lattice, with readings int16 where there are "
+            "no doubles"
+        )
+    numbers = [np.arange(1, count) for count in tree.counts]
+    threshold = tree.threshold.copy()
+    if not len(tree.planes):
+        for i in range(tree.n):
+            at = tree.split == i
+            numbers[i], rank = np.unique(tree.threshold[at], return_inverse=True)
+            threshold[at] = rank.ravel() + 1
+    counts = tuple(len(k) + 1 for k in numbers)
+    faces = [domain.faces(i, k, tree.counts[i]) for i, k in enumerate(numbers)]
+    return SplitTree(counts, tree.split, threshold, tree.second, tree.planes), faces
+
+
 def decide_single(plan: Plan, readings: np.ndarray) -> Golden:
     """Return what the exported code must give for readings (K, n), rounded to floats here.
 
@@ -66,8 +92,7 @@ def decide_single(plan: Plan, readings: np.ndarray) -> Golden:
             states += plan.offset.astype(np.float32)
     for i in np.flatnonzero(domain.periodic):
         states[:, i] = _wrapped(states[:, i], domain, int(i))
-    whole = np.ones(plan.n), np.zeros(plan.n)
-    unfolded = dataclasses.replace(plan, scale=whole[0], offset=whole[1])
+    unfolded = dataclasses.replace(plan, scale=np.ones(plan.n), offset=np.zeros(plan.n))
     golden = decide(unfolded, states.astype(np.float64))
     return dataclasses.replace(golden, readings=singles.astype(np.float64))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from capsyn.cells.split_tree import LEAF, SplitTree
-from capsyn.exports.c.language import Part, double_literal, float_literal, round_up, z_type
+from capsyn.exports.c.language import Part, literal, round_up, z_type
 from capsyn.modelling.domain import Box
 
 LEVELS = 20
@@ -17,12 +17,8 @@ def nested(
 ) -> Part:
     """Return the function ``opening(z or x)`` that gives the label.
 
-    Parameters
-    ----------
-    argument : str
-        Declaration of the argument, for the functions of subtrees.
-    arithmetic : "lattice", "float" or "double"
-        What is compared: lattice steps ``z``, or states ``x`` with the places of faces.
+    It compares lattice steps ``z`` if `arithmetic` is "lattice", else states ``x`` with the places
+    of faces. `argument` is the declaration of these, for the functions of subtrees.
     """
     name = "z" if arithmetic == "lattice" else "x"
 
@@ -36,9 +32,8 @@ def nested(
         if arithmetic == "lattice":
             return f"z[{split}] < {threshold}"
         face = domain.faces(split, np.array([threshold]), tree.counts[split])
-        if arithmetic == "double":
-            return f"x[{split}] < {double_literal(face[0])}"
-        return f"x[{split}] < {float_literal(round_up(face)[0])}"
+        face = face if arithmetic == "double" else round_up(face)
+        return f"x[{split}] < {literal(face[0], arithmetic)}"
 
     def body(root: int) -> tuple[str, list[int]]:
         """Return the statements of a subtree, and the roots of those that it calls."""

@@ -24,18 +24,11 @@ WINDOW_BITS = {2: 9, 3: 17, 4: 25, 8: 57}
 
 @dataclass(frozen=True)
 class Layout:
-    """How the nodes of a tree are written.
+    """How the nodes of a tree are written: those above depth `skips` carry a skip.
 
-    Parameters
-    ----------
-    skips : int
-        Nodes above this depth carry a skip.
-    axis, threshold, label, skip : int
-        Bits of the fields; of the row of a plane in ``threshold``.
-    sizes : (K,)
-        Bits of the first subtree of each inner node.
-    cuts : tuple of (split, threshold), optional
-        Rows of the table of planes, where the tree has oblique splits.
+    `axis`, `threshold` (or the row of a plane), `label` and `skip` are bits of the fields; `sizes`
+    (K,) those of the first subtree of each inner node. `cuts`, pairs of a split and a threshold,
+    are the rows of the table of planes, where the tree has oblique splits.
     """
 
     skips: int
@@ -195,7 +188,6 @@ def table(tree: SplitTree, prefix: str, opening: str) -> Part:
 
 
 def _window(data: bytes, size: int, word: str, place: str, prefix: str) -> str:
-    """Return the function that reads a window."""
     more = "".join(
         f"    window |= ({word})(({word})CAPSYN_BYTE(&{prefix}_bits[byte + {i}u]) << {8 * i}u);\n"
         for i in range(1, size)
@@ -215,7 +207,6 @@ static {word} {prefix}_window({place} at)
 
 
 def _planes(tree: SplitTree, form: Layout, prefix: str) -> tuple[str, set[str]]:
-    """Return the function that compares with a row of the table of planes."""
     unit = np.eye(tree.n, dtype=np.int64)
     planes = [unit[s] if s < tree.n else tree.planes[s - tree.n] for s, _ in form.cuts]
     kind = "INT16" if max(int(abs(plane).max()) for plane in planes) < 1 << 15 else "INT32"
