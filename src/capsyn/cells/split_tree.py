@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from capsyn.cells.boxes import Boxes
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.modelling.grid import MAX_COUNT, grid_places
 from capsyn.validation import keep_read_only
+
+Node = TypeVar("Node")
 
 LEAF = -1
 """What `SplitTree.split` is for a leaf."""
@@ -324,6 +327,39 @@ class SplitTree:
             nodes[rows] = np.where(beyond, self.second[at], np.where(before, self.first[at], at))
             rows = rows[whole & (self.split[nodes[rows]] != LEAF)]
         return shift, nodes
+
+
+def depth_first(
+    counts: tuple[int, ...],
+    root: Node,
+    look: Callable[[Node], tuple[int | Sequence[int] | np.ndarray, int, Sequence[Node]]],
+) -> SplitTree:
+    """Return the tree below a root: what `look` says of a node, its split, threshold and children.
+
+    A split is an axis, a plane (n,), or `LEAF` with no children and the label for a threshold.
+    """
+    splits: list[int] = []
+    thresholds: list[int] = []
+    second: list[int] = []
+    planes: list[Sequence[int] | np.ndarray] = []
+    stack: list[tuple[Node, int]] = [(root, -1)]
+    while stack:
+        node, parent = stack.pop()
+        here = len(splits)
+        if parent >= 0:
+            second[parent] = here
+        second.append(here)
+        split, threshold, children = look(node)
+        if not isinstance(split, int):
+            planes.append(split)
+            split = len(counts) + len(planes) - 1
+        splits.append(split)
+        thresholds.append(threshold)
+        if children:  # the first comes next, then all its offspring, then the second
+            stack += [(children[1], here), (children[0], -1)]
+    table = np.array(planes, dtype=np.int32).reshape(-1, len(counts))
+    columns = np.array([splits, thresholds, second], dtype=np.int32)
+    return SplitTree(counts, *(column.copy() for column in columns), planes=table)
 
 
 def _second_children(leaf: np.ndarray) -> np.ndarray | None:

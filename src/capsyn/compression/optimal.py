@@ -24,23 +24,13 @@ def optimal_splits(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the trees of least cost of B grids, as one list of inner nodes and leaves.
 
-    The cost of a tree is `leaf_price` for each leaf and, for each cell, the penalty of the label
-    of its leaf. The least cost of a box is that of one leaf, or the least sum over all ways to cut
-    it in two. Of equally good cuts, that with the most even halves is taken.
+    The cost of a tree is `leaf_price`, at least 1, for each leaf and, for each cell, the penalty of
+    the label of its leaf: `penalty` (B, L, k1, .., kn) int64, `FORBIDDEN` where a label is not
+    allowed. The least cost of a box is that of one leaf, or the least sum over all ways to cut it
+    in two. Of equally good cuts, that with the most even halves is taken.
 
-    Parameters
-    ----------
-    penalty : (B, L, k1, .., kn) int64
-        What each of L labels costs in each cell of the grids; `FORBIDDEN` where it is not allowed.
-    leaf_price : int
-        At least 1.
-
-    Returns
-    -------
-    axis, cut : (K,)
-        Splits ``z[axis] >= cut`` in cells of the grid; axis -1 for leaves.
-    first, second : (K,)
-        Children, -1 for leaves. The first B nodes are the roots.
+    Returns axis, cut, first and second (K,): splits ``z[axis] >= cut`` in cells of the grid, axis
+    -1 for leaves, and children, -1 for leaves. The first B nodes are the roots.
     """
     sums = _box_sums(penalty)
     costs = _least_costs(penalty, sums, leaf_price)
