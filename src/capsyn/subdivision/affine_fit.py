@@ -19,28 +19,14 @@ TRIES = 8
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Affine rows of M cells for S symbols, in integers, and how well they do.
+    """Affine rows of M cells for S symbols, in integers, and how well they do."""
 
-    Parameters
-    ----------
-    constants, slopes : (M, S), (M, S, n)
-        The rows, see `AffineLeaves`.
-    used : (M, S) bool
-        Which rows are the largest anywhere in their cell.
-    wrong : (M,)
-        Share of the test points whose symbol is wrong.
-    error : (M,)
-        Estimated share of the cell where the symbol is wrong.
-    axes : (M, n) bool
-        Along which axes the cell is split where that is too much.
-    """
-
-    constants: np.ndarray
-    slopes: np.ndarray
-    used: np.ndarray
-    wrong: np.ndarray
-    error: np.ndarray
-    axes: np.ndarray
+    constants: np.ndarray  # (M, S)
+    slopes: np.ndarray  # (M, S, n): the rows, see `AffineLeaves`
+    used: np.ndarray  # (M, S) bool: which rows are the largest anywhere in their cell
+    wrong: np.ndarray  # (M,): share of the test points whose symbol is wrong
+    error: np.ndarray  # (M,): estimated share of the cell where the symbol is wrong
+    axes: np.ndarray  # (M, n) bool: along which axes the cell is split where that is too much
 
     def better(self, other: Fits) -> Fits:
         """Return for each cell the rows with fewer wrong points, of equals with less error."""

@@ -345,27 +345,13 @@ class UnsolvedKeys:
 
 @dataclass(frozen=True)
 class Question:
-    """Keys, sorted and made distinct.
+    """Keys, sorted and made distinct."""
 
-    Parameters
-    ----------
-    distinct : (D,)
-        The distinct keys, ascending.
-    places : (D,)
-        Where they stand, or would stand, among the points solved before.
-    new : (D,)
-        Whether they are yet to be solved.
-    order : (K,)
-        Places, among the keys that were asked for, in ascending order of the keys.
-    first : (K,)
-        Whether the key at a place of `order` differs from the one before it.
-    """
-
-    distinct: np.ndarray
-    places: np.ndarray
-    new: np.ndarray
-    order: np.ndarray
-    first: np.ndarray
+    distinct: np.ndarray  # (D,): the distinct keys, ascending
+    places: np.ndarray  # (D,): where they stand, or would stand, among the points solved before
+    new: np.ndarray  # (D,): whether they are yet to be solved
+    order: np.ndarray  # (K,): places, among the keys asked for, in ascending order of the keys
+    first: np.ndarray  # (K,): whether the key at a place of `order` differs from the one before
 
     @property
     def samples(self) -> np.ndarray:
