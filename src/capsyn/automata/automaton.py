@@ -54,26 +54,14 @@ class Edge:
 
 @dataclass(frozen=True)
 class SlidingFace:
-    """A face between two cells on which the loop slides: both sides push into it.
+    """A face between two cells on which the loop slides: both sides push into it."""
 
-    Parameters
-    ----------
-    axis : int
-        State that is constant on the face.
-    lower, upper : n floats
-        Its bounds [state units], equal on that axis.
-    below, above : int
-        The symbols on its two sides, N for the default control.
-    share : float
-        Share of the face on which the loop slides, from samples.
-    """
-
-    axis: int
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    below: int
+    axis: int  # state that is constant on the face
+    lower: tuple[float, ...]  # n bounds [state units]
+    upper: tuple[float, ...]  # the other bounds, equal on that axis
+    below: int  # the symbols on its two sides, N for the default
     above: int
-    share: float
+    share: float  # of the face on which the loop slides, from samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,10 +167,7 @@ class Automaton:
         return self.edges[self._vertex(source) * len(self.vertices) + self._vertex(target)]
 
     def bounds(self, label: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper bounds (K, n) of the boxes of symbol `label` [state units].
-
-        See `Region.bounds`.
-        """
+        """Return the `Region.bounds` of symbol `label`, (K, n) and (K, n) [state units]."""
         return self.region(label).bounds(self.domain, self.counts)
 
     def sliding_faces(self) -> list[SlidingFace]:
@@ -236,16 +221,7 @@ class Automaton:
                 for region, name, control in zip(self.regions, self.names, self.controls)
             ],
             "edges": [
-                {
-                    "source": edge.source,
-                    "target": edge.target,
-                    "region": self.region_name(edge.target),
-                    "possible": edge.possible,
-                    "sliding": edge.sliding,
-                    "rate": edge.rate,
-                    "sliding_rate": edge.sliding_rate,
-                }
-                for edge in self.edges
+                vars(edge) | {"region": self.region_name(edge.target)} for edge in self.edges
             ],
             "partitions": len(self.partitions),
             "switching": None

@@ -52,17 +52,8 @@ class SsacKernel:
         )
         function = load(source, ("-ffp-contract=fast",)).capsyn_ssac
         function.restype = ctypes.c_int
-        p = ctypes.c_void_p
-        function.argtypes = [
-            ctypes.c_int64,
-            p,
-            ctypes.c_double,
-            ctypes.c_int,
-            ctypes.c_double,
-            p,
-            p,
-            p,
-        ]
+        p, real = ctypes.c_void_p, ctypes.c_double
+        function.argtypes = [ctypes.c_int64, p, real, ctypes.c_int, real, p, p, p]
         return SsacKernel(function, n, symbols, rounding)
 
     def __call__(

@@ -51,15 +51,7 @@ Build = Callable[[Any], tuple[Work, Callable[[], tuple[np.ndarray, ...]]]]
 
 @dataclass(frozen=True)
 class Job:
-    """Work for others.
-
-    Parameters
-    ----------
-    build : callable
-        A function of this package: see `Build`.
-    plain : plain data
-        What it is called with.
-    """
+    """Work for others: a function of this package, and the plain data that it is called with."""
 
     build: Build
     plain: Any
@@ -74,10 +66,7 @@ class Job:
 def connect(address: str) -> Iterator[Any]:
     """Yield the client of a Dask scheduler, or of ``local:N`` worker processes made for it.
 
-    Raises
-    ------
-    ProblemError
-        The address is none, or nobody answers there within `CONNECT_SECONDS`.
+    It is a `ProblemError` where the address is none, or nobody answers within `CONNECT_SECONDS`.
     """
     import asyncio
 
@@ -164,22 +153,10 @@ def _address(client: Any) -> str:
 class Workers:
     """The workers of a client, checked for a job. Safe to use from threads.
 
-    Parameters
-    ----------
-    client : dask.distributed.Client
-        The cluster; `check_client` has seen it.
-    job_of : callable ``backend -> Job``
-        The job for the backend ``"c"`` or ``"numpy"``.
-    backend : "auto", "c" or "numpy"
-        As asked for.
-    used : "c" or "numpy"
-        What this process would take.
-
-    Raises
-    ------
-    ProblemError
-        A worker would give other results: it has another version or backend, or its solutions of
-        the probe differ.
+    `check_client` has seen the client. `job_of` gives the job for the backend "c" or "numpy";
+    `backend` is what was asked for, `used` what this process would take. A worker that would give
+    other results is a `ProblemError`: it has another version or backend, or its solutions of the
+    probe differ.
     """
 
     def __init__(self, client: Any, job_of: Callable[[str], Job], backend: str, used: str) -> None:

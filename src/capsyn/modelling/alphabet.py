@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from capsyn.validation import (
     numbers,
     texts,
 )
-
-if TYPE_CHECKING:
-    pass
 
 MAX_SYMBOLS = 63
 """Most symbols of an alphabet: sets of symbols, and the default, are bits of 64-bit words."""

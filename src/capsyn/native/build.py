@@ -60,13 +60,7 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """Return the C compiler: ``CC`` if set, else the first of cc, gcc and clang.
-
-    Raises
-    ------
-    KernelBuildError
-        None is found that runs.
-    """
+    """Return the C compiler: ``CC`` if set, else the first of cc, gcc and clang that runs."""
     return _find_compiler(os.environ.get("CC", ""), os.environ.get("PATH", ""))
 
 
@@ -160,19 +154,10 @@ def _warn_open_cache(directory: Path) -> None:
 
 
 def load(source: str, flags: tuple[str, ...] = ()) -> ctypes.CDLL:
-    """Return the shared library built from C source, from the cache if it is there.
+    """Return the shared library built from a C translation unit, from the cache if it is there.
 
-    Parameters
-    ----------
-    source : str
-        One C translation unit.
-    flags : tuple of str
-        Compiler flags beside the usual ones.
-
-    Raises
-    ------
-    KernelBuildError
-        There is no compiler, or it fails with the usual flags and with plain ones.
+    The flags go beside the usual ones. A `KernelBuildError` says that there is no compiler, or that
+    it fails with the usual flags and with plain ones.
     """
     compiler = find_compiler()
     first_error: KernelBuildError | None = None

@@ -133,18 +133,8 @@ def _least_version(arrays: dict[str, np.ndarray], gaps: bool) -> int:
 def load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) -> Made:
     """Return what is made of the fields of the policy in a file, every size and value checked.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    make : callable
-        The fields of a `Policy`, by name, to what is made of them; those of a `DecisionTree` have
-        a ``guarantee``.
-
-    Raises
-    ------
-    PolicyFormatError
-        The file is no policy, damaged, tampered with, or of a newer format.
+    `make` takes the fields of a `Policy` by name; those of a `DecisionTree` have a ``guarantee``. A
+    file that is no policy, damaged, tampered with, or newer is a `PolicyFormatError`.
     """
     from safetensors import SafetensorError, safe_open
 

@@ -46,13 +46,7 @@ class Model:
 
     @staticmethod
     def from_json(data: Any, n: int, m: int, symbols: int) -> Model:
-        """Return the model that `to_json` described, with its sizes checked.
-
-        Raises
-        ------
-        PolicyFormatError
-            A missing or malformed program, or one of other sizes.
-        """
+        """Return the model that `to_json` described; `PolicyFormatError` where sizes are others."""
         ports = model_ports(n, m, symbols)
         if not isinstance(data, dict) or set(data) != set(ports):
             raise PolicyFormatError("the model in the file must hold " + ", ".join(ports))
