@@ -11,6 +11,7 @@ import numpy as np
 
 from capsyn.cells.affine_leaves import AffineLeaves
 from capsyn.cells.boxes import Boxes, Cells
+from capsyn.cells.masks import members
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.modelling.grid import Grid, grid_places
 from capsyn.validation import keep_read_only
@@ -121,7 +122,7 @@ class CellTree:
         refinement = np.array(self.refinement, dtype=np.int64)
         if self.splits is None:
             return np.broadcast_to(refinement, (len(places), self.n))
-        return np.where(axes_of(self.splits[places], self.n), refinement, 1)
+        return np.where(members(self.splits[places], self.n), refinement, 1)
 
     def find(self, steps: np.ndarray) -> np.ndarray:
         """Return the entries (B,) of the leaves that hold finest cells (B, n)."""
@@ -366,8 +367,3 @@ def number_of(digits: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     for i in range(1, shapes.shape[1]):
         numbers = numbers * shapes[:, i] + digits[:, i]
     return numbers
-
-
-def axes_of(masks: np.ndarray, n: int) -> np.ndarray:
-    """Return which of `n` axes bit masks (M,) name, booleans (M, n)."""
-    return masks[:, None] >> np.arange(n, dtype=masks.dtype) & masks.dtype.type(1) != 0

@@ -36,8 +36,6 @@ BAND = 0.02
 """Half the width of the band of states that measures the area of a plane in a region."""
 AXIS_BONUS = 1.02
 """Of planes that are as good, one perpendicular to an axis is cheaper."""
-
-
 Plane = tuple[np.ndarray, float]
 """Normal (n,) and offset: states beyond it have ``normal . x >= offset``."""
 

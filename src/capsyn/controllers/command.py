@@ -9,10 +9,7 @@ import numpy as np
 
 ENDINGS = ("time", "target", "left the domain", "not finite")
 """Why a trial ended, by its number."""
-
-
 TIME, TARGET, LEFT_DOMAIN, NOT_FINITE = range(4)
-
 
 NONE = -2
 """The symbol of a controller that gives controls, not symbols; or of a trial before its first."""

@@ -74,16 +74,10 @@ class SsacKernel:
 
 TIE = 1e-5
 """Perturbation of mode insertion gradients, relative to their scales, that makes symbols tie."""
-
-
 BLOCK = 2048
 """States that the NumPy backend handles at once, so that its buffers stay in the CPU's cache."""
-
-
 ROUNDING = 64
 """Units of the last place by which quantities that should vanish may differ from 0."""
-
-
 Solver = Callable[[np.ndarray, float, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 

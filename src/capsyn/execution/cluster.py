@@ -21,13 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.errors import (
-    CapsynError,
-    KernelBuildError,
-    ProblemError,
-    SynthesisError,
-    warn,
-)
+from capsyn.errors import CapsynError, KernelBuildError, ProblemError, SynthesisError, warn
 from capsyn.execution.answers import digest
 from capsyn.native.build import find_compiler, processor_name
 from capsyn.validation import describe, one_line, whole_number
@@ -307,20 +301,15 @@ async def _report(build: Build, key: str, plain: Any, version: str) -> dict[str,
 
 def _work(build: Build, key: str, plain: Any, version: str, expected: str, batch: Any) -> Any:
     """Return, on a worker, what a job makes of a batch; one that came late is checked here."""
-    try:
-        work = _checked(build, key, plain, version, expected)
-    except KernelBuildError as error:
-        raise ProblemError(f"worker {_own_address()} cannot take part: {error}") from None
-    return work(batch)
-
-
-def _checked(build: Build, key: str, plain: Any, version: str, expected: str) -> Work:
     if __version__ != version:
         raise ProblemError(_other_version(_own_address(), __version__, version))
-    work, probe = _ready(build, key, plain)
+    try:
+        work, probe = _ready(build, key, plain)
+    except KernelBuildError as error:
+        raise ProblemError(f"worker {_own_address()} cannot take part: {error}") from None
     if probe != expected:
         raise ProblemError(_difference(_own_address(), about(), {}))
-    return work
+    return work(batch)
 
 
 def _own_address() -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.validation import whole_number, whole_numbers
+from capsyn.validation import plain, whole_number, whole_numbers
 
 MAX_COUNT = 2**31 - 1
 """Most finest cells along one axis."""
@@ -87,11 +87,7 @@ class Grid:
 
     def to_json(self) -> dict[str, Any]:
         """Return the grid as plain data."""
-        return {
-            "partitions": list(self.partitions),
-            "refinement": list(self.refinement),
-            "max_level": self.max_level,
-        }
+        return plain(self)
 
 
 def grid_places(shape: Sequence[int] | np.ndarray) -> np.ndarray:

@@ -17,19 +17,10 @@ from capsyn.programs.model import Model, model_ports
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Ports, Program
 
-_SAME_NAME = (
-    "add sub mul div neg sqrt fabs floor ceil copysign sign fmin fmax lt le eq ne not and or exp "
-    "expm1 log log1p pow sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh hypot "
-    "erf fmod remainder"
-).split()
 _CASADI_NAMES = {
     getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name[:3] == "OP_"
 }
-_OPERATIONS = {
-    getattr(ca, f"OP_{name.upper()}"): name
-    for name in _SAME_NAME
-    if hasattr(ca, f"OP_{name.upper()}")
-}
+_OPERATIONS = {code: name for code, name in _CASADI_NAMES.items() if name in OPERATIONS}
 _OPERATIONS |= {ca.OP_CONSTPOW: "pow", ca.OP_IF_ELSE_ZERO: "select"}
 
 _REWRITES: dict[int, Callable[[ProgramBuilder, int], int]] = {

@@ -19,8 +19,6 @@ from capsyn.programs.operations import OPERATIONS
 
 MAX_INSTRUCTIONS = 1_000_000
 """Most instructions that a program read from a file may have."""
-
-
 Instruction = tuple[Any, ...]
 Ports = tuple[tuple[str, int], ...]
 
