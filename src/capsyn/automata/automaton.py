@@ -24,32 +24,20 @@ TOLD = 20
 class Edge:
     """A transition: whatever symbol is held, a state in region A_j takes the machine to symbol j.
 
-    Parameters
-    ----------
-    source, target : int
-        Symbols, N for the default control. An edge with both the same holds the symbol.
-    region : int
-        The region that is its guard, by its place in ``Automaton.regions``.
-    possible : bool or None
-        Whether the closed loop can take it in continuous time: False only where that is proved
-        impossible, True only where it is proved at some state, None where neither is, or where
-        there is no model.
-    sliding : bool or None
-        Likewise, whether the loop slides (chatters) between the two symbols anywhere.
-    rate : float or None
-        Rate of crossings from evenly spread states [1/s]; see `Switching`. None without a model
-        and for edges that hold.
-    sliding_rate : float or None
-        Rate of arrivals at faces on which the loop then slides [1/s].
+    An edge with the same source and target holds the symbol. It is `possible` where the closed loop
+    can take it in continuous time: False only where that is proved impossible, True only where it
+    is proved at some state, None where neither is, or where there is no model. Likewise `sliding`:
+    whether the loop slides (chatters) between the two symbols anywhere. Rates are from evenly
+    spread states, see `Switching`, and None without a model and for edges that hold.
     """
 
-    source: int
+    source: int  # symbols, N for the default control
     target: int
-    region: int
+    region: int  # its guard, by its place in ``Automaton.regions``
     possible: bool | None = None
     sliding: bool | None = None
-    rate: float | None = None
-    sliding_rate: float | None = None
+    rate: float | None = None  # of crossings [1/s]
+    sliding_rate: float | None = None  # of arrivals where the loop then slides [1/s]
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -135,8 +136,7 @@ def merged_boxes(
     return best.lower.astype(np.int64), best.upper.astype(np.int64), best.labels
 
 
-@dataclass(frozen=True, eq=False)
-class _Boxes:
+class _Boxes(NamedTuple):
     """Boxes (M, n) int32 with labels (M,)."""
 
     lower: np.ndarray
@@ -144,7 +144,7 @@ class _Boxes:
     labels: np.ndarray
 
     def take(self, rows: np.ndarray) -> _Boxes:
-        return _Boxes(self.lower[rows], self.upper[rows], self.labels[rows])
+        return _Boxes(*(column[rows] for column in self))
 
 
 def _fewest_in_the_plane(boxes: _Boxes) -> _Boxes | None:
@@ -182,11 +182,7 @@ def _fewest_of_orders(boxes: _Boxes, counts: Sequence[int]) -> _Boxes:
 
 
 def _joined(parts: Sequence[_Boxes]) -> _Boxes:
-    return _Boxes(
-        np.concatenate([part.lower for part in parts]),
-        np.concatenate([part.upper for part in parts]),
-        np.concatenate([part.labels for part in parts]),
-    )
+    return _Boxes(*map(np.concatenate, zip(*parts)))
 
 
 def _starts(boxes: _Boxes, axis: int) -> Iterator[_Boxes]:

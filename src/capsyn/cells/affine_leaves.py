@@ -43,11 +43,6 @@ class AffineLeaves:
         """Return the tables by the names of `ROW_ARRAYS`."""
         return {name: getattr(self, name.removeprefix("row_")) for name in ROW_ARRAYS}
 
-    @staticmethod
-    def of_arrays(first: int, arrays: dict[str, np.ndarray]) -> AffineLeaves:
-        """Return the leaves with such tables."""
-        return AffineLeaves(first, *(arrays[name] for name in ROW_ARRAYS))
-
     def __len__(self) -> int:
         return max(0, len(self.starts) - 1)
 

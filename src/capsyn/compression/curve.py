@@ -95,17 +95,9 @@ def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
         say(f"cells at level {level}")
         base = cut_off(judge.policy, level)
         comparison = judge.compare(base)
-        yield CurvePoint(
-            "cells",
-            level,
-            "",
-            base.cells.node_count,
-            1 + level,
-            packed_bytes(base.cells),
-            comparison.share,
-            comparison.low,
-            comparison.high,
-        )
+        size = base.cells.node_count, 1 + level, packed_bytes(base.cells)
+        share = comparison.share, comparison.low, comparison.high
+        yield CurvePoint("cells", level, "", *size, *share)
 
 
 def _tree_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoint]:
@@ -131,14 +123,5 @@ def _linear_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePo
 
 def _point(tree: DecisionTree, level: int | None, options: str) -> CurvePoint:
     had = tree.guarantee
-    return CurvePoint(
-        had.mode,
-        level,
-        options,
-        tree.node_count,
-        tree.depth,
-        packed_bytes(tree.cells),
-        had.agreement,
-        had.low,
-        had.high,
-    )
+    size = tree.node_count, tree.depth, packed_bytes(tree.cells)
+    return CurvePoint(had.mode, level, options, *size, had.agreement, had.low, had.high)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -106,7 +105,7 @@ def _best_cuts(
     """Return (axis, cut, cost), (P,) each, of the best way to cut each box of a shape in two."""
     most = np.iinfo(np.int64).max
     axis, cut, best, uneven = (np.full(len(place), x) for x in (-1, 0, most, most))
-    for a, k in _cuts(shape):
+    for a, k in ((a, k) for a, size in enumerate(shape) for k in range(1, size)):
         low, high = _halves(shape, a, k)
         beside = place.copy()
         beside[:, 1 + a] += k
@@ -135,10 +134,6 @@ def _leaf_costs(sums: np.ndarray, place: np.ndarray, shape: Shape, leaf_price: i
         sign = (-1) ** (len(shape) - sum(corner))
         total += sign * np.moveaxis(sums, 1, -1)[tuple(np.column_stack([place[:, 0], at]).T)]
     return total.min(axis=1) + leaf_price
-
-
-def _cuts(shape: Shape) -> Iterator[tuple[int, int]]:
-    return ((a, k) for a, size in enumerate(shape) for k in range(1, size))
 
 
 def _halves(shape: Shape, axis: int, k: int) -> tuple[Shape, Shape]:

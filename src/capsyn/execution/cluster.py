@@ -137,29 +137,26 @@ def check_client(executor: Any) -> None:
     try:
         executor.wait_for_workers(1, timeout=CONNECT_SECONDS)
     except (OSError, asyncio.TimeoutError):
-        raise ProblemError(f"the Dask scheduler at '{_address(executor)}' has no workers") from None
-
-
-def _address(client: Any) -> str:
-    return client.scheduler.address if client.scheduler else "?"
+        address = executor.scheduler.address if executor.scheduler else "?"
+        raise ProblemError(f"the Dask scheduler at '{address}' has no workers") from None
 
 
 class Workers:
     """The workers of a client, checked for a job. Safe to use from threads.
 
     `check_client` has seen the client. `job_of` gives the job for the backend "c" or "numpy";
-    `backend` is what was asked for, `used` what this process would take. A worker that would give
-    other results is a `ProblemError`: it has another version or backend, or its solutions of the
-    probe differ.
+    `backend` is what was asked for. `used` is what this process would take, and then what all take.
+    A worker that would give other results is a `ProblemError`: it has another version or backend,
+    or its solutions of the probe differ.
     """
 
     def __init__(self, client: Any, job_of: Callable[[str], Job], backend: str, used: str) -> None:
-        self._client, self._used = client, used
+        self._client, self.used = client, used
         self._threads, self._asked = 1, -np.inf
         reports = self._inspect(job_of(used))
         lacking = {who: report["lacks"] for who, report in reports.items() if "lacks" in report}
         if lacking and backend == "auto" and len(lacking) == len(reports):
-            self._used = "numpy"
+            self.used = "numpy"
             who, reason = min(lacking.items())
             warn(f"all workers solve with NumPy, and so does this process: worker {who}: {reason}")
             reports = self._inspect(job_of("numpy"))
@@ -169,11 +166,6 @@ class Workers:
             raise ProblemError(f"worker {who} cannot take part: {reason}{advice}")
         self._check(reports)
         self._plain = client.submit(_same, self._job.plain, key=f"capsyn-job-{self._job.key}")
-
-    @property
-    def used(self) -> str:
-        """The backend of all."""
-        return self._used
 
     def _inspect(self, job: Job) -> dict[str, dict[str, Any]]:
         """Let every worker build the job, and return what they report."""

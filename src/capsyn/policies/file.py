@@ -229,7 +229,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     grid = Grid.of(content["partitions"], content["refinement"], content["max_level"], domain.n)
     affine = None
     if "row_starts" in arrays:
-        affine = AffineLeaves.of_arrays(len(alphabet) + 1, arrays)
+        affine = AffineLeaves(len(alphabet) + 1, *(arrays[name] for name in ROW_ARRAYS))
     domain.check_resolution(grid.counts)
     entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
     tree = CellTree(grid, entries, mixed, labels, affine, arrays.get("splits"))
