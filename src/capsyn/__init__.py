@@ -53,29 +53,7 @@ _PUBLIC = {
     "subdivide": "subdivision.subdivide",
     "synthesize": "synthesis.synthesize",
 }
-__all__ = [
-    "Alphabet",
-    "Automaton",
-    "Ball",
-    "Box",
-    "CapsynError",
-    "DecisionTree",
-    "Policy",
-    "Problem",
-    "SsacSettings",
-    "Trajectory",
-    "Uniform",
-    "agreement",
-    "compress",
-    "explore",
-    "export",
-    "lyapunov",
-    "monte_carlo",
-    "online_controller",
-    "simulate",
-    "subdivide",
-    "synthesize",
-]
+__all__ = list(_PUBLIC)
 
 
 def __getattr__(name: str) -> Any:

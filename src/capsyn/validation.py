@@ -5,6 +5,7 @@ What passed is kept in frozen dataclasses, its arrays read-only.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -63,6 +64,13 @@ def keep_read_only(frozen: Any, *names: str) -> None:
     """Make arrays among the fields of a frozen dataclass read-only, those that are there."""
     arrays = {name: getattr(frozen, name) for name in names}
     keep(frozen, **{name: read_only(a) for name, a in arrays.items() if a is not None})
+
+
+def plain(frozen: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass as plain data, arrays and tuples as lists."""
+    values = {f.name: getattr(frozen, f.name) for f in dataclasses.fields(frozen)}
+    arrays = {k: v.tolist() for k, v in values.items() if isinstance(v, np.ndarray)}
+    return values | {k: list(v) for k, v in values.items() if isinstance(v, tuple)} | arrays
 
 
 def finite_array(name: str, value: Any, ndim: int) -> np.ndarray:

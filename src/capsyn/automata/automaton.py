@@ -24,56 +24,32 @@ TOLD = 20
 class Edge:
     """A transition: whatever symbol is held, a state in region A_j takes the machine to symbol j.
 
-    Parameters
-    ----------
-    source, target : int
-        Symbols, N for the default control. An edge with both the same holds the symbol.
-    region : int
-        The region that is its guard, by its place in ``Automaton.regions``.
-    possible : bool or None
-        Whether the closed loop can take it in continuous time: False only where that is proved
-        impossible, True only where it is proved at some state, None where neither is, or where
-        there is no model.
-    sliding : bool or None
-        Likewise, whether the loop slides (chatters) between the two symbols anywhere.
-    rate : float or None
-        Rate of crossings from evenly spread states [1/s]; see `Switching`. None without a model
-        and for edges that hold.
-    sliding_rate : float or None
-        Rate of arrivals at faces on which the loop then slides [1/s].
+    An edge with the same source and target holds the symbol. It is `possible` where the closed loop
+    can take it in continuous time: False only where that is proved impossible, True only where it
+    is proved at some state, None where neither is, or where there is no model. Likewise `sliding`:
+    whether the loop slides (chatters) between the two symbols anywhere. Rates are from evenly
+    spread states, see `Switching`, and None without a model and for edges that hold.
     """
 
-    source: int
+    source: int  # symbols, N for the default control
     target: int
-    region: int
+    region: int  # its guard, by its place in ``Automaton.regions``
     possible: bool | None = None
     sliding: bool | None = None
-    rate: float | None = None
-    sliding_rate: float | None = None
+    rate: float | None = None  # of crossings [1/s]
+    sliding_rate: float | None = None  # of arrivals where the loop then slides [1/s]
 
 
 @dataclass(frozen=True)
 class SlidingFace:
-    """A face between two cells on which the loop slides: both sides push into it.
+    """A face between two cells on which the loop slides: both sides push into it."""
 
-    Parameters
-    ----------
-    axis : int
-        State that is constant on the face.
-    lower, upper : n floats
-        Its bounds [state units], equal on that axis.
-    below, above : int
-        The symbols on its two sides, N for the default control.
-    share : float
-        Share of the face on which the loop slides, from samples.
-    """
-
-    axis: int
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    below: int
+    axis: int  # state that is constant on the face
+    lower: tuple[float, ...]  # n bounds [state units]
+    upper: tuple[float, ...]  # the other bounds, equal on that axis
+    below: int  # the symbols on its two sides, N for the default
     above: int
-    share: float
+    share: float  # of the face on which the loop slides, from samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,10 +155,7 @@ class Automaton:
         return self.edges[self._vertex(source) * len(self.vertices) + self._vertex(target)]
 
     def bounds(self, label: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return lower and upper bounds (K, n) of the boxes of symbol `label` [state units].
-
-        See `Region.bounds`.
-        """
+        """Return the `Region.bounds` of symbol `label`, (K, n) and (K, n) [state units]."""
         return self.region(label).bounds(self.domain, self.counts)
 
     def sliding_faces(self) -> list[SlidingFace]:
@@ -236,16 +209,7 @@ class Automaton:
                 for region, name, control in zip(self.regions, self.names, self.controls)
             ],
             "edges": [
-                {
-                    "source": edge.source,
-                    "target": edge.target,
-                    "region": self.region_name(edge.target),
-                    "possible": edge.possible,
-                    "sliding": edge.sliding,
-                    "rate": edge.rate,
-                    "sliding_rate": edge.sliding_rate,
-                }
-                for edge in self.edges
+                vars(edge) | {"region": self.region_name(edge.target)} for edge in self.edges
             ],
             "partitions": len(self.partitions),
             "switching": None

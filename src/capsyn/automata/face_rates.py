@@ -33,18 +33,8 @@ MAX_PARTS = 1 << 18
 class AxisFaces:
     """Faces perpendicular to one axis, and the rates along it on their two sides.
 
-    Parameters
-    ----------
-    policy : Policy
-        The policy.
-    axis : int
-        The axis.
-    low, high : (n, F)
-        Corners of the faces [state units].
-    sides : (2, F)
-        Their coordinates on the axis, below and above; they differ at seams.
-    labels : (2, F)
-        Symbols below and above.
+    `low` and `high` (n, F) are corners of the faces, `sides` (2, F) their coordinates on the axis,
+    below and above, which differ at seams [state units]; `labels` (2, F) are the symbols there.
     """
 
     def __init__(
@@ -66,17 +56,12 @@ class AxisFaces:
         self.program = axis_rate(policy.model.dynamics, axis)
 
     def sampled(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what samples of the midpoint rule on every face show.
+        """Return what samples of the midpoint rule on every face show: shares, flows and points.
 
-        Returns
-        -------
-        shares : (F, 4)
-            Shares of each face where the loop crosses upwards, downwards, slides, is repelled.
-        flows : (F, 4)
-            Rates [1/s] of crossings upwards and downwards, and of arrivals at where it slides, from
-            below and from above.
-        points : (3, n, F)
-            Where it crosses upwards, downwards and slides the most.
+        Shares (F, 4) of each face where the loop crosses upwards, downwards, slides, is repelled;
+        flows (F, 4): rates [1/s] of crossings upwards and downwards, and of arrivals at where it
+        slides, from below and from above; points (3, n, F) where it crosses upwards, downwards and
+        slides the most.
         """
         n, count = self.low.shape
         each = SAMPLES.get(n, 2)
@@ -143,12 +128,7 @@ class AxisFaces:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return where each of the three is certain everywhere, and nowhere, in parts of faces.
 
-        Parameters
-        ----------
-        low, high : (n, B)
-            Corners of the parts.
-        face : (B,)
-            The faces that they are parts of.
+        The parts have corners (n, B) and are of the faces (B,).
         """
         (low_b, high_b), (low_a, high_a) = (self._bounds(k, low, high, face) for k in range(2))
         slow = SLOWEST * self.width

@@ -24,10 +24,7 @@ MAX_PAIRS = 1 << 24
 def fewest_rectangles(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners (K, 2) and (K, 2) of the fewest rectangles that tile cells of the plane.
 
-    Parameters
-    ----------
-    inside : (A, B) booleans
-        The cells of the region; it may have holes and many parts.
+    `inside` (A, B) are the cells of a region, which may have holes and many parts.
     """
     cells = np.pad(inside, 1)
     none = np.zeros((cells.shape[0] + 1, cells.shape[1] + 1), dtype=bool)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,23 +30,12 @@ class Partitions:
     Cells are connected through the (n-1)-dimensional faces that they share, those across the seam
     of a periodic axis included; cells that touch in an edge or a corner only are not. Partitions
     are in the order of their symbols, those of one symbol from the largest to the smallest.
-
-    Parameters
-    ----------
-    places : (M,)
-        The cells, as ``find`` gives them, ascending.
-    members : (M,)
-        The partition that each cell belongs to.
-    labels : (P,)
-        Symbol of each partition, N for the default control.
-    shares : (P,)
-        Their shares of the domain's volume.
     """
 
-    places: np.ndarray
-    members: np.ndarray
-    labels: np.ndarray
-    shares: np.ndarray
+    places: np.ndarray  # (M,): the cells, as ``find`` gives them, ascending
+    members: np.ndarray  # (M,): the partition that each cell belongs to
+    labels: np.ndarray  # (P,): symbol of each partition, N for the default control
+    shares: np.ndarray  # (P,): of the domain's volume
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -57,28 +47,14 @@ class Partitions:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The region A of a symbol: all states that get it, as boxes that tile it.
+    """The region A of a symbol: all states that get it, as boxes that tile it."""
 
-    Parameters
-    ----------
-    label : int
-        The symbol, N for the default control.
-    lower, upper : (K, n)
-        Corners of the boxes, ``lower <= z < upper``, in finest cells.
-    partitions : (K,)
-        The connected partition that each box belongs to.
-    cells : int
-        Cells of the policy that they were merged from.
-    share : float
-        Share of the domain's volume.
-    """
-
-    label: int
-    lower: np.ndarray
-    upper: np.ndarray
-    partitions: np.ndarray
-    cells: int
-    share: float
+    label: int  # the symbol, N for the default control
+    lower: np.ndarray  # (K, n): corners of the boxes, ``lower <= z < upper``, in finest cells
+    upper: np.ndarray  # (K, n)
+    partitions: np.ndarray  # (K,): the connected partition that each box belongs to
+    cells: int  # of the policy that the boxes were merged from
+    share: float  # of the domain's volume
 
     def __len__(self) -> int:
         return len(self.lower)
@@ -88,13 +64,6 @@ class Region:
 
         A state is in a box where ``lower <= state < upper`` on every axis; on an ordinary axis the
         domain's upper bound belongs to the boxes that end there.
-
-        Parameters
-        ----------
-        domain : Box
-            The policy's domain.
-        counts : n ints
-            Finest cells along each axis.
         """
         return domain.points(self.lower, counts), domain.points(self.upper, counts)
 
@@ -102,14 +71,9 @@ class Region:
 def connected_partitions(
     cells: CellTree | SplitTree, periodic: Sequence[bool] | None = None
 ) -> Partitions:
-    """Return the connected partitions of cells.
+    """Return the connected partitions of cells, or of leaves of a tree without oblique splits.
 
-    Parameters
-    ----------
-    cells : CellTree or SplitTree
-        The cells, or the leaves of a tree without oblique splits.
-    periodic : n booleans, optional
-        Axes whose ends meet. Default: none.
+    The ends of `periodic` axes meet; by default there are none.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -134,15 +98,7 @@ def connected_partitions(
 
 
 def regions(cells: CellTree | SplitTree, partitions: Partitions) -> list[Region]:
-    """Return the regions of the symbols that cells have, in the order of the symbols.
-
-    Parameters
-    ----------
-    cells : CellTree or SplitTree
-        The cells, or the leaves of a tree without oblique splits.
-    partitions : Partitions
-        Their connected partitions.
-    """
+    """Return the regions of the symbols that cells have, in the order of the symbols."""
     boxes = cells.boxes()
     lower, upper, labels = merged_boxes(boxes.lower, boxes.upper, boxes.labels, cells.counts)
     members = partitions.of(cells.find(lower))
@@ -168,21 +124,9 @@ def merged_boxes(
     and from columns of the lattice, one finest cell thick; of every label the fewest boxes are
     kept.
 
-    Parameters
-    ----------
-    lower, upper : (M, n)
-        Boxes that do not overlap, ``lower <= z < upper``, in finest cells.
-    labels : (M,)
-        Their labels, 0 or more.
-    counts : n ints
-        Finest cells along each axis.
-
-    Returns
-    -------
-    lower, upper : (K, n)
-        Boxes that do not overlap, by labels and then by their lower corners.
-    labels : (K,)
-        Their labels.
+    Boxes (M, n), ``lower <= z < upper`` in finest cells, with labels (M,) of 0 or more do not
+    overlap, neither those that come nor those that go; these are by labels and then by lower
+    corners.
     """
     n = lower.shape[1]
     start = _Boxes(lower.astype(np.int32), upper.astype(np.int32), labels.astype(np.int32))
@@ -192,8 +136,7 @@ def merged_boxes(
     return best.lower.astype(np.int64), best.upper.astype(np.int64), best.labels
 
 
-@dataclass(frozen=True, eq=False)
-class _Boxes:
+class _Boxes(NamedTuple):
     """Boxes (M, n) int32 with labels (M,)."""
 
     lower: np.ndarray
@@ -201,7 +144,7 @@ class _Boxes:
     labels: np.ndarray
 
     def take(self, rows: np.ndarray) -> _Boxes:
-        return _Boxes(self.lower[rows], self.upper[rows], self.labels[rows])
+        return _Boxes(*(column[rows] for column in self))
 
 
 def _fewest_in_the_plane(boxes: _Boxes) -> _Boxes | None:
@@ -239,11 +182,7 @@ def _fewest_of_orders(boxes: _Boxes, counts: Sequence[int]) -> _Boxes:
 
 
 def _joined(parts: Sequence[_Boxes]) -> _Boxes:
-    return _Boxes(
-        np.concatenate([part.lower for part in parts]),
-        np.concatenate([part.upper for part in parts]),
-        np.concatenate([part.labels for part in parts]),
-    )
+    return _Boxes(*map(np.concatenate, zip(*parts)))
 
 
 def _starts(boxes: _Boxes, axis: int) -> Iterator[_Boxes]:

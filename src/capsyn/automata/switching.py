@@ -63,51 +63,27 @@ class Switching:
     faces. A loop spends its time elsewhere than evenly, so they compare policies, and say what a
     loop does at first, not what it does at last.
 
-    Parameters
-    ----------
-    faces : Faces
-        The faces between cells of different symbols, large ones in pieces.
-    labels : (F, 2)
-        Symbols below and above, N for the default control.
-    areas : (F,)
-        Areas, in those of the domain's cross-sections: each axis is 1 long.
-    statuses : (F, 3)
-        Whether the loop reaches a face from below, from above, and slides in it: `IMPOSSIBLE`,
-        `UNDECIDED` or `POSSIBLE`. The first and the last are proved by interval arithmetic.
-    shares : (F, 4)
-        Shares of a face where the loop crosses upwards, downwards, slides, and is repelled, from
-        samples. The rest has no flow through it.
-    switches : (N + 1, N + 1)
-        Whether the loop can switch from a symbol (row) to another (column) on any face, crossing
-        or chattering: `IMPOSSIBLE`, `UNDECIDED` or `POSSIBLE`.
-    slidings : (N + 1, N + 1)
-        Whether it slides between two symbols anywhere; symmetric.
-    switch_rates : (N + 1, N + 1)
-        Rates [1/s] of crossings from a symbol to another: the integral of ``|f_k|`` over where the
-        loop crosses, divided by the domain's volume.
-    sliding_rates : (N + 1, N + 1)
-        Rates [1/s] of arrivals, from a symbol, at faces to another on which the loop then slides.
-    areas_between, sliding_areas : (N + 1, N + 1)
-        Areas of the faces between two symbols, and where the loop slides; symmetric.
-    exit_rates : (N + 1,)
-        Rates [1/s] at which states leave the domain under each symbol.
-    volume_shares : (N + 1,)
-        Shares of the domain's volume of each symbol.
+    The statuses tell whether the loop reaches a face from below, from above, and slides in it:
+    `IMPOSSIBLE`, `UNDECIDED` or `POSSIBLE`. The first and the last are proved by interval
+    arithmetic. The shares of a face, from samples, are where the loop crosses upwards, downwards,
+    slides, and is repelled; the rest has no flow through it. Tables of two
+    symbols, (N + 1, N + 1), have the one that the loop comes from in the row. Rates of switches are
+    the integral of ``|f_k|`` over where the loop crosses, divided by the domain's volume.
     """
 
-    faces: Faces
-    labels: np.ndarray
-    areas: np.ndarray
-    statuses: np.ndarray
-    shares: np.ndarray
-    switches: np.ndarray
-    slidings: np.ndarray
-    switch_rates: np.ndarray
-    sliding_rates: np.ndarray
-    areas_between: np.ndarray
-    sliding_areas: np.ndarray
-    exit_rates: np.ndarray
-    volume_shares: np.ndarray
+    faces: Faces  # between cells of different symbols, large ones in pieces
+    labels: np.ndarray  # (F, 2): symbols below and above, N for the default control
+    areas: np.ndarray  # (F,): in those of the domain's cross-sections: each axis is 1 long
+    statuses: np.ndarray  # (F, 3)
+    shares: np.ndarray  # (F, 4)
+    switches: np.ndarray  # whether it can switch on any face, crossing or chattering, likewise
+    slidings: np.ndarray  # whether it slides between two symbols anywhere; symmetric
+    switch_rates: np.ndarray  # of crossings from a symbol to another [1/s]
+    sliding_rates: np.ndarray  # of arrivals at faces on which the loop then slides [1/s]
+    areas_between: np.ndarray  # of the faces between two symbols; symmetric
+    sliding_areas: np.ndarray  # where the loop slides; symmetric
+    exit_rates: np.ndarray  # (N + 1,): at which states leave the domain under each symbol [1/s]
+    volume_shares: np.ndarray  # (N + 1,): of the domain's volume of each symbol
 
     @property
     def rate(self) -> float:
@@ -122,18 +98,11 @@ class Switching:
 
 
 def switching(policy: Policy) -> Switching:
-    """Return what the closed loop of a policy does on the faces between its symbols.
+    """Return what the closed loop of a policy with a model does on the faces between its symbols.
 
-    Parameters
-    ----------
-    policy : Policy
-        A policy with a model. Its angles are taken to be angles of the model too: at the seam of a
-        periodic axis the lower side of a face is at the domain's upper bound.
-
-    Raises
-    ------
-    ProblemError
-        No policy, one without a model, or one whose tree has oblique splits.
+    Its angles are taken to be angles of the model too: at the seam of a periodic axis the lower
+    side of a face is at the domain's upper bound. No policy, one without a model, or one whose tree
+    has oblique splits is a `ProblemError`.
     """
     if not isinstance(policy, Policy):
         raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
@@ -229,18 +198,8 @@ def _around_sliding(
     """Return which switches (N + 1, N + 1) sliding may lead to through edges and corners.
 
     Sliding gathers states on the edges of a face, where other cells meet: those across another face
-    of one of its two cells that touches it.
-
-    Parameters
-    ----------
-    faces, labels
-        As in `Switching`.
-    slides : (S,) ints
-        Faces on which the loop may slide.
-    ends : (n,)
-        Finest cells along periodic axes, whose ends meet; 0 along others.
-    number : int
-        Labels, N + 1.
+    of one of its two cells that touches it. The loop may slide on faces `slides` (S,); `ends` (n,)
+    are the finest cells along periodic axes, whose ends meet, and 0 along others.
     """
     table = np.zeros((number, number), dtype=bool)
     cells, rows = np.concatenate([faces.below, faces.above]), np.tile(np.arange(len(faces)), 2)

@@ -25,28 +25,16 @@ ROW_ARRAYS = {
 class AffineLeaves:
     """Tables of rows, one after the other; a leaf's rows ascend by symbol.
 
-    At lattice steps ``z`` a leaf has the symbol of the row with the largest ``constant +
-    slopes @ z``, of equals that of the lowest symbol.
-
-    Parameters
-    ----------
-    first : int
-        Leaf number of the first affine leaf, ``N + 1``: lower ones are symbols and the default.
-    starts : (A + 1,) int32
-        Rows of leaf ``first + a`` are ``starts[a] .. starts[a + 1] - 1``, at least two.
-    symbols : (R,) int32
-        Symbols of the rows, and N for the default.
-    constants : (R,) int32
-        Values at the lattice's lower corner.
-    slopes : (R, n) int16
-        Change per lattice step. ``|constant| + |slopes| @ counts`` is at most `LARGEST_SUM`.
+    At lattice steps ``z`` a leaf has the symbol of the row with the largest ``constant + slopes @
+    z``, of equals that of the lowest symbol. Rows of leaf ``first + a`` are ``starts[a] .. starts[a
+    + 1] - 1``, at least two. ``|constant| + |slopes| @ counts`` is at most `LARGEST_SUM`.
     """
 
-    first: int
-    starts: np.ndarray
-    symbols: np.ndarray
-    constants: np.ndarray
-    slopes: np.ndarray
+    first: int  # leaf number N + 1 of the first: lower ones are symbols and the default
+    starts: np.ndarray  # (A + 1,) int32
+    symbols: np.ndarray  # (R,) int32: of the rows, N for the default
+    constants: np.ndarray  # (R,) int32: values at the lattice's lower corner
+    slopes: np.ndarray  # (R, n) int16: change per lattice step
 
     def __post_init__(self) -> None:
         keep_read_only(self, "starts", "symbols", "constants", "slopes")
@@ -54,11 +42,6 @@ class AffineLeaves:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the tables by the names of `ROW_ARRAYS`."""
         return {name: getattr(self, name.removeprefix("row_")) for name in ROW_ARRAYS}
-
-    @staticmethod
-    def of_arrays(first: int, arrays: dict[str, np.ndarray]) -> AffineLeaves:
-        """Return the leaves with such tables."""
-        return AffineLeaves(first, *(arrays[name] for name in ROW_ARRAYS))
 
     def __len__(self) -> int:
         return max(0, len(self.starts) - 1)
@@ -97,15 +80,7 @@ class AffineLeaves:
         return np.bitwise_or.reduceat(bits, self.starts[:-1]) if len(self) else bits
 
     def check(self, counts: tuple[int, ...], label_count: int) -> None:
-        """Raise `PolicyFormatError` unless the tables fit each other and a lattice.
-
-        Parameters
-        ----------
-        counts : n ints
-            Lattice steps along each axis.
-        label_count : int
-            Symbols must be below it.
-        """
+        """Raise `PolicyFormatError` unless the tables fit each other, a lattice and the labels."""
         rows, starts = len(self.symbols), self.starts.astype(np.int64)
         if self.first != label_count:
             raise PolicyFormatError(f"affine leaves must begin with {label_count}")

@@ -9,22 +9,12 @@ import numpy as np
 
 
 class Cells(NamedTuple):
-    """All cells of one level, or the leaves among them.
+    """All cells of one level, or the leaves among them."""
 
-    Parameters
-    ----------
-    level : int
-        Level of subdivision, 0 for the root grid.
-    places : (M,)
-        Their places in ``CellTree.entries``.
-    lower, sizes : (M, n)
-        Integer coordinates of their lower corners, and their edge lengths, in finest cells.
-    """
-
-    level: int
-    places: np.ndarray
-    lower: np.ndarray
-    sizes: np.ndarray
+    level: int  # of subdivision, 0 for the root grid
+    places: np.ndarray  # (M,): in ``CellTree.entries``
+    lower: np.ndarray  # (M, n): lower corners, in finest cells
+    sizes: np.ndarray  # (M, n): edge lengths, likewise
 
     def where(self, chosen: np.ndarray) -> Cells:
         """Return the chosen cells, booleans (M,)."""
@@ -33,25 +23,13 @@ class Cells(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Labelled boxes of the lattice, ``lower <= z < upper``, that tile it.
+    """Labelled boxes of the lattice, ``lower <= z < upper``, that tile it."""
 
-    Parameters
-    ----------
-    places : (M,)
-        What ``find`` gives for the lattice points in them.
-    lower, upper : (M, n)
-        Integer corners, in finest cells.
-    labels : (M,)
-        Leaf numbers: symbols, and N for the default.
-    levels : (M,)
-        Levels of subdivision.
-    """
-
-    places: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    labels: np.ndarray
-    levels: np.ndarray
+    places: np.ndarray  # (M,): what ``find`` gives for the lattice points in them
+    lower: np.ndarray  # (M, n): corners, in finest cells
+    upper: np.ndarray  # (M, n)
+    labels: np.ndarray  # (M,): leaf numbers: symbols, and N for the default
+    levels: np.ndarray  # (M,): of subdivision
 
     def __len__(self) -> int:
         return len(self.labels)

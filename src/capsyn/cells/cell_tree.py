@@ -11,6 +11,7 @@ import numpy as np
 
 from capsyn.cells.affine_leaves import AffineLeaves
 from capsyn.cells.boxes import Boxes, Cells
+from capsyn.cells.masks import members
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.modelling.grid import Grid, grid_places
 from capsyn.validation import keep_read_only
@@ -26,34 +27,22 @@ SPLIT_ARRAYS = {"splits": np.uint16}
 class CellTree:
     """Cells as a grid of trees, on integer coordinates of finest cells.
 
-    Parameters
-    ----------
-    grid : Grid
-        Cells of the root grid per axis, children of a split cell per axis that it is split along,
-        and most times that a cell may be split along an axis.
-    entries : (M,) int32
-        The root grid in C order, then blocks of children in C order, level by level: ``refinement``
-        along each axis that the cell is split along. An entry >= 0 is the place of its block; an
-        entry < 0 is ``-1 - leaf``.
-    mixed_cells : (K,) int32
-        Leaf entries, ascending, whose test points did not agree; in a tree with affine leaves
-        those whose rows are wrong at one.
-    mixed_labels : (K,) uint64
-        For each of them the set of labels seen, as a bit mask, with those of its rows.
-    affine : AffineLeaves, optional
-        The affine leaves, numbered in the order of their entries. Their rows are values on the
-        lattice of finest cells; the grid's `max_level` is then that of the lattice, and no cell may
-        be split so often.
-    splits : (M,) uint16, optional
-        The axes that each cell is split along, as a bit mask, 0 for leaves. Without it all of them.
+    The entries are the root grid in C order, then blocks of children in C order, level by level:
+    ``refinement`` along each axis that the cell is split along. An entry >= 0 is the place of its
+    block; an entry < 0 is ``-1 - leaf``.
+
+    Affine leaves are numbered in the order of their entries. Their rows are values on the lattice
+    of finest cells; the grid's `max_level` is then that of the lattice, and no cell may be split so
+    often. Mixed cells are then those whose rows are wrong at a test point, and labels seen in them
+    include those of the rows.
     """
 
     grid: Grid
-    entries: np.ndarray
-    mixed_cells: np.ndarray
-    mixed_labels: np.ndarray
+    entries: np.ndarray  # (M,) int32
+    mixed_cells: np.ndarray  # (K,) int32: leaf entries, ascending, whose test points differ
+    mixed_labels: np.ndarray  # (K,) uint64: the set of labels seen in each of them
     affine: AffineLeaves | None = None
-    splits: np.ndarray | None = None
+    splits: np.ndarray | None = None  # (M,) uint16: the axes of each split, 0 for leaves; else all
 
     kind: ClassVar[str] = "cells"
     planes_are: ClassVar[str] = "affine leaves"
@@ -133,7 +122,7 @@ class CellTree:
         refinement = np.array(self.refinement, dtype=np.int64)
         if self.splits is None:
             return np.broadcast_to(refinement, (len(places), self.n))
-        return np.where(axes_of(self.splits[places], self.n), refinement, 1)
+        return np.where(members(self.splits[places], self.n), refinement, 1)
 
     def find(self, steps: np.ndarray) -> np.ndarray:
         """Return the entries (B,) of the leaves that hold finest cells (B, n)."""
@@ -281,10 +270,7 @@ class CellTree:
     def check(self, label_count: int) -> None:
         """Raise `PolicyFormatError` unless the arrays are one well-formed grid of trees.
 
-        Parameters
-        ----------
-        label_count : int
-            N + 1: leaf numbers of constant leaves must be below it.
+        `label_count` is N + 1: leaf numbers of constant leaves must be below it.
         """
         known = label_count + (0 if self.affine is None else len(self.affine))
         entries, n = self.entries, self.n
@@ -381,8 +367,3 @@ def number_of(digits: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     for i in range(1, shapes.shape[1]):
         numbers = numbers * shapes[:, i] + digits[:, i]
     return numbers
-
-
-def axes_of(masks: np.ndarray, n: int) -> np.ndarray:
-    """Return which of `n` axes bit masks (M,) name, booleans (M, n)."""
-    return masks[:, None] >> np.arange(n, dtype=masks.dtype) & masks.dtype.type(1) != 0

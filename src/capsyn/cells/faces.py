@@ -13,23 +13,13 @@ from capsyn.cells.split_tree import SplitTree
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Faces between two cells each, which do not overlap.
+    """Faces between two cells each, which do not overlap; a seam of a periodic axis is at 0."""
 
-    Parameters
-    ----------
-    axis : (F,)
-        Axis that a face is perpendicular to.
-    lower, upper : (F, n)
-        Its corners in finest cells; equal on its axis. A seam of a periodic axis is at 0.
-    below, above : (F,)
-        The cells on its two sides, as places that ``find`` gives.
-    """
-
-    axis: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    below: np.ndarray
-    above: np.ndarray
+    axis: np.ndarray  # (F,): that a face is perpendicular to
+    lower: np.ndarray  # (F, n): corner in finest cells
+    upper: np.ndarray  # (F, n): the other corner, equal on its axis
+    below: np.ndarray  # (F,): the cells on its two sides, as places that ``find`` gives
+    above: np.ndarray  # (F,)
 
     def __len__(self) -> int:
         return len(self.axis)
@@ -42,16 +32,10 @@ Keep = Callable[[np.ndarray, np.ndarray], np.ndarray]
 def shared_faces(
     cells: CellTree | SplitTree, keep: Keep, periodic: Sequence[bool] | None = None
 ) -> Faces:
-    """Return the faces that two cells share.
+    """Return the faces that two cells share, or leaves of a tree without oblique splits.
 
-    Parameters
-    ----------
-    cells : CellTree or SplitTree
-        The cells, or the leaves of a tree without oblique splits.
-    keep : function
-        Of which pairs of cells; the others are dropped early, to save memory.
-    periodic : n booleans, optional
-        Axes whose ends meet. Default: none.
+    Faces between cells that `keep` does not name are dropped early, to save memory. The ends of
+    `periodic` axes meet; by default there are none.
     """
     boxes, counts = cells.boxes(), cells.counts
     faces = []

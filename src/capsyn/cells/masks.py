@@ -22,7 +22,7 @@ def several(masks: np.ndarray) -> np.ndarray:
 
 
 def members(masks: np.ndarray, count: int) -> np.ndarray:
-    """Return whether each mask (...) holds each of the first `count` symbols, (..., count)."""
+    """Return whether each mask (...) holds each of the first `count` bits, (..., count)."""
     return masks[..., None] >> np.arange(count, dtype=masks.dtype) & masks.dtype.type(1) != 0
 
 

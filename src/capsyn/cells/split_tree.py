@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from capsyn.cells.boxes import Boxes
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.modelling.grid import MAX_COUNT, grid_places
 from capsyn.validation import keep_read_only
+
+Node = TypeVar("Node")
 
 LEAF = -1
 """What `SplitTree.split` is for a leaf."""
@@ -30,30 +33,17 @@ STARTS_PER_NODE = 4
 class SplitTree:
     """A decision tree over the integer lattice of a `Box`, in depth-first order.
 
-    Node `i` goes to its second child, node ``second[i]``, exactly when
-    ``z[split[i]] >= threshold[i]``, or, for an oblique split,
-    ``planes[split[i] - n] @ z >= threshold[i]``; else to its first, node ``i + 1``.
-
-    Parameters
-    ----------
-    counts : n ints
-        Lattice steps along each axis.
-    split : (K,) int32
-        What a node compares: axis ``0 .. n-1``, ``n + row`` for a row of `planes`, or `LEAF`.
-    threshold : (K,) int32
-        What it compares with; of a leaf its label: a symbol, or N for the default control.
-    second : (K,) int32
-        The second child; of a leaf the leaf itself.
-    planes : (R, n) int32
-        Coefficients of the oblique splits, in the order of their nodes. The sums ``planes @ z`` fit
-        32 bits.
+    Node `i` goes to its second child, node ``second[i]``, exactly when ``z[split[i]] >=
+    threshold[i]``, or, for an oblique split, ``planes[split[i] - n] @ z >= threshold[i]``; else to
+    its first, node ``i + 1``. The threshold of a leaf is its label: a symbol, or N for the default
+    control; its second child is the leaf itself. The sums ``planes @ z`` fit 32 bits.
     """
 
-    counts: tuple[int, ...]
-    split: np.ndarray
-    threshold: np.ndarray
-    second: np.ndarray
-    planes: np.ndarray
+    counts: tuple[int, ...]  # lattice steps along each axis
+    split: np.ndarray  # (K,) int32: axis ``0 .. n-1``, ``n + row`` of `planes`, or `LEAF`
+    threshold: np.ndarray  # (K,) int32
+    second: np.ndarray  # (K,) int32
+    planes: np.ndarray  # (R, n) int32: coefficients, in the order of their nodes
 
     kind: ClassVar[str] = "tree"
     planes_are: ClassVar[str] = "oblique splits"
@@ -182,24 +172,11 @@ class SplitTree:
     def parts(
         self, lower: np.ndarray, upper: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return what the leaves cut lattice boxes into.
+        """Return what the leaves cut lattice boxes ``lower <= z < upper``, (M, n) each, into.
 
-        Parameters
-        ----------
-        lower, upper : (M, n) ints
-            Boxes ``lower <= z < upper``.
-
-        Returns
-        -------
-        leaf, box : (P,)
-            The node and the box of each part.
-        lower, upper : (P, n)
-            Its corners. The parts of a box tile it.
-
-        Raises
-        ------
-        ProblemError
-            The tree has oblique splits, or there would be more than `MAX_PARTS` parts.
+        They are the leaf and the box (P,) of each part and its corners (P, n) and (P, n); the parts
+        of a box tile it. A tree with oblique splits, or more than `MAX_PARTS` parts, is a
+        `ProblemError`.
         """
         if self.has_planes:
             raise ProblemError(
@@ -264,13 +241,7 @@ class SplitTree:
         return Boxes(leaf, lower, upper, self.threshold[leaf], np.zeros(len(leaf), dtype=np.int64))
 
     def check(self, label_count: int) -> None:
-        """Raise `PolicyFormatError` unless the arrays are one well-formed tree.
-
-        Parameters
-        ----------
-        label_count : int
-            Labels must be below it.
-        """
+        """Raise `PolicyFormatError` unless the arrays are a well-formed tree of so many labels."""
         count, n = self.node_count, self.n
         if not count or not len(self.threshold) == len(self.second) == count:
             raise PolicyFormatError("the arrays of the tree differ in length, or are empty")
@@ -324,6 +295,39 @@ class SplitTree:
             nodes[rows] = np.where(beyond, self.second[at], np.where(before, self.first[at], at))
             rows = rows[whole & (self.split[nodes[rows]] != LEAF)]
         return shift, nodes
+
+
+def depth_first(
+    counts: tuple[int, ...],
+    root: Node,
+    look: Callable[[Node], tuple[int | Sequence[int] | np.ndarray, int, Sequence[Node]]],
+) -> SplitTree:
+    """Return the tree below a root: what `look` says of a node, its split, threshold and children.
+
+    A split is an axis, a plane (n,), or `LEAF` with no children and the label for a threshold.
+    """
+    splits: list[int] = []
+    thresholds: list[int] = []
+    second: list[int] = []
+    planes: list[Sequence[int] | np.ndarray] = []
+    stack: list[tuple[Node, int]] = [(root, -1)]
+    while stack:
+        node, parent = stack.pop()
+        here = len(splits)
+        if parent >= 0:
+            second[parent] = here
+        second.append(here)
+        split, threshold, children = look(node)
+        if not isinstance(split, int):
+            planes.append(split)
+            split = len(counts) + len(planes) - 1
+        splits.append(split)
+        thresholds.append(threshold)
+        if children:  # the first comes next, then all its offspring, then the second
+            stack += [(children[1], here), (children[0], -1)]
+    table = np.array(planes, dtype=np.int32).reshape(-1, len(counts))
+    split_row, threshold_row, second_row = np.array([splits, thresholds, second], dtype=np.int32)
+    return SplitTree(counts, split_row, threshold_row, second_row, table)
 
 
 def _second_children(leaf: np.ndarray) -> np.ndarray | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from capsyn.cells.affine_leaves import AffineLeaves
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.split_tree import LEAF, SplitTree
+from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.errors import ProblemError
 
 MAX_NODES = 20_000_000
@@ -19,14 +19,9 @@ def affine_tree(cells: CellTree) -> SplitTree:
     """Return the decision tree of cells with affine leaves, equal to them at every lattice step.
 
     Blocks of children are halved along one axis after the other, and equal leaves merged. In an
-    affine leaf the largest row so far meets the next: the next one, of a higher symbol, wins
-    where the difference of the two, a plane with whole coefficients, is at least 1. Comparisons
-    that are decided throughout the cell are left out.
-
-    Raises
-    ------
-    ProblemError
-        The tree would have more than `MAX_NODES` nodes.
+    affine leaf the largest row so far meets the next: the next one, of a higher symbol, wins where
+    the difference of the two, a plane with whole coefficients, is at least 1. Comparisons that are
+    decided throughout the cell are left out. More than `MAX_NODES` are a `ProblemError`.
     """
     assert cells.affine is not None
     nodes = _Nodes(cells.n)
@@ -117,30 +112,12 @@ class _Nodes:
         return meet(0, 1)
 
     def tree(self, top: int, counts: tuple[int, ...], labels: int) -> SplitTree:
-        """Return the nodes below one as a tree, depth first."""
-        split: list[int] = []
-        threshold: list[int] = []
-        second: list[int] = []
-        planes: list[np.ndarray] = []
-        stack = [(top, -1)]
-        while stack:
-            node, parent = stack.pop()
-            here = len(split)
-            if parent >= 0:
-                second[parent] = here
-            second.append(here)
+        """Return the nodes below one as a tree."""
+
+        def look(node: int) -> tuple[int | np.ndarray, int, tuple[int, ...]]:
             if node < 0:
-                split.append(LEAF)
-                threshold.append(node + labels)
-                continue
-            axis = self.split[node]
-            if axis == LEAF:
-                axis = self.n + len(planes)
-                planes.append(self.planes[node])
-            split.append(axis)
-            threshold.append(self.threshold[node])
-            first, other = self.children[node]
-            stack += [(other, here), (first, -1)]
-        rows = np.array([split, threshold, second], dtype=np.int32)
-        table = np.array(planes, dtype=np.int32).reshape(-1, self.n)
-        return SplitTree(counts, rows[0].copy(), rows[1].copy(), rows[2].copy(), table)
+                return LEAF, node + labels, ()
+            split = self.planes.get(node, self.split[node])
+            return split, self.threshold[node], self.children[node]
+
+        return depth_first(counts, top, look)

@@ -52,18 +52,10 @@ def entropy(shares: np.ndarray) -> float:
 
 
 def switching_entropy(rates: np.ndarray) -> float:
-    """Return how uncertain the next symbol is at a switch [bits].
+    """Return how uncertain the next symbol is at a switch [bits]; 0 where there are none.
 
-    Parameters
-    ----------
-    rates : (V, V)
-        Rates [1/s] of switches from a symbol (row) to another.
-
-    Returns
-    -------
-    float
-        Entropy of the next symbol given the present one, averaged over the switches; 0 where there
-        are none.
+    It is the entropy of the next symbol given the present one, averaged over the switches, whose
+    rates (V, V) [1/s] are from a symbol (row) to another.
     """
     out = rates.sum(axis=1)
     total = out.sum()

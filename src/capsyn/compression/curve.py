@@ -27,39 +27,18 @@ TARGETS = (0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """A controller, its size and its agreement.
+    """A controller, its size and its agreement."""
 
-    Parameters
-    ----------
-    mode : "cells", "exact", "freedom" or "linear"
-        ``cells``: the policy itself, or what is left of it at a level.
-    level : int, optional
-        Level below which cells were merged.
-    options : str
-        Options of ``capsyn compress`` that make it; "" for cells.
-    nodes : int
-        Nodes of the tree, or entries of the table of cells.
-    depth : int
-        Most comparisons of a lookup, or most levels that it goes down.
-    bytes : int
-        Of its arrays, each in the smallest integers that hold it.
-    agreement, low, high : float
-        Share of the volume where it agrees with sSAC, or with the policy where that has no model,
-        and its Clopper-Pearson interval.
-    smallest : bool
-        Whether no other point agrees as much with fewer bytes.
-    """
-
-    mode: str
-    level: int | None
-    options: str
-    nodes: int
-    depth: int
-    bytes: int
-    agreement: float
-    low: float
+    mode: str  # exact, freedom, linear, or cells: the policy, or what is left of it at a level
+    level: int | None  # below which cells were merged
+    options: str  # of ``capsyn compress`` that make it; "" for cells
+    nodes: int  # of the tree, or entries of the table of cells
+    depth: int  # most comparisons of a lookup, or most levels that it goes down
+    bytes: int  # of its arrays, each in the smallest integers that hold it
+    agreement: float  # share of the volume where it agrees with sSAC, or else the policy
+    low: float  # Clopper-Pearson interval of that share
     high: float
-    smallest: bool = False
+    smallest: bool = False  # whether no other point agrees as much with fewer bytes
 
     def to_json(self) -> dict[str, Any]:
         """Return the point as plain data."""
@@ -74,16 +53,9 @@ def size_curve(
     backend: str = "auto",
     progress: Callable[[str], None] | None = None,
 ) -> tuple[CurvePoint, ...]:
-    """Return the sizes and agreements of a policy and of its trees, by mode and level.
+    """Return the sizes and agreements of a policy of cells and its trees, by mode and level.
 
-    Parameters
-    ----------
-    policy : Policy
-        A policy of cells.
-    states, seed, backend
-        As in `compress`.
-    progress : function, optional
-        Is told in words what is done next.
+    `states`, `seed` and `backend` are as in `compress`; `progress` is told in words what is next.
     """
     cell_tree(policy)
     if policy.gaps:
@@ -123,17 +95,9 @@ def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
         say(f"cells at level {level}")
         base = cut_off(judge.policy, level)
         comparison = judge.compare(base)
-        yield CurvePoint(
-            "cells",
-            level,
-            "",
-            base.cells.node_count,
-            1 + level,
-            packed_bytes(base.cells),
-            comparison.share,
-            comparison.low,
-            comparison.high,
-        )
+        size = base.cells.node_count, 1 + level, packed_bytes(base.cells)
+        share = comparison.share, comparison.low, comparison.high
+        yield CurvePoint("cells", level, "", *size, *share)
 
 
 def _tree_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoint]:
@@ -159,14 +123,5 @@ def _linear_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePo
 
 def _point(tree: DecisionTree, level: int | None, options: str) -> CurvePoint:
     had = tree.guarantee
-    return CurvePoint(
-        had.mode,
-        level,
-        options,
-        tree.node_count,
-        tree.depth,
-        packed_bytes(tree.cells),
-        had.agreement,
-        had.low,
-        had.high,
-    )
+    size = tree.node_count, tree.depth, packed_bytes(tree.cells)
+    return CurvePoint(had.mode, level, options, *size, had.agreement, had.low, had.high)

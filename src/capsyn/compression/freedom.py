@@ -24,14 +24,8 @@ def exact_prices(policy: Policy) -> Prices:
 def free_prices(policy: Policy, votes: np.ndarray, node_price: float) -> Prices:
     """Return prices under which mixed cells may take any label that was seen in them.
 
-    Parameters
-    ----------
-    policy : Policy
-        A policy of cells.
-    votes : (K, N + 1)
-        Of `VOTES`, how many each label has in each mixed cell; see `cell_votes`.
-    node_price : float
-        Finest cells of disagreement that saving one node of the tree is worth.
+    `votes` (K, N + 1) are those of `cell_votes`, `node_price` the finest cells of disagreement that
+    saving one node of the tree is worth.
     """
     leaf_price = max(1, round(2 * VOTES * node_price))  # a leaf more is two nodes more
     return Prices(
@@ -42,14 +36,9 @@ def free_prices(policy: Policy, votes: np.ndarray, node_price: float) -> Prices:
 def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarray:
     """Return how many of `VOTES` votes each label (K, N + 1) has in each mixed cell.
 
-    Parameters
-    ----------
-    controller : function, optional
-        States (B, n) to masks (B,) of the symbols that could be best. It is asked at random states
-        of the cells. Without it the policy's own label has all votes; of a table, each label that
-        it allows.
-    seed : int
-        Seed of the states.
+    The controller gives masks of the symbols that could be best; it is asked at random states of
+    the cells. Without it the policy's own label has all votes; of a table, each label that it
+    allows.
     """
     cells, labels = cell_tree(policy), len(policy.alphabet) + 1
     mixed = cells.mixed_cells

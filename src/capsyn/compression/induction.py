@@ -8,7 +8,7 @@ and not with the volume, and no fine grid is ever formed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.faces import Faces, shared_faces
 from capsyn.cells.masks import members
-from capsyn.cells.split_tree import LEAF, SplitTree
+from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.compression.optimal import FORBIDDEN, optimal_splits, sub_box_count
 
 CUT_PENALTY = 0.1
@@ -39,24 +39,12 @@ MEMORY = 200_000_000
 
 @dataclass(frozen=True, eq=False)
 class Prices:
-    """What each of L labels costs in the cells of a policy.
+    """What each of L labels costs in the cells of a policy."""
 
-    Parameters
-    ----------
-    masks : (M,) uint64
-        Labels that each entry of the cells may take, as bit masks.
-    priced : (K,) ints
-        Entries, ascending, where the labels differ in price.
-    prices : (K, L) int64
-        Price of each label there, per finest cell, 0 or more.
-    leaf_price : int
-        Price of a leaf, 1 or more.
-    """
-
-    masks: np.ndarray
-    priced: np.ndarray
-    prices: np.ndarray
-    leaf_price: int
+    masks: np.ndarray  # (M,) uint64: labels that each entry of the cells may take
+    priced: np.ndarray  # (K,): entries, ascending, where the labels differ in price
+    prices: np.ndarray  # (K, L) int64: price of each label there, per finest cell, 0 or more
+    leaf_price: int  # price of a leaf, 1 or more
 
     def of(self, entries: np.ndarray, volumes: np.ndarray) -> np.ndarray:
         """Return the penalties (B, L) of entries (B,) of some volumes (B,) [finest cells].
@@ -76,14 +64,7 @@ class Prices:
 def induce(cells: CellTree, prices: Prices, budget: int | None = None) -> SplitTree:
     """Return a small tree whose label is allowed in every cell.
 
-    Parameters
-    ----------
-    cells : CellTree
-        The cells.
-    prices : Prices
-        What labels cost in them.
-    budget : int, optional
-        Most sub-boxes of a box whose tree of least cost is searched. Default: by `BUDGETS`.
+    Trees of least cost are searched of boxes with at most `budget` sub-boxes, by default `BUDGETS`.
     """
     masks = prices.masks
     budget = BUDGETS.get(cells.n, BUDGET) if budget is None else budget
@@ -246,24 +227,11 @@ def _attach(nodes: Rows, blocks: list[_Block], cuts: tuple[np.ndarray, ...]) -> 
 
 
 def _depth_first(nodes: Rows, counts: tuple[int, ...]) -> SplitTree:
-    rows: list[tuple[int, int, int]] = []
-    stack = [(0, -1)]
-    while stack:
-        node, parent = stack.pop()
-        split, threshold, first, second = nodes[node]
-        here = len(rows)
-        if parent >= 0:
-            rows[parent] = (*rows[parent][:2], here)
-        rows.append((split, threshold, here))
-        if split != LEAF:
-            stack += [(second, here), (first, -1)]
-    return _tree(rows, counts)
+    def look(node: int) -> tuple[int, int, list[int]]:
+        split, threshold, *children = nodes[node]
+        return split, threshold, [] if split == LEAF else children
 
-
-def _tree(rows: Iterable[tuple[int, int, int]], counts: tuple[int, ...]) -> SplitTree:
-    split, threshold, second = np.array(list(rows), dtype=np.int32).reshape(-1, 3).T.copy()
-    planes = np.zeros((0, len(counts)), dtype=np.int32)
-    return SplitTree(counts, split, threshold, second, planes)
+    return depth_first(counts, 0, look)
 
 
 def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:
@@ -286,13 +254,8 @@ def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:
     least = np.where(can, penalty, np.iinfo(np.int64).max)
     cheapest = least == least.min(axis=1, keepdims=True)
     best = np.argmax(np.where(cheapest, own, -1.0), axis=1)
-    return SplitTree(
-        tree.counts,
-        tree.split,
-        np.where(leaves, best, tree.threshold).astype(np.int32),
-        tree.second,
-        tree.planes,
-    )
+    threshold = np.where(leaves, best, tree.threshold).astype(np.int32)
+    return dataclasses.replace(tree, threshold=threshold)
 
 
 def _merged(tree: SplitTree) -> SplitTree:

@@ -24,32 +24,15 @@ JUDGING = 6
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """What trees of a policy are compared with: a controller, or where there is none the policy.
-
-    Parameters
-    ----------
-    policy : Policy
-        The policy.
-    name : "ssac", "function" or "policy"
-        Which controller it is.
-    source : function or None
-        The controller as states (B, n) to masks (B,) of the symbols that are right there; None
-        for the policy.
-    controller : function or None
-        The controller as `capsyn.agreement` takes it; None for sSAC.
-    states, seed : int
-        How many random states a tree is judged at, and their seed.
-    backend : "auto", "c" or "numpy"
-        How sSAC is solved.
-    """
+    """What trees of a policy are compared with: a controller, or where there is none the policy."""
 
     policy: Policy
-    name: str
-    source: Label | None
-    controller: Controller | None
-    states: int
+    name: str  # of the controller: ssac, function or policy
+    source: Label | None  # masks of the symbols that are right; None for the policy
+    controller: Controller | None  # as `capsyn.agreement` takes it; None for sSAC
+    states: int  # how many random states a tree is judged at
     seed: int
-    backend: str
+    backend: str  # how sSAC is solved
 
     @staticmethod
     def of(

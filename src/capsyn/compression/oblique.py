@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capsyn.cells.masks import Label
-from capsyn.cells.split_tree import LEAF, SplitTree
+from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.compression.plane_tree import Link, Node, grow, prune, refine
 from capsyn.compression.surface import Plane, Samples, Surface, draw_samples, find_surface
 from capsyn.errors import ProblemError
@@ -73,19 +73,11 @@ AIMS = (1.0, 0.7, 0.4)
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A tree fitted to a controller, and how well.
-
-    Parameters
-    ----------
-    tree : SplitTree
-        The tree.
-    judged, right : int
-        Fresh random states, which neither made nor chose the tree, and those where it is right.
-    """
+    """A tree fitted to a controller, and how well."""
 
     tree: SplitTree
-    judged: int
-    right: int
+    judged: int  # fresh random states, which neither made nor chose the tree
+    right: int  # how many of them the tree is right at
 
 
 class Candidate(NamedTuple):
@@ -106,38 +98,15 @@ def fit_tree(
     samples: int = 200_000,
     states: int = 100_000,
 ) -> Fit:
-    """Return a small tree that is right on a wanted share of the domain's volume.
+    """Return a small tree that is right on a wanted share, in (0, 1], of the domain's volume.
 
-    Parameters
-    ----------
-    masks : callable
-        States (B, n) [state units] to bit masks (B,) of the labels that are right there. Where a
-        mask is 0 only the default is right.
-    domain : Box
-        Where the states come from.
-    labels : int
-        Number of labels, N + 1; the last is the default.
-    agreement : float
-        The wanted share, in (0, 1].
-    seed : int
-        Seed of all states and tries. The same seed gives the same tree.
-    samples : int
-        States that trees are fitted to at most, and other ones that they are chosen by.
-    states : int
-        Fresh states that the chosen tree is judged on. The fewer, the more a tree must exceed the
-        target to be chosen.
-
-    Returns
-    -------
-    Fit
-        The smallest tree found of which the lower end of the Clopper-Pearson interval of the judged
-        states, with a confidence of `CONFIDENCE`, meets the target; where there is none, the best
-        that was judged.
-
-    Raises
-    ------
-    ProblemError
-        An argument that cannot be used.
+    It is the smallest tree found of which the lower end of the Clopper-Pearson interval of the
+    judged states, with a confidence of `CONFIDENCE`, meets the target; where there is none, the
+    best that was judged. `masks` gives the labels (N + 1, the last the default) that are right at
+    states [state units]; where a mask is 0 only the default is. Trees are fitted to at most
+    `samples` states, chosen by other ones, and judged on fresh `states`: the fewer, the more a tree
+    must exceed the target to be chosen. The same seed gives the same tree. An argument that cannot
+    be used is a `ProblemError`.
     """
     labels = whole_number("labels", labels, least=1, most=64)
     agreement = finite_number("agreement", agreement, above=0.0)
@@ -318,43 +287,20 @@ def to_lattice(root: Node, counts: tuple[int, ...]) -> SplitTree:
 
     A lattice step ``z`` stands for its centre ``(z + 1/2) / counts`` in the unit cube.
     """
-    n = len(counts)
-    splits: list[int] = []
-    thresholds: list[int] = []
-    second: list[int] = []
-    planes: list[list[int]] = []
-    stack: list[tuple[Node, int]] = [(root, -1)]
-    while stack:
-        node, parent = stack.pop()
-        number = len(splits)
-        if parent >= 0:
-            second[parent] = number
-        second.append(number)
+
+    def look(node: Node) -> tuple[int | list[int], int, list[Node]]:
         if not node.children:
-            splits.append(LEAF)
-            thresholds.append(node.label)
-            continue
+            return LEAF, node.label, []
         assert node.plane is not None
         a, c = _integer_plane(node.plane, counts)
-        children = node.children
-        axes = [i for i in range(n) if a[i]]
-        if len(axes) == 1:
-            splits.append(axes[0])
-            if a[axes[0]] < 0:  # -z >= c exactly when not z >= 1 - c
-                children, c = children[::-1], 1 - c
-        else:
-            splits.append(n + len(planes))
-            planes.append(a)
-        thresholds.append(c)
-        # the first child comes next, then all its offspring, then the second
-        stack += [(children[1], number), (children[0], -1)]
-    return SplitTree(
-        counts,
-        np.array(splits, dtype=np.int32),
-        np.array(thresholds, dtype=np.int32),
-        np.array(second, dtype=np.int32),
-        np.array(planes, dtype=np.int32).reshape(-1, n),
-    )
+        axis, *others = (i for i, coefficient in enumerate(a) if coefficient)
+        if others:
+            return a, c, node.children
+        if a[axis] < 0:  # -z >= c exactly when not z >= 1 - c
+            return axis, 1 - c, node.children[::-1]
+        return axis, c, node.children
+
+    return depth_first(counts, root, look)
 
 
 def _integer_plane(plane: Plane, counts: tuple[int, ...]) -> tuple[list[int], int]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -24,23 +23,13 @@ def optimal_splits(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the trees of least cost of B grids, as one list of inner nodes and leaves.
 
-    The cost of a tree is `leaf_price` for each leaf and, for each cell, the penalty of the label
-    of its leaf. The least cost of a box is that of one leaf, or the least sum over all ways to cut
-    it in two. Of equally good cuts, that with the most even halves is taken.
+    The cost of a tree is `leaf_price`, at least 1, for each leaf and, for each cell, the penalty of
+    the label of its leaf: `penalty` (B, L, k1, .., kn) int64, `FORBIDDEN` where a label is not
+    allowed. The least cost of a box is that of one leaf, or the least sum over all ways to cut it
+    in two. Of equally good cuts, that with the most even halves is taken.
 
-    Parameters
-    ----------
-    penalty : (B, L, k1, .., kn) int64
-        What each of L labels costs in each cell of the grids; `FORBIDDEN` where it is not allowed.
-    leaf_price : int
-        At least 1.
-
-    Returns
-    -------
-    axis, cut : (K,)
-        Splits ``z[axis] >= cut`` in cells of the grid; axis -1 for leaves.
-    first, second : (K,)
-        Children, -1 for leaves. The first B nodes are the roots.
+    Returns axis, cut, first and second (K,): splits ``z[axis] >= cut`` in cells of the grid, axis
+    -1 for leaves, and children, -1 for leaves. The first B nodes are the roots.
     """
     sums = _box_sums(penalty)
     costs = _least_costs(penalty, sums, leaf_price)
@@ -116,7 +105,7 @@ def _best_cuts(
     """Return (axis, cut, cost), (P,) each, of the best way to cut each box of a shape in two."""
     most = np.iinfo(np.int64).max
     axis, cut, best, uneven = (np.full(len(place), x) for x in (-1, 0, most, most))
-    for a, k in _cuts(shape):
+    for a, k in ((a, k) for a, size in enumerate(shape) for k in range(1, size)):
         low, high = _halves(shape, a, k)
         beside = place.copy()
         beside[:, 1 + a] += k
@@ -145,10 +134,6 @@ def _leaf_costs(sums: np.ndarray, place: np.ndarray, shape: Shape, leaf_price: i
         sign = (-1) ** (len(shape) - sum(corner))
         total += sign * np.moveaxis(sums, 1, -1)[tuple(np.column_stack([place[:, 0], at]).T)]
     return total.min(axis=1) + leaf_price
-
-
-def _cuts(shape: Shape) -> Iterator[tuple[int, int]]:
-    return ((a, k) for a, size in enumerate(shape) for k in range(1, size))
 
 
 def _halves(shape: Shape, axis: int, k: int) -> tuple[Shape, Shape]:

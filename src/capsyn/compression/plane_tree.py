@@ -25,8 +25,6 @@ from capsyn.compression.surface import Plane, Samples, Surface, best_plane, dist
 
 MAX_DEPTH = 64
 """Most splits above a leaf of a grown tree."""
-TRIES = 24
-"""Neighbourhoods on the surface that planes are fitted to, per split."""
 BANDS = (0.15, 0.04, 0.01)
 """Half widths of the bands around a split in which it is fitted again [widths of the domain]."""
 BAND_STATES = 10_000
@@ -106,20 +104,10 @@ def grow(
     least_share: float,
     rng: np.random.Generator,
 ) -> Node:
-    """Return a tree whose planes explain the surface to a tolerance.
+    """Return a tree whose planes explain the surface to a tolerance [widths of the domain].
 
-    Parameters
-    ----------
-    surface : Surface
-        The switching surface.
-    samples : Samples
-        States of the whole cube.
-    tolerance : float
-        Distance at which a plane explains a point of the surface [widths of the domain].
-    least_share : float
-        Regions with less than this share of the surface stay leaves.
-    rng : numpy.random.Generator
-        Draws the planes that are tried.
+    The samples are states of the whole cube. Regions with less than `least_share` of the surface
+    stay leaves. `rng` draws the planes that are tried.
     """
     least = max(least_share * len(surface.points), 4 * samples.states.shape[1])
     root = Node(best_label(samples.right))
@@ -130,7 +118,7 @@ def grow(
         if done or samples.right[rows, node.label].all():
             continue
         states = samples.states[rows]
-        plane = best_plane(here, states, len(rows) / len(samples), tolerance, TRIES, rng)
+        plane = best_plane(here, states, len(rows) / len(samples), tolerance, rng)
         beyond = distances(states, plane) >= 0
         if beyond.all() or not beyond.any():
             continue
@@ -149,12 +137,8 @@ def grow(
 def refine(root: Node, samples: Samples) -> list[Link]:
     """Fit every split again, given the rest of the tree, in place; return what could go.
 
-    Subtrees that gain nothing go at once.
-
-    Returns
-    -------
-    list of Link
-        A child or a leaf for each split that is left, the cheapest first.
+    Subtrees that gain nothing go at once. The links are a child or a leaf for each split that is
+    left, the cheapest first.
     """
     links: list[Link] = []
 
@@ -237,14 +221,8 @@ def _fit_split(node: Node, states: np.ndarray, second: np.ndarray) -> int:
 def separating_plane(states: np.ndarray, second: np.ndarray, start: Plane) -> Plane:
     """Return a plane that separates two classes, by logistic regression (Newton's method).
 
-    Parameters
-    ----------
-    states : (B, n)
-        States.
-    second : (B,) bool
-        Whether they belong beyond the plane.
-    start : Plane
-        Where the iteration starts; returned where it finds nothing.
+    `second` (B,) tells which states (B, n) belong beyond the plane. The iteration begins at
+    `start`, which is returned where it finds nothing.
     """
     extended = np.column_stack([states, np.ones(len(states))])
     sign = np.where(second, 1.0, -1.0)
@@ -282,12 +260,7 @@ def separating_plane(states: np.ndarray, second: np.ndarray, start: Plane) -> Pl
 def best_shift(distance: np.ndarray, second: np.ndarray) -> tuple[float, int]:
     """Return how far to move a plane along its normal for fewest errors, and the errors saved.
 
-    Parameters
-    ----------
-    distance : (B,)
-        Signed distances of states from the plane.
-    second : (B,) bool
-        Whether they belong beyond it.
+    `second` (B,) tells which states, at signed distances (B,) from the plane, belong beyond it.
     """
     if not len(distance):
         return 0.0, 0

@@ -84,21 +84,10 @@ def _prove_affine(tree: DecisionTree, cells: CellTree) -> None:
 
 
 def changed_cells(tree: SplitTree, cells: CellTree) -> np.ndarray:
-    """Return how much of each cell has another label in a tree than in the cells.
+    """Return how much of each cell has another label in a tree than in the cells, (K,).
 
-    Each cell is cut along the splits of the tree; nothing of how the tree was made is used.
-
-    Parameters
-    ----------
-    tree : SplitTree
-        A tree without oblique splits, on the lattice of the cells.
-    cells : CellTree
-        The cells.
-
-    Returns
-    -------
-    (K,)
-        Volume [finest cells], in the order of ``cells.boxes()``.
+    It is their volume [finest cells], in the order of ``cells.boxes()``. Each cell is cut along the
+    splits of the tree, which are not oblique; nothing of how the tree was made is used.
     """
     boxes = cells.boxes()
     leaf, box, volume = _parts(tree, boxes)

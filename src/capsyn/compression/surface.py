@@ -30,30 +30,22 @@ CUT_PENALTY = 0.1
 """What a unit of area that cuts like states counts against one between unlike states."""
 GROWTHS = 6
 """Most times that a plane is fitted again to all points that it explains."""
+TRIES = 24
+"""Neighbourhoods on the surface that planes are fitted to, per split."""
 BAND = 0.02
 """Half the width of the band of states that measures the area of a plane in a region."""
 AXIS_BONUS = 1.02
 """Of planes that are as good, one perpendicular to an axis is cheaper."""
-
-
 Plane = tuple[np.ndarray, float]
 """Normal (n,) and offset: states beyond it have ``normal . x >= offset``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """States drawn uniformly from the unit cube, and what is right there.
+    """States drawn uniformly from the unit cube, and what is right there."""
 
-    Parameters
-    ----------
-    states : (B, n)
-        The states.
-    right : (B, L) bool
-        Whether each label is right at each state.
-    """
-
-    states: np.ndarray
-    right: np.ndarray
+    states: np.ndarray  # (B, n)
+    right: np.ndarray  # (B, L) bool: whether each label is right at each state
 
     def __len__(self) -> int:
         return len(self.states)
@@ -69,18 +61,10 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points of the switching surface, spread evenly by area.
+    """Points of the switching surface, spread evenly by area."""
 
-    Parameters
-    ----------
-    points : (P, n)
-        The points.
-    area : float
-        Area that each point stands for, of a cube with edges of length 1.
-    """
-
-    points: np.ndarray
-    area: float
+    points: np.ndarray  # (P, n)
+    area: float  # that each point stands for, of a cube with edges of length 1
 
     def part(self, rows: np.ndarray) -> Surface:
         """Return some of the points."""
@@ -90,16 +74,7 @@ class Surface:
 def draw_samples(masks: Label, n: int, labels: int, count: int, seed: list[int]) -> Samples:
     """Return `count` states of the unit cube with their right labels.
 
-    Parameters
-    ----------
-    masks : callable
-        States of the unit cube (B, n) to masks (B,) of right labels, none of them 0.
-    n, labels : int
-        Axes and labels.
-    count : int
-        States.
-    seed : ints
-        Seed of the states.
+    `masks` (B,) of states of the cube are never 0.
     """
     states = stream(*seed).random((count, n))
     return Samples(states, members(masks(states), labels))
@@ -174,27 +149,15 @@ def nearest_plane(points: np.ndarray) -> Plane:
     return normal, float((normal * middle).sum())
 
 
-def surface_planes(
-    points: np.ndarray, tolerance: float, tries: int, rng: np.random.Generator
-) -> list[Plane]:
+def surface_planes(points: np.ndarray, tolerance: float, rng: np.random.Generator) -> list[Plane]:
     """Return planes through random neighbourhoods, each grown to all points that it explains.
 
-    After each plane comes the one perpendicular to an axis that is nearest to the same points.
-
-    Parameters
-    ----------
-    points : (P, n)
-        Points of the surface.
-    tolerance : float
-        Distance at which a plane explains a point.
-    tries : int
-        Neighbourhoods.
-    rng : numpy.random.Generator
-        Draws the neighbourhoods.
+    After each plane comes the one perpendicular to an axis that is nearest to the same points (P,
+    n). A plane explains the points within the tolerance.
     """
     n = points.shape[1]
     planes: list[Plane] = []
-    for _ in range(tries):
+    for _ in range(TRIES):
         distance = ((points - points[rng.integers(len(points))]) ** 2).sum(axis=1)
         share = 10 ** rng.uniform(-2, 0)  # from a hundredth of the points to all
         near = min(len(points), max(3 * n, int(len(points) * share)))
@@ -215,31 +178,18 @@ def best_plane(
     states: np.ndarray,
     volume: float,
     tolerance: float,
-    tries: int,
     rng: np.random.Generator,
 ) -> Plane:
     """Return the plane that explains most surface in a region and cuts least elsewhere.
 
-    Parameters
-    ----------
-    surface : Surface
-        The surface in the region.
-    states : (B, n)
-        States drawn uniformly from the region.
-    volume : float
-        Volume of the region.
-    tolerance : float
-        Distance at which a plane explains a point.
-    tries : int
-        Neighbourhoods that planes are fitted to.
-    rng : numpy.random.Generator
-        Draws them.
+    The states (B, n) are drawn uniformly from the region, which has a volume; a plane explains the
+    points within the tolerance.
     """
     points = surface.points
     if len(points) > EXPLAINED:
         points = rng.choice(points, EXPLAINED, replace=False)
     states = states[: 2 * EXPLAINED]
-    planes = surface_planes(points, tolerance, tries, rng)
+    planes = surface_planes(points, tolerance, rng)
     normals = np.array([normal for normal, _ in planes])
     offsets = np.array([offset for _, offset in planes])
 

@@ -54,14 +54,10 @@ class ActionKernel:
 
     @staticmethod
     def build(model: Model, sac: Program | None) -> ActionKernel:
-        """Return the kernel of a model; `KernelBuildError` if it fails.
+        """Return the kernel of a model whose control is an input; `KernelBuildError` if it fails.
 
-        Parameters
-        ----------
-        model : Model
-            Its control is an input.
-        sac : Program ``(x, u, rho, alpha) -> (control, gradient)``, optional
-            The schedule of SAC, in place of ``model.insertion``.
+        `sac` is the schedule ``(x, u, rho, alpha) -> (control, gradient)`` of SAC, in place of
+        ``model.insertion``.
         """
         one = {name: getattr(model, name) for name in ("step", "adjoint", "terminal_cost")}
         many = {

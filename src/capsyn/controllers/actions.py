@@ -21,35 +21,19 @@ ROUNDING = relative_rounding(float)
 
 @dataclass(frozen=True)
 class NumpyActions:
-    """What finds whole actions, by NumPy on all states at once.
+    """What finds whole actions, by NumPy on all states at once."""
 
-    Parameters
-    ----------
-    formulation : Formulation
-        What the controller is made of, its settings with `steps`.
-    chooser : BatchController
-        What chooses symbols by scores.
-    sac : Program, optional
-        The schedule of SAC, in place of the chooser's.
-    """
-
-    formulation: Formulation
-    chooser: BatchController
-    sac: Program | None
+    formulation: Formulation  # its settings with `steps`
+    chooser: BatchController  # what chooses symbols by scores
+    sac: Program | None  # the schedule of SAC, in place of the chooser's
 
     def __call__(
         self, states: np.ndarray, signal: np.ndarray | Policy, schedules: np.ndarray | None
     ) -> np.ndarray:
-        """Return actions (B,), records of `action_type`, of states (B, n).
+        """Return actions (B,), records of `action_type`, of states (B, n) [state units].
 
-        Parameters
-        ----------
-        states : (B, n)
-            States [state units].
-        signal : (steps, m) or Policy
-            Default control of each step of the prediction, or the background policy.
-        schedules : (B, steps + 1, m), optional
-            Gets the schedules.
+        The signal is the default control (steps, m) of each step of the prediction, or the
+        background policy. `schedules` (B, steps + 1, m), where given, gets the schedules.
         """
         formulation, count = self.formulation, len(states)
         model, steps = formulation.model, formulation.settings.steps

@@ -9,10 +9,7 @@ import numpy as np
 
 ENDINGS = ("time", "target", "left the domain", "not finite")
 """Why a trial ended, by its number."""
-
-
 TIME, TARGET, LEFT_DOMAIN, NOT_FINITE = range(4)
-
 
 NONE = -2
 """The symbol of a controller that gives controls, not symbols; or of a trial before its first."""
@@ -20,25 +17,13 @@ NONE = -2
 
 @dataclass(frozen=True)
 class Command:
-    """What a controller wants over the sample that begins, for B trials, in P pieces.
+    """What a controller wants over the sample that begins, for B trials, in P pieces."""
 
-    Parameters
-    ----------
-    controls : (B, P, m)
-        Control of each piece [input units].
-    ends : (B, P)
-        When it ends [s from the sample], ascending; the last at infinity.
-    symbols : (B,)
-        Symbol of the first piece; -1 for the default control, `NONE` for none.
-    ended, outside : (B,)
-        `TIME` (0) or why the trial ends, and whether the measured state was outside the domain.
-    """
-
-    controls: np.ndarray
-    ends: np.ndarray
-    symbols: np.ndarray
-    ended: np.ndarray
-    outside: np.ndarray
+    controls: np.ndarray  # (B, P, m): control of each piece [input units]
+    ends: np.ndarray  # (B, P): when it ends [s from the sample], ascending; the last at infinity
+    symbols: np.ndarray  # (B,): symbol of the first piece; -1 for the default, `NONE` for none
+    ended: np.ndarray  # (B,): `TIME` (0) or why the trial ends
+    outside: np.ndarray  # (B,): whether the measured state was outside the domain
 
 
 def hold(controls: np.ndarray, symbols: np.ndarray | None = None) -> Command:

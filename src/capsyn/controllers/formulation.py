@@ -19,29 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Formulation:
-    """What a controller is made of, whether it comes from a problem, a policy or another process.
+    """What a controller is made of, be it from a problem, a policy or another process."""
 
-    Parameters
-    ----------
-    model : Model
-        The system and its costs, as programs.
-    domain : Box
-        Its states.
-    values : (N, m)
-        The symbols' control vectors [input units].
-    default : (m,)
-        Control of the prediction [input units].
-    horizon : float
-        Prediction horizon T [s].
-    settings : SsacSettings
-        Options of the controller.
-    """
-
-    model: Model
-    domain: Box
-    values: np.ndarray
-    default: np.ndarray
-    horizon: float
+    model: Model  # the system and its costs, as programs
+    domain: Box  # its states
+    values: np.ndarray  # (N, m): the symbols' control vectors [input units]
+    default: np.ndarray  # (m,): control of the prediction [input units]
+    horizon: float  # of the prediction, T [s]
     settings: SsacSettings
 
     @staticmethod

@@ -159,18 +159,11 @@ class OnlineController:
             idle = records["symbol"] == -1
             records["control"][idle] = records["base"][idle]
         records = records.reshape(shape)
+        names = [f.name for f in dataclasses.fields(Actions) if f.name in records.dtype.names]
         return Actions(
-            symbol=records["symbol"][()],  # [()]: numbers of a single state, not arrays
-            control=records["control"][()],
             application_time=records["time"][()],
-            start=records["start"][()],
-            duration=records["duration"][()],
-            gradient=records["gradient"][()],
-            cost=records["cost"][()],
-            decrease=records["decrease"][()],
-            base=records["base"][()],
-            base_symbol=records["base_symbol"][()],
             schedule=None if schedules is None else schedules.reshape((*shape, steps + 1, m)),
+            **{name: records[name][()] for name in names},  # [()]: numbers of a single state
         )
 
     def __call__(self, time: float, states: Any) -> np.ndarray:

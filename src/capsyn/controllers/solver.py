@@ -52,17 +52,8 @@ class SsacKernel:
         )
         function = load(source, ("-ffp-contract=fast",)).capsyn_ssac
         function.restype = ctypes.c_int
-        p = ctypes.c_void_p
-        function.argtypes = [
-            ctypes.c_int64,
-            p,
-            ctypes.c_double,
-            ctypes.c_int,
-            ctypes.c_double,
-            p,
-            p,
-            p,
-        ]
+        p, real = ctypes.c_void_p, ctypes.c_double
+        function.argtypes = [ctypes.c_int64, p, real, ctypes.c_int, real, p, p, p]
         return SsacKernel(function, n, symbols, rounding)
 
     def __call__(
@@ -83,16 +74,10 @@ class SsacKernel:
 
 TIE = 1e-5
 """Perturbation of mode insertion gradients, relative to their scales, that makes symbols tie."""
-
-
 BLOCK = 2048
 """States that the NumPy backend handles at once, so that its buffers stay in the CPU's cache."""
-
-
 ROUNDING = 64
 """Units of the last place by which quantities that should vanish may differ from 0."""
-
-
 Solver = Callable[[np.ndarray, float, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 

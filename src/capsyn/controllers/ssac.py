@@ -24,21 +24,11 @@ STEP_SAMPLES = 512
 
 @dataclass(frozen=True)
 class Solution:
-    """Steps 1 and 2 of sSAC at t0 for B states and N symbols.
+    """Steps 1 and 2 of sSAC at t0 for B states and N symbols."""
 
-    Parameters
-    ----------
-    cost : (B,)
-        Cost ``J0`` of the default prediction, eq. (3).
-    gradients : (B, N)
-        Mode insertion gradients ``dJ/dlambda+`` at t0, eq. (6) [cost / s].
-    scales : (B, N)
-        Largest size each gradient could have given the adjoint and the change of dynamics.
-    """
-
-    cost: np.ndarray
-    gradients: np.ndarray
-    scales: np.ndarray
+    cost: np.ndarray  # (B,): ``J0`` of the default prediction, eq. (3)
+    gradients: np.ndarray  # (B, N): insertion gradients ``dJ/dlambda+`` at t0, eq. (6) [cost / s]
+    scales: np.ndarray  # (B, N): largest sizes, given the adjoint and the change of dynamics
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,26 +36,13 @@ class BatchController:
     """sSAC for batches of states: one forward and one adjoint pass each.
 
     Build it with `batch_controller`.
-
-    Parameters
-    ----------
-    solver : callable
-        ``(states, horizon, steps) -> (cost, gradients, scales)``, safe to call from threads.
-    backend : "c" or "numpy"
-        What the solver is.
-    formulation : Formulation
-        What the controller is made of, its settings with `steps`.
-    efforts : (N,)
-        Control efforts ``u^T R u`` of the symbols.
-    preference : N + 1 ints
-        Symbols (N for the default) by least control effort, then by lowest index.
     """
 
-    solver: Solver
-    backend: str
-    formulation: Formulation
-    efforts: np.ndarray
-    preference: tuple[int, ...]
+    solver: Solver  # safe to call from threads
+    backend: str  # of the solver: c or numpy
+    formulation: Formulation  # its settings with `steps`
+    efforts: np.ndarray  # (N,): control efforts ``u^T R u``
+    preference: tuple[int, ...]  # N for the default; by least control effort, then by lowest index
 
     @property
     def settings(self) -> SsacSettings:
@@ -195,19 +172,8 @@ def batch_controller(
 ) -> BatchController:
     """Return the controller of a formulation, with its kernel built and its steps chosen.
 
-    Parameters
-    ----------
-    formulation : Formulation
-        What it is made of; steps that are not given are chosen by `choose_steps`.
-    backend : "auto", "c" or "numpy"
-        ``"auto"`` takes C where there is a working compiler, else NumPy with a warning.
-    seed : int
-        Seed of the states at which steps are tried, drawn from the domain.
-
-    Raises
-    ------
-    KernelBuildError
-        ``backend="c"`` and the kernel cannot be built.
+    Steps that are not given are chosen by `choose_steps`, at states drawn from the domain with a
+    seed. Backends are those of `compiled`.
     """
     default, settings = formulation.default, formulation.settings
     bound = bind_default(formulation.model, default)

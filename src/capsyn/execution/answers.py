@@ -41,24 +41,12 @@ def digest(arrays: Mapping[str, np.ndarray], about: str = "") -> str:
 
 @dataclass(frozen=True)
 class Packed:
-    """Answers of one kind, one after the other.
+    """Answers of one kind, one after the other."""
 
-    Parameters
-    ----------
-    rows : (C,)
-        States of each answer.
-    columns : tuple of (sum of rows, ...)
-        The arrays of the answers, unsigned integers in the smallest type that holds them.
-    dtypes : tuple of str
-        The types that they had.
-    together : bool
-        Whether an answer is a tuple.
-    """
-
-    rows: np.ndarray
-    columns: tuple[np.ndarray, ...]
-    dtypes: tuple[str, ...]
-    together: bool
+    rows: np.ndarray  # (C,): states of each answer
+    columns: tuple[np.ndarray, ...]  # (sum of rows, ...) each, see `_narrow`
+    dtypes: tuple[str, ...]  # the types that the columns had
+    together: bool  # whether an answer is a tuple
 
     @staticmethod
     def of(answers: Sequence[Answer]) -> Packed:

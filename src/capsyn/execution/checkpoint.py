@@ -16,7 +16,6 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -40,20 +39,11 @@ _LOG = logging.getLogger(__name__)
 
 
 class Checkpoint:
-    """A directory of answers, open to this process alone.
+    """A directory of answers, open to this process alone; made where it is not there.
 
-    Parameters
-    ----------
-    directory : path
-        Made where it is not there.
-    manifest : dict
-        What the answers depend on, as plain data, without the key ``settled``. A directory with
-        another one is refused.
-
-    Raises
-    ------
-    ProblemError
-        The directory cannot be used, belongs to another manifest or to a running process.
+    The manifest is all that the answers depend on, as plain data, without the key ``settled``. A
+    directory that cannot be used, or belongs to another manifest or to a running process, is a
+    `ProblemError`.
     """
 
     def __init__(self, directory: str | os.PathLike[str], manifest: dict[str, Any]) -> None:
@@ -248,12 +238,7 @@ class Checkpoint:
     def __enter__(self) -> Checkpoint:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
 

@@ -21,13 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.errors import (
-    CapsynError,
-    KernelBuildError,
-    ProblemError,
-    SynthesisError,
-    warn,
-)
+from capsyn.errors import CapsynError, KernelBuildError, ProblemError, SynthesisError, warn
 from capsyn.execution.answers import digest
 from capsyn.native.build import find_compiler, processor_name
 from capsyn.validation import describe, one_line, whole_number
@@ -51,15 +45,7 @@ Build = Callable[[Any], tuple[Work, Callable[[], tuple[np.ndarray, ...]]]]
 
 @dataclass(frozen=True)
 class Job:
-    """Work for others.
-
-    Parameters
-    ----------
-    build : callable
-        A function of this package: see `Build`.
-    plain : plain data
-        What it is called with.
-    """
+    """Work for others: a function of this package, and the plain data that it is called with."""
 
     build: Build
     plain: Any
@@ -74,10 +60,7 @@ class Job:
 def connect(address: str) -> Iterator[Any]:
     """Yield the client of a Dask scheduler, or of ``local:N`` worker processes made for it.
 
-    Raises
-    ------
-    ProblemError
-        The address is none, or nobody answers there within `CONNECT_SECONDS`.
+    It is a `ProblemError` where the address is none, or nobody answers within `CONNECT_SECONDS`.
     """
     import asyncio
 
@@ -154,41 +137,26 @@ def check_client(executor: Any) -> None:
     try:
         executor.wait_for_workers(1, timeout=CONNECT_SECONDS)
     except (OSError, asyncio.TimeoutError):
-        raise ProblemError(f"the Dask scheduler at '{_address(executor)}' has no workers") from None
-
-
-def _address(client: Any) -> str:
-    return client.scheduler.address if client.scheduler else "?"
+        address = executor.scheduler.address if executor.scheduler else "?"
+        raise ProblemError(f"the Dask scheduler at '{address}' has no workers") from None
 
 
 class Workers:
     """The workers of a client, checked for a job. Safe to use from threads.
 
-    Parameters
-    ----------
-    client : dask.distributed.Client
-        The cluster; `check_client` has seen it.
-    job_of : callable ``backend -> Job``
-        The job for the backend ``"c"`` or ``"numpy"``.
-    backend : "auto", "c" or "numpy"
-        As asked for.
-    used : "c" or "numpy"
-        What this process would take.
-
-    Raises
-    ------
-    ProblemError
-        A worker would give other results: it has another version or backend, or its solutions of
-        the probe differ.
+    `check_client` has seen the client. `job_of` gives the job for the backend "c" or "numpy";
+    `backend` is what was asked for. `used` is what this process would take, and then what all take.
+    A worker that would give other results is a `ProblemError`: it has another version or backend,
+    or its solutions of the probe differ.
     """
 
     def __init__(self, client: Any, job_of: Callable[[str], Job], backend: str, used: str) -> None:
-        self._client, self._used = client, used
+        self._client, self.used = client, used
         self._threads, self._asked = 1, -np.inf
         reports = self._inspect(job_of(used))
         lacking = {who: report["lacks"] for who, report in reports.items() if "lacks" in report}
         if lacking and backend == "auto" and len(lacking) == len(reports):
-            self._used = "numpy"
+            self.used = "numpy"
             who, reason = min(lacking.items())
             warn(f"all workers solve with NumPy, and so does this process: worker {who}: {reason}")
             reports = self._inspect(job_of("numpy"))
@@ -198,11 +166,6 @@ class Workers:
             raise ProblemError(f"worker {who} cannot take part: {reason}{advice}")
         self._check(reports)
         self._plain = client.submit(_same, self._job.plain, key=f"capsyn-job-{self._job.key}")
-
-    @property
-    def used(self) -> str:
-        """The backend of all."""
-        return self._used
 
     def _inspect(self, job: Job) -> dict[str, dict[str, Any]]:
         """Let every worker build the job, and return what they report."""
@@ -330,20 +293,15 @@ async def _report(build: Build, key: str, plain: Any, version: str) -> dict[str,
 
 def _work(build: Build, key: str, plain: Any, version: str, expected: str, batch: Any) -> Any:
     """Return, on a worker, what a job makes of a batch; one that came late is checked here."""
-    try:
-        work = _checked(build, key, plain, version, expected)
-    except KernelBuildError as error:
-        raise ProblemError(f"worker {_own_address()} cannot take part: {error}") from None
-    return work(batch)
-
-
-def _checked(build: Build, key: str, plain: Any, version: str, expected: str) -> Work:
     if __version__ != version:
         raise ProblemError(_other_version(_own_address(), __version__, version))
-    work, probe = _ready(build, key, plain)
+    try:
+        work, probe = _ready(build, key, plain)
+    except KernelBuildError as error:
+        raise ProblemError(f"worker {_own_address()} cannot take part: {error}") from None
     if probe != expected:
         raise ProblemError(_difference(_own_address(), about(), {}))
-    return work
+    return work(batch)
 
 
 def _own_address() -> str:

@@ -16,12 +16,7 @@ def atomic_write(path: str | os.PathLike[str], write: Callable[[Path], None]) ->
     """Call `write` with a temporary name beside `path`, then rename it to `path`.
 
     A failure at any moment leaves what was at `path`, and no temporary file. A symbolic link is
-    followed.
-
-    Raises
-    ------
-    ProblemError
-        There cannot be a file at `path`, or there is something else: a directory, a device.
+    followed. Where there cannot be a file, or is a directory or a device, it is a `ProblemError`.
     """
     check_writable(path)
     path = Path(os.path.realpath(path))

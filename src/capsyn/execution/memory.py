@@ -6,10 +6,7 @@ import re
 from typing import Any
 
 from capsyn.errors import ProblemError
-from capsyn.validation import (
-    describe,
-    whole_number,
-)
+from capsyn.validation import describe, whole_number
 
 UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
 UNITS |= {"KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}

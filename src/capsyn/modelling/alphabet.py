@@ -3,22 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.validation import (
-    describe,
-    distinct,
-    finite_array,
-    keep,
-    numbers,
-    texts,
-)
-
-if TYPE_CHECKING:
-    pass
+from capsyn.validation import describe, distinct, finite_array, keep, numbers, plain, texts
 
 MAX_SYMBOLS = 63
 """Most symbols of an alphabet: sets of symbols, and the default, are bits of 64-bit words."""
@@ -118,12 +108,7 @@ class Alphabet:
 
     def to_json(self) -> dict[str, Any]:
         """Return the alphabet as plain data."""
-        return {
-            "values": self.values.tolist(),
-            "names": list(self.names),
-            "inputs": list(self.inputs),
-            "units": list(self.units),
-        }
+        return plain(self)
 
 
 def _text(value: np.ndarray) -> str:

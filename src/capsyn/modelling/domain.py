@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.validation import describe, distinct, finite_array, finite_number, is_list, keep, texts
+from capsyn.validation import (
+    describe,
+    distinct,
+    finite_array,
+    finite_number,
+    is_list,
+    keep,
+    plain,
+    texts,
+)
 
 LARGEST = 1e290
 """Largest bound of a box: no finite state minus a bound overflows, nor does a width."""
@@ -98,13 +107,7 @@ class Box:
 
     def to_json(self) -> dict[str, Any]:
         """Return the box as plain data."""
-        return {
-            "lower": self.lower.tolist(),
-            "upper": self.upper.tolist(),
-            "names": list(self.names),
-            "units": list(self.units),
-            "periodic": list(self.periodic),
-        }
+        return plain(self)
 
     def faces(self, axis: int, k: np.ndarray, count: int) -> np.ndarray:
         """Return the positions (K,) [state unit] of the faces `k` (K,) of `count` steps on an axis.

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.validation import whole_number, whole_numbers
+from capsyn.validation import plain, whole_number, whole_numbers
 
 MAX_COUNT = 2**31 - 1
 """Most finest cells along one axis."""
@@ -18,28 +18,17 @@ MAX_COUNT = 2**31 - 1
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid of cells that may be split.
+    """A grid of cells that may be split."""
 
-    Parameters
-    ----------
-    partitions, refinement : (n,) ints
-        Cells of the root grid, and children of a split cell, per axis (>= 2).
-    max_level : int
-        Most times that a cell is split along an axis.
-    """
-
-    partitions: tuple[int, ...]
-    refinement: tuple[int, ...]
-    max_level: int
+    partitions: tuple[int, ...]  # cells of the root grid per axis
+    refinement: tuple[int, ...]  # children of a split cell per axis, >= 2
+    max_level: int  # most times that a cell is split along an axis
 
     @staticmethod
     def of(partitions: Any, refinement: Any, max_level: Any, n: int) -> Grid:
         """Return the validated grid of `n` axes; one number stands for all axes.
 
-        Raises
-        ------
-        ProblemError
-            Not whole numbers, or 2^31 finest cells or more along an axis.
+        Not whole numbers, or 2^31 finest cells or more along an axis, are a `ProblemError`.
         """
         grid = Grid(
             whole_numbers("partitions", partitions, n, least=1, most=MAX_COUNT),
@@ -88,10 +77,7 @@ class Grid:
         return self.refinement if level else (1,) * self.n
 
     def sizes(self, level: int) -> np.ndarray:
-        """Return the edge lengths (n,) of cells split `level` times along each axis.
-
-        They are in finest cells.
-        """
+        """Return the edge lengths (n,) [finest cells] of cells split so often along each axis."""
         return self.edges(np.full(self.n, level))
 
     def edges(self, times: np.ndarray) -> np.ndarray:
@@ -101,11 +87,7 @@ class Grid:
 
     def to_json(self) -> dict[str, Any]:
         """Return the grid as plain data."""
-        return {
-            "partitions": list(self.partitions),
-            "refinement": list(self.refinement),
-            "max_level": self.max_level,
-        }
+        return plain(self)
 
 
 def grid_places(shape: Sequence[int] | np.ndarray) -> np.ndarray:

@@ -185,25 +185,10 @@ def expression(
 ) -> ca.SX:
     """Return what a user's function gives on symbols, as a dense column of `size` components.
 
-    Parameters
-    ----------
-    name : str
-        What errors call the function.
-    function : callable
-        Takes the arguments.
-    arguments : CasADi columns
-        Its arguments x, u and p, as many as it takes.
-    size : int
-        Components that it returns.
-    rates : bool
-        Whether they are rates, one for each state.
-    parameters : bool
-        Whether it may take parameters p that the user names elsewhere.
-
-    Raises
-    ------
-    ProblemError
-        The function fails, or returns something else; one line that names it.
+    The arguments are CasADi columns x, u and p, as many as the function takes. `rates` says that
+    the components are rates, one for each state; `parameters`, that the function may take
+    parameters p that the user names elsewhere. Where it fails, or returns something else, a
+    `ProblemError` names it in one line.
     """
     try:
         with _numpy_functions():

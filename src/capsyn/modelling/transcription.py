@@ -17,19 +17,10 @@ from capsyn.programs.model import Model, model_ports
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Ports, Program
 
-_SAME_NAME = (
-    "add sub mul div neg sqrt fabs floor ceil copysign sign fmin fmax lt le eq ne not and or exp "
-    "expm1 log log1p pow sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh hypot "
-    "erf fmod remainder"
-).split()
 _CASADI_NAMES = {
     getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name[:3] == "OP_"
 }
-_OPERATIONS = {
-    getattr(ca, f"OP_{name.upper()}"): name
-    for name in _SAME_NAME
-    if hasattr(ca, f"OP_{name.upper()}")
-}
+_OPERATIONS = {code: name for code, name in _CASADI_NAMES.items() if name in OPERATIONS}
 _OPERATIONS |= {ca.OP_CONSTPOW: "pow", ca.OP_IF_ELSE_ZERO: "select"}
 
 _REWRITES: dict[int, Callable[[ProgramBuilder, int], int]] = {
@@ -43,10 +34,7 @@ _REWRITES: dict[int, Callable[[ProgramBuilder, int], int]] = {
 def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs: Ports) -> Program:
     """Return the program of a CasADi function with dense column inputs and outputs.
 
-    Raises
-    ------
-    ProblemError
-        The function uses an operation that programs do not have, or a NaN constant.
+    An operation that programs do not have, or a NaN constant, is a `ProblemError`.
     """
     function = function.expand() if not function.is_a("SXFunction") else function
     builder = ProgramBuilder()
@@ -91,24 +79,9 @@ def user_program(
 ) -> Program:
     """Return the program of a user's function, such as another plant's dynamics, or a set.
 
-    Parameters
-    ----------
-    name : str
-        What errors call the function.
-    function : callable
-        Takes one CasADi column per input; returns as many components as the first output has.
-    inputs : ports
-        Sizes of the columns.
-    outputs : ports
-        The value; a second output, if there is one, is the gradient of a scalar value with
-        respect to the first input.
-    rates, parameters : bool
-        As for `expression`.
-
-    Raises
-    ------
-    ProblemError
-        The function fails, returns another size, or uses an operation that programs do not have.
+    The function takes one CasADi column per input and returns as many components as the first
+    output has; a second output, if there is one, is the gradient of a scalar value with respect to
+    the first input. `name`, `rates`, `parameters` and errors are those of `expression`.
     """
     arguments = [ca.SX.sym(port, size) for port, size in inputs]
     value = expression(name, function, arguments, outputs[0][1], rates=rates, parameters=parameters)
@@ -118,16 +91,11 @@ def user_program(
 
 
 def transcribe(problem: Problem) -> Model:
-    """Return the model of a problem as programs.
+    """Return the model of a problem as programs; `ProblemError` where they lack an operation.
 
     The step is the classical fourth-order Runge-Kutta method; the running cost is integrated along
-    with the state. The adjoint is the reverse derivative of that very step, so that the adjoint
-    at t0 is the gradient of the discretised cost.
-
-    Raises
-    ------
-    ProblemError
-        The model uses an operation that programs do not have.
+    with the state. The adjoint is the reverse derivative of that very step, so that the adjoint at
+    t0 is the gradient of the discretised cost.
     """
     functions = problem.functions()
     n, m = problem.domain.n, problem.alphabet.m
@@ -181,10 +149,7 @@ def transcribe_target(problem: Problem) -> Target | None:
 def target_condition(function: Callable[[Any], Any], n: int) -> Program:
     """Return the program of a target that a user's function of `n` states decides.
 
-    Raises
-    ------
-    ProblemError
-        The function fails, or what it returns is no condition.
+    A function that fails, or returns no condition, is a `ProblemError`.
     """
     program = user_program("target", function, (("x", n),), INSIDE)
     result = program.results[0] - program.input_count

@@ -25,13 +25,7 @@ from pathlib import Path
 
 from capsyn.errors import KernelBuildError, warn
 
-FLAGS = (
-    "-O2",
-    "-march=native",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-fopenmp-simd",
-)
+FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd")
 GCC_FLAGS = ("-fno-tree-sink", "-fno-thread-jumps")
 """Else GCC moves the calls that one branch of a selection needs into that branch, and the loop
 over lanes is scalar: 6 times slower for ``if_else(x > 0, sin(x), exp(x))``."""
@@ -60,13 +54,7 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """Return the C compiler: ``CC`` if set, else the first of cc, gcc and clang.
-
-    Raises
-    ------
-    KernelBuildError
-        None is found that runs.
-    """
+    """Return the C compiler: ``CC`` if set, else the first of cc, gcc and clang that runs."""
     return _find_compiler(os.environ.get("CC", ""), os.environ.get("PATH", ""))
 
 
@@ -160,19 +148,10 @@ def _warn_open_cache(directory: Path) -> None:
 
 
 def load(source: str, flags: tuple[str, ...] = ()) -> ctypes.CDLL:
-    """Return the shared library built from C source, from the cache if it is there.
+    """Return the shared library built from a C translation unit, from the cache if it is there.
 
-    Parameters
-    ----------
-    source : str
-        One C translation unit.
-    flags : tuple of str
-        Compiler flags beside the usual ones.
-
-    Raises
-    ------
-    KernelBuildError
-        There is no compiler, or it fails with the usual flags and with plain ones.
+    The flags go beside the usual ones. A `KernelBuildError` says that there is no compiler, or that
+    it fails with the usual flags and with plain ones.
     """
     compiler = find_compiler()
     first_error: KernelBuildError | None = None

@@ -14,21 +14,9 @@ Kernel = TypeVar("Kernel")
 def compiled(build: Callable[[], Kernel], backend: str, doing: str = "") -> Kernel | None:
     """Return the kernel that `build` gives, or None where NumPy is to be used.
 
-    Parameters
-    ----------
-    build : callable
-        Builds the kernel; `KernelBuildError` where that fails.
-    backend : "auto", "c" or "numpy"
-        ``"auto"`` takes the kernel where it can be built.
-    doing : str
-        What is done with NumPy instead, for a warning; none is given without it.
-
-    Raises
-    ------
-    KernelBuildError
-        ``backend="c"`` and the kernel cannot be built.
-    ProblemError
-        No such backend.
+    Backend "auto" takes the kernel where it can be built; with "c" a `KernelBuildError` is raised
+    where it cannot. `doing` is what is done with NumPy instead, for a warning; none is given
+    without it.
     """
     one_of("backend", backend, BACKENDS)
     if backend == "numpy":

@@ -133,18 +133,8 @@ def _least_version(arrays: dict[str, np.ndarray], gaps: bool) -> int:
 def load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) -> Made:
     """Return what is made of the fields of the policy in a file, every size and value checked.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    make : callable
-        The fields of a `Policy`, by name, to what is made of them; those of a `DecisionTree` have
-        a ``guarantee``.
-
-    Raises
-    ------
-    PolicyFormatError
-        The file is no policy, damaged, tampered with, or of a newer format.
+    `make` takes the fields of a `Policy` by name; those of a `DecisionTree` have a ``guarantee``. A
+    file that is no policy, damaged, tampered with, or newer is a `PolicyFormatError`.
     """
     from safetensors import SafetensorError, safe_open
 
@@ -239,7 +229,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     grid = Grid.of(content["partitions"], content["refinement"], content["max_level"], domain.n)
     affine = None
     if "row_starts" in arrays:
-        affine = AffineLeaves.of_arrays(len(alphabet) + 1, arrays)
+        affine = AffineLeaves(len(alphabet) + 1, *(arrays[name] for name in ROW_ARRAYS))
     domain.check_resolution(grid.counts)
     entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
     tree = CellTree(grid, entries, mixed, labels, affine, arrays.get("splits"))

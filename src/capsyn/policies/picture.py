@@ -23,19 +23,9 @@ def map_html(
 ) -> str:
     """Return a map of symbols as HTML with an SVG: the plane of the first two states.
 
-    The others have the middle of the domain. The same symbols give the same text; names are
-    escaped.
-
-    Parameters
-    ----------
-    title : str
-        What is drawn.
-    domain : Box
-        Its states.
-    leaves : callable
-        States (B, n) to leaf numbers (B,): symbols, N for the default, negative for none.
-    symbol_names : N + 1 strings
-        Names of the symbols, and of the default or none last.
+    The others have the middle of the domain. `leaves` gives the leaf numbers (B,) of states (B, n):
+    symbols, N for the default, negative for none. The names are those of N symbols and of the
+    default or none last; they are escaped. The same symbols give the same text.
     """
     rows = HIGH if domain.n > 1 else 8
     symbols = _symbols(domain, leaves, len(symbol_names) - 1, rows)

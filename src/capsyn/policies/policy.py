@@ -221,16 +221,14 @@ class Policy:
 
         Where planes bound symbols it is estimated at `SAMPLES` random states.
         """
+        count = len(self.alphabet) + 1
         if self.has_planes:
-            return self._sampled_shares()
+            shape = SAMPLES, self.domain.n
+            steps = np.random.default_rng(0).integers(self.cells.counts, size=shape)
+            return np.bincount(self.cells.labels(steps), minlength=count) / SAMPLES
         boxes = self.cells.boxes()
         total = np.prod(self.cells.counts, dtype=float)
-        return np.bincount(boxes.labels, boxes.volumes() / total, len(self.alphabet) + 1)
-
-    def _sampled_shares(self) -> np.ndarray:
-        steps = np.random.default_rng(0).integers(self.cells.counts, size=(SAMPLES, self.domain.n))
-        drawn = np.bincount(self.cells.labels(steps), minlength=len(self.alphabet) + 1)
-        return drawn / SAMPLES
+        return np.bincount(boxes.labels, boxes.volumes() / total, count)
 
     @property
     def has_planes(self) -> bool:
@@ -277,7 +275,7 @@ class Policy:
         """
         from capsyn.policies.file import load
 
-        return load(path, _of_fields)
+        return load(path, lambda known: (DecisionTree if "guarantee" in known else Policy)(**known))
 
     def with_evidence(self, **kinds: dict[str, Any]) -> Policy:
         """Return the policy with evidence added, which its file will carry.
@@ -385,8 +383,3 @@ def cell_tree(policy: Any) -> CellTree:
             f"`policy` must be one of cells, as synthesize makes them; got {policy!r}"
         )
     return policy.cells
-
-
-def _of_fields(fields: dict[str, Any]) -> Policy:
-    """Return the policy or tree of the fields in a file."""
-    return (DecisionTree if "guarantee" in fields else Policy)(**fields)

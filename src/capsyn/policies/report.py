@@ -73,7 +73,9 @@ def _holds_back(settings: SsacSettings | None) -> str:
 def _cells(policy: Policy) -> dict[str, Any]:
     cells = cell_tree(policy)
     return {
-        "max_level": cells.max_level if cells.affine is None else _most_times(cells),
+        "max_level": cells.max_level
+        if cells.affine is None
+        else max(int(cells.times(some).max()) for some in cells.levels()),
         "adaptive": cells.splits is not None,
         "cells": cells.leaf_count,
         "affine_leaves": 0 if cells.affine is None else len(cells.affine),
@@ -82,11 +84,6 @@ def _cells(policy: Policy) -> dict[str, Any]:
         "mixed_cells": len(cells.mixed_cells),
         "mixed_share": policy.mixed_share,
     }
-
-
-def _most_times(cells: CellTree) -> int:
-    """Return how often a cell has been split along one axis, at most."""
-    return max(int(cells.times(some).max()) for some in cells.levels())
 
 
 def _tree(tree: DecisionTree) -> dict[str, Any]:

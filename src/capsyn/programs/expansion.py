@@ -35,17 +35,12 @@ _EVEN = {"cos", "cosh", "fabs"}
 class Expansion:
     """A program in expanded form.
 
-    Parameters
-    ----------
-    program : Program
-        Equal to the original in real arithmetic wherever that one is defined; where terms cancel
-        or factors are taken out it may be defined elsewhere too.
-    inexact : set of int
-        Its values that are constants which had to be rounded.
+    It is equal to the original in real arithmetic wherever that one is defined; where terms cancel
+    or factors are taken out it may be defined elsewhere too.
     """
 
     program: Program
-    inexact: frozenset[int]
+    inexact: frozenset[int]  # its values that are constants which had to be rounded
 
 
 def expand(program: Program) -> Expansion:

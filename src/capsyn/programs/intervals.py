@@ -31,23 +31,12 @@ _HUGE = 1e8
 def evaluate_intervals(
     program: Program, *inputs: Interval, inexact: frozenset[int] = frozenset()
 ) -> list[Interval]:
-    """Return enclosures of the outputs of a program over boxes of inputs.
+    """Return enclosures (low, high), (size, B) each, of the outputs of a program over B boxes.
 
-    Parameters
-    ----------
-    program : Program
-        What to evaluate.
-    *inputs : pairs (low, high) of (size, B)
-        Bounds of every input in each of B boxes, both included.
-    inexact : set of int
-        Values of the program that are constants which had to be rounded: they are widened by the
-        two neighbouring numbers.
-
-    Returns
-    -------
-    list of pairs (low, high) of (size, B)
-        For every output and box, numbers that the value does not leave anywhere in the box, in
-        real arithmetic as in double precision; both NaN where it may be undefined.
+    The inputs are pairs (low, high) of (size, B), both included. The value does not leave its
+    enclosure anywhere in the box, in real arithmetic as in double precision; both ends are NaN
+    where it may be undefined. Values that are `inexact`, constants which had to be rounded, are
+    widened by the two neighbouring numbers.
     """
     values: list[Interval] = []
     for (name, size), (low, high) in zip(program.inputs, inputs, strict=True):

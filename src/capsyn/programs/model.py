@@ -14,31 +14,20 @@ from capsyn.programs.program import Program
 class Model:
     """Programs of the problem ``P(t0, x0, T, J)``, eq. (4), for n states, m inputs, N symbols.
 
-    Parameters
-    ----------
-    dynamics : Program ``(x, u) -> xdot``
-        Eq. (1) [state unit / s].
-    step : Program ``(x, u, dt) -> (x_next, cost)``
-        One classical Runge-Kutta step and the running cost that it gathers.
-    adjoint : Program ``(x, u, dt, rho_next) -> rho``
-        Exact reverse derivative of ``rho_next . x_next + cost``: the discrete form of eq. (7).
-    running_cost : Program ``x -> cost``
-        Eq. (3) [cost / s].
-    terminal_cost : Program ``x -> (cost, gradient)``
-        Eq. (3) [cost] and its gradient, the end value of the adjoint.
-    insertion : Program ``(x, u, rho, cost, rounding) -> (gradients, scales)``
-        Mode insertion gradient of every symbol against the control `u`, eq. (6) [cost / s], and
-        the largest size it could have, ``|W rho| |W^-1 (f(x, u_i) - f(x, u))|`` with the domain
-        widths ``W``, either factor enlarged by what rounding leaves where it should vanish:
-        ``rounding |cost|`` and ``rounding |W^-1 f(x, u)|``.
+    The step is one of the classical Runge-Kutta method, with the running cost that it gathers; the
+    adjoint is the exact reverse derivative of ``rho_next . x_next + cost``: the discrete form of
+    eq. (7). The insertion gives the mode insertion gradient of every symbol against the control
+    `u`, eq. (6) [cost / s], and the largest size it could have, ``|W rho| |W^-1 (f(x, u_i) - f(x,
+    u))|`` with the domain widths ``W``, either factor enlarged by what rounding leaves where it
+    should vanish: ``rounding |cost|`` and ``rounding |W^-1 f(x, u)|``.
     """
 
-    dynamics: Program
-    step: Program
-    adjoint: Program
-    running_cost: Program
-    terminal_cost: Program
-    insertion: Program
+    dynamics: Program  # (x, u) -> xdot, eq. (1) [state unit / s]
+    step: Program  # (x, u, dt) -> (x_next, cost)
+    adjoint: Program  # (x, u, dt, rho_next) -> rho
+    running_cost: Program  # x -> cost, eq. (3) [cost / s]
+    terminal_cost: Program  # x -> (cost, gradient), eq. (3) [cost]; the end value of the adjoint
+    insertion: Program  # (x, u, rho, cost, rounding) -> (gradients, scales)
 
     def to_json(self) -> dict[str, Any]:
         """Return the model as plain data."""
@@ -46,13 +35,7 @@ class Model:
 
     @staticmethod
     def from_json(data: Any, n: int, m: int, symbols: int) -> Model:
-        """Return the model that `to_json` described, with its sizes checked.
-
-        Raises
-        ------
-        PolicyFormatError
-            A missing or malformed program, or one of other sizes.
-        """
+        """Return the model that `to_json` described; `PolicyFormatError` where sizes are others."""
         ports = model_ports(n, m, symbols)
         if not isinstance(data, dict) or set(data) != set(ports):
             raise PolicyFormatError("the model in the file must hold " + ", ".join(ports))

@@ -19,8 +19,6 @@ from capsyn.programs.operations import OPERATIONS
 
 MAX_INSTRUCTIONS = 1_000_000
 """Most instructions that a program read from a file may have."""
-
-
 Instruction = tuple[Any, ...]
 Ports = tuple[tuple[str, int], ...]
 
@@ -29,25 +27,15 @@ Ports = tuple[tuple[str, int], ...]
 class Program:
     """A straight-line program.
 
-    Values are numbered: first the components of all inputs, then one per instruction.
-
-    Parameters
-    ----------
-    name : str
-        What the program computes.
-    inputs, outputs : tuple of (name, size)
-        Vectors that go in and come out.
-    instructions : tuple of tuples
-        ``("const", number)`` or ``(operation, operand, ..)`` with operands that are earlier values.
-    results : tuple of int
-        The values that make the outputs, one after the other.
+    Values are numbered: first the components of all inputs, then one per instruction. These are
+    ``("const", number)`` or ``(operation, operand, ..)`` with operands that are earlier values.
     """
 
-    name: str
-    inputs: Ports
+    name: str  # what the program computes
+    inputs: Ports  # names and sizes of the vectors that go in
     outputs: Ports
     instructions: tuple[Instruction, ...]
-    results: tuple[int, ...]
+    results: tuple[int, ...]  # the values that make the outputs, one after the other
 
     @property
     def input_count(self) -> int:
@@ -78,19 +66,10 @@ class Program:
         return {k for k in used if k < self.input_count}
 
     def evaluate(self, *inputs: Any, dtype: Any = np.float64) -> list[np.ndarray]:
-        """Return the outputs for inputs with the component first.
+        """Return the outputs (size, ...) for inputs (size, ...), in the arithmetic of a type.
 
-        Parameters
-        ----------
-        *inputs : (size, ...)
-            One array per input; the axes after the first are broadcast against each other.
-        dtype : NumPy dtype
-            Arithmetic to use.
-
-        Returns
-        -------
-        list of (size, ...)
-            One array per output. Invalid operations give NaN or infinity, never a warning.
+        The axes after the first are broadcast against each other. Invalid operations give NaN or
+        infinity, never a warning.
         """
         dtype = np.dtype(dtype).type
         values: list[Any] = []
@@ -180,13 +159,7 @@ class Program:
 
     @staticmethod
     def from_json(data: Any) -> Program:
-        """Return the program that `to_json` described.
-
-        Raises
-        ------
-        PolicyFormatError
-            Anything that is not a well-formed program.
-        """
+        """Return the program that `to_json` described; `PolicyFormatError` for anything else."""
         try:
             name = data["name"]
             inputs, outputs = (_ports(data[key]) for key in ("inputs", "outputs"))

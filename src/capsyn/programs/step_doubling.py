@@ -9,8 +9,6 @@ import numpy as np
 FALLING, STALLS = 0.7, 3
 """An error falls where it is below this share of the least so far; so many in a row that do not
 end a search for steps."""
-
-
 UNRESOLVED = 0.1
 """Errors of step doubling, in gradients or costs, that are too large to tell if they will fall."""
 

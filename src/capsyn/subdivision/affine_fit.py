@@ -19,28 +19,14 @@ TRIES = 8
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Affine rows of M cells for S symbols, in integers, and how well they do.
+    """Affine rows of M cells for S symbols, in integers, and how well they do."""
 
-    Parameters
-    ----------
-    constants, slopes : (M, S), (M, S, n)
-        The rows, see `AffineLeaves`.
-    used : (M, S) bool
-        Which rows are the largest anywhere in their cell.
-    wrong : (M,)
-        Share of the test points whose symbol is wrong.
-    error : (M,)
-        Estimated share of the cell where the symbol is wrong.
-    axes : (M, n) bool
-        Along which axes the cell is split where that is too much.
-    """
-
-    constants: np.ndarray
-    slopes: np.ndarray
-    used: np.ndarray
-    wrong: np.ndarray
-    error: np.ndarray
-    axes: np.ndarray
+    constants: np.ndarray  # (M, S)
+    slopes: np.ndarray  # (M, S, n): the rows, see `AffineLeaves`
+    used: np.ndarray  # (M, S) bool: which rows are the largest anywhere in their cell
+    wrong: np.ndarray  # (M,): share of the test points whose symbol is wrong
+    error: np.ndarray  # (M,): estimated share of the cell where the symbol is wrong
+    axes: np.ndarray  # (M, n) bool: along which axes the cell is split where that is too much
 
     def better(self, other: Fits) -> Fits:
         """Return for each cell the rows with fewer wrong points, of equals with less error."""
@@ -72,48 +58,37 @@ def fit_cells(
     split_axes: SplitAxes | None = None,
     can: np.ndarray | None = None,
 ) -> Fits:
-    """Return the affine rows of cells.
+    """Return the affine rows of cells: of each, those of the variant of scores that do best.
 
-    Parameters
-    ----------
-    scores : (P, M, V, S)
-        Scores of the symbols at the cells' test points, in V variants; the largest of the first is
-        best. Of each cell that variant is kept whose rows do best.
-    masks : (P, M)
-        Sets of the symbols that are right there.
-    offsets : (F, n)
-        The first test points, which rows are fitted to, in halves of the cell: a layout that
-        is symmetric about the centre, along every axis.
-    places : (P, M, n)
-        The lattice steps, within the cell, that hold the test points or are nearest to them.
-    corners, size : (M, n)
-        Lower corners and edge lengths of the cells [lattice steps].
-    counts : (n,)
-        Edge lengths of the lattice [lattice steps].
-    plain : bool
-        The scores are mere indicators of labels: rows that mistake a label are corrected.
-    split_axes : SplitAxes, optional
-        What the axes are chosen by along which a cell is split; by default all of them.
-    can : (M, n) bool, optional
-        Along which axes cells can be split; needed with `split_axes`.
+    The scores (P, M, V, S) of the symbols at the cells' test points are in V variants; the largest
+    of the first is best. `masks` (P, M) are the sets of symbols that are right there, `places` (P,
+    M, n) the lattice steps, within the cell, that hold the points or are nearest to them. Rows are
+    fitted to the first points, at `offsets` (F, n) in halves of the cell: a layout that is
+    symmetric about the centre, along every axis. `corners` and `size` (M, n) are those of the
+    cells, `counts` (n,) the edge lengths of the lattice [lattice steps].
 
-    Notes
-    -----
-    In coordinates of -1 to 1, fixed points are orthogonal, so that least squares are weighted
-    sums. The estimated error is the weighted mean over the test points of
-    ``min(1, rho / margin)^2`` (Chebyshev's inequality), with `margin` the difference of the two
-    largest rows there and `rho` the root mean square of its error.
+    Where scores are `plain`, mere indicators of labels, rows that mistake a label are corrected.
+    Cells are split along the axes that `split_axes` chooses among those (M, n) along which they
+    `can` be; without it, along all.
+
+    In coordinates of -1 to 1, fixed points are orthogonal, so that least squares are weighted sums.
+    The estimated error is the weighted mean over the test points of ``min(1, rho / margin)^2``
+    (Chebyshev's inequality), with `margin` the difference of the two largest rows there and `rho`
+    the root mean square of its error.
     """
     largest = np.abs(scores).max(axis=(0, 3))
     scores = scores / np.where(largest > 0, largest, 1.0)[:, :, None]  # any size: no overflow
+    fixed, signs, weights = len(offsets), offsets - 1, point_weights(offsets, plain)
     kept: Fits | None = None
     for variant in range(scores.shape[2]):
         some = scores[:, :, variant]
-        levels, slopes = _rows(some, masks, offsets, plain)
+        levels, slopes = _least_squares(some[:fixed], signs, weights)
+        if plain:
+            levels, slopes = _corrected(levels, slopes, masks[:fixed], signs)
         axes = np.ones(corners.shape, dtype=bool)
         if split_axes is not None and can is not None:
-            fitted = levels + np.einsum("msi,pi->pms", slopes, offsets - 1)
-            axes = split_axes.by_residuals(some[: len(offsets)] - fitted, can)
+            fitted = levels + np.einsum("msi,pi->pms", slopes, signs)
+            axes = split_axes.by_residuals(some[:fixed] - fitted, can)
         rows = _rounded(levels, slopes, corners, size, counts)
         fits = _judged(some, masks, offsets, places, corners, size, rows, axes)
         kept = fits if kept is None else kept.better(fits)
@@ -123,21 +98,6 @@ def fit_cells(
 
 _Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Constants (M, S), slopes (M, S, n), and the scales (M,) that they are rounded with."""
-
-
-def _rows(
-    scores: np.ndarray,
-    masks: np.ndarray,
-    offsets: np.ndarray,
-    plain: bool,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows of one variant of the scores (P, M, S): see `_least_squares`."""
-    levels, slopes = _least_squares(
-        scores[: len(offsets)], offsets - 1, point_weights(offsets, plain)
-    )
-    if plain:
-        levels, slopes = _corrected(levels, slopes, masks[: len(offsets)], offsets - 1)
-    return levels, slopes
 
 
 def _judged(
@@ -224,7 +184,7 @@ def _rounded(
     corners: np.ndarray,
     size: np.ndarray,
     counts: tuple[int, ...],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> _Rows:
     """Return rows as integers: constants (M, S), slopes (M, S, n), and their scales (M,).
 
     Only differences of rows count: their mean is taken off first. A row stands for the centres of

@@ -18,24 +18,12 @@ ROLES = ("vertices", "centers", "others", "quarter")
 
 @dataclass(frozen=True)
 class CellBlocks:
-    """Test points of blocks of children.
+    """Test points of blocks of children."""
 
-    Parameters
-    ----------
-    points : LatticePoints
-        Where test points get their keys.
-    test_points : CellPoints
-        Which points of a cell are tested.
-    n : int
-        Number of axes.
-    seed : int
-        Seed of random test points.
-    """
-
-    points: LatticePoints
-    test_points: CellPoints
-    n: int
-    seed: int
+    points: LatticePoints  # where test points get their keys
+    test_points: CellPoints  # which points of a cell are tested
+    n: int  # number of axes
+    seed: int  # of random test points
 
     def stream(self, number: int) -> np.random.Generator:
         """Return a stream of random test points."""
@@ -48,28 +36,15 @@ class CellBlocks:
         size: np.ndarray,
         rng: np.random.Generator,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the keys of the test points of blocks.
+        """Return the keys of the test points of blocks, the points of each child, and their roles.
 
-        Parameters
-        ----------
-        parents : (M, n)
-            Lower corners of the blocks [lattice units].
-        split : (n,)
-            Children along each axis.
-        size : (n,) or (M, n)
-            Their edge lengths [lattice units].
-        rng : numpy.random.Generator
-            Where random test points come from. Blocks that are asked for one after the other get
-            the points that they get together.
+        The parents (M, n) are lower corners of blocks with `split` (n,) children along each axis,
+        whose edge lengths are `size` (n,) or (M, n) [lattice units]. Blocks that are asked for one
+        after the other get the random test points that they get together.
 
-        Returns
-        -------
-        keys : (U, M)
-            Keys of the U different points of a block of children.
-        table : (children, P)
-            The rows of `keys` that are the test points of each child.
-        roles : (U,)
-            Indices into `ROLES`.
+        The keys (U, M) are those of the U different points of a block, the table (children, P) has
+        the rows of them that are the test points of each child, and roles (U,) are indices into
+        `ROLES`.
         """
         grid, offsets = grid_places(split), self.test_points.offsets(self.n)
         extents = tuple(2 * split + 1)
@@ -101,14 +76,8 @@ class CellBlocks:
     ) -> np.ndarray:
         """Return the keys (K,) of fixed points moved a quarter of the way to the cell's centre.
 
-        Parameters
-        ----------
-        corners : (K, n)
-            Lower corners of the cells [lattice units].
-        size : (n,) or (K, n)
-            Their edge lengths [lattice units].
-        offsets : (K, n)
-            The points, in halves of the cell.
+        Cells are lower corners (K, n) and edge lengths, (n,) or (K, n) [lattice units]; the points
+        are offsets (K, n) in halves of the cell.
         """
         # offset / 2 + (1 / 2 - offset / 2) / 4 = (3 offset + 1) / 8 of the cell, offset in halves
         places = corners + (3 * offsets + 1) * (size // FINE)
@@ -117,24 +86,12 @@ class CellBlocks:
 
 @dataclass(frozen=True, eq=False)
 class SubdivisionTask:
-    """What is to be subdivided, and how far.
+    """What is to be subdivided, and how far."""
 
-    Parameters
-    ----------
-    plan : SubdivisionPlan
-        What is asked for.
-    order : list of int
-        Symbols and the default, most preferred first, to break ties.
-    points : LatticePoints
-        Where test points are solved.
-    plain : bool
-        Whether scores are mere indicators of labels.
-    """
-
-    plan: SubdivisionPlan
-    order: list[int]
-    points: LatticePoints
-    plain: bool
+    plan: SubdivisionPlan  # what is asked for
+    order: list[int]  # symbols and the default, most preferred first, to break ties
+    points: LatticePoints  # where test points are solved
+    plain: bool  # whether scores are mere indicators of labels
 
     @functools.cached_property
     def offsets(self) -> np.ndarray:

@@ -21,25 +21,13 @@ points a quarter of the way from these to the centre."""
 
 @dataclass(frozen=True)
 class CellPoints:
-    """The test points of a cell: its vertices, or the centre and the faces, and what is added.
-
-    Parameters
-    ----------
-    center, edge_midpoints : bool
-        Add them.
-    random : int
-        Number of random interior points to add.
-    faces : bool
-        Add the centres of the 2 n faces.
-    vertices : bool
-        Test the 2^n vertices; without them centre and faces must be there.
-    """
+    """The test points of a cell: its vertices, or the centre and the faces, and what is added."""
 
     center: bool = True
     edge_midpoints: bool = False
-    random: int = 0
-    faces: bool = False
-    vertices: bool = True
+    random: int = 0  # number of random interior points
+    faces: bool = False  # the centres of the 2 n faces
+    vertices: bool = True  # all 2^n; without them centre and faces must be there
 
     @staticmethod
     def parse(text: Any) -> CellPoints:

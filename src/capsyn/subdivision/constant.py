@@ -266,7 +266,8 @@ class ConstantSubdivision:
         roles = block.roles[question.samples // shape[1]]
         self._ledger.enter(roles, np.full(len(roles), level))
         block.keys = block.keys[:0]
-        return self._points.answer(question, level, self._max_level, cells).reshape(shape)
+        masks, _ = self._points.answer(question, level, self._max_level, cells)
+        return masks.reshape(shape)
 
     def _solve_and_tie(self, block: _Block, level: int, cells: int) -> tuple[np.ndarray, int]:
         """Solve test points; return the keys (K,) of the quarter rule, and mixed cells at worst."""
@@ -321,7 +322,7 @@ class ConstantSubdivision:
 
         def solve(question: Question) -> np.ndarray:
             self._ledger.enter(np.full(question.new.sum(), QUARTER))
-            return self._points.answer(question, level, self._max_level, cells, quarter=True)
+            return self._points.answer(question, level, self._max_level, cells, quarter=True)[0]
 
         return self._rule.applied(common, self._tied(common, masks, parents, level), solve)
 

@@ -27,10 +27,7 @@ MOST_STEPS = LARGEST_SUM // 16
 def row_grid(grid: Grid) -> Grid:
     """Return the grid, at the level whose cells are the lattice steps of rows.
 
-    Raises
-    ------
-    ProblemError
-        Rows of whole numbers could not follow so many steps.
+    Where rows of whole numbers could not follow so many steps this is a `ProblemError`.
     """
     finer = 0
     while min(grid.refinement) ** finer < LEAST_STEPS:
@@ -50,41 +47,19 @@ def row_grid(grid: Grid) -> Grid:
 
 @dataclass(eq=False)
 class GrowingCells:
-    """Cells in the order of their making, those of a block together.
+    """Cells in the order of their making, those of a block together."""
 
-    Parameters
-    ----------
-    corner : (K, n)
-        Lower corners [lattice units of the test points].
-    times : (K, n)
-        How often they have been split along each axis.
-    level, child : (K,)
-        Levels in the tree, and the first child or -1.
-    axes : (K, n) bool
-        Along which axes they are split, if they are; none where they cannot be.
-    label : (K,)
-        Symbols, or -1 where rows decide.
-    accepted : (K,) bool
-        Whether no test point disagrees with the leaf.
-    error : (K,)
-        Estimated share of the cell where its symbol is wrong.
-    seen : (K,) uint64
-        Where test points disagree with the leaf, the set of their labels and the leaf's, else 0.
-    row, rows : (K,)
-        First row in `Rows`, and how many.
-    """
-
-    corner: np.ndarray
-    times: np.ndarray
-    level: np.ndarray
-    child: np.ndarray
-    axes: np.ndarray
-    label: np.ndarray
-    accepted: np.ndarray
-    error: np.ndarray
-    seen: np.ndarray
-    row: np.ndarray
-    rows: np.ndarray
+    corner: np.ndarray  # (K, n): lower corners [lattice units of the test points]
+    times: np.ndarray  # (K, n): how often they have been split along each axis
+    level: np.ndarray  # (K,): levels in the tree
+    child: np.ndarray  # (K,): the first child or -1
+    axes: np.ndarray  # (K, n) bool: along which they are split if they are; none where they cannot
+    label: np.ndarray  # (K,): symbols, or -1 where rows decide
+    accepted: np.ndarray  # (K,) bool: whether no test point disagrees with the leaf
+    error: np.ndarray  # (K,): estimated share of the cell where its symbol is wrong
+    seen: np.ndarray  # (K,) uint64: where test points disagree, their labels and the leaf's
+    row: np.ndarray  # (K,): first row in `Rows`
+    rows: np.ndarray  # (K,): how many rows
 
     @staticmethod
     def uniform(
@@ -193,25 +168,13 @@ class GrowingCells:
 
 @dataclass(frozen=True, eq=False)
 class SplitCells:
-    """Cells that are split alike.
+    """Cells that are split alike."""
 
-    Parameters
-    ----------
-    cells : (M,)
-        Their numbers.
-    factors : (n,)
-        Into how many children along each axis.
-    corners, times : (M, n)
-        Lower corners [lattice units], and how often their children have been split.
-    level : (M,)
-        The children's level.
-    """
-
-    cells: np.ndarray
-    factors: np.ndarray
-    corners: np.ndarray
-    times: np.ndarray
-    level: np.ndarray
+    cells: np.ndarray  # (M,): their numbers
+    factors: np.ndarray  # (n,): into how many children along each axis
+    corners: np.ndarray  # (M, n): lower corners [lattice units]
+    times: np.ndarray  # (M, n): how often their children have been split
+    level: np.ndarray  # (M,): of their children
 
     def part(self, some: slice) -> SplitCells:
         """Return some of them."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -175,14 +175,11 @@ class LatticePoints:
 
     def answer(
         self, question: Question, level: int, max_level: int, cells: int, quarter: bool = False
-    ) -> np.ndarray:
-        """Return the masks (K,) of a question's keys, solving those that are new."""
-        return self.answer_with_scores(question, level, max_level, cells, quarter)[0]
-
-    def answer_with_scores(
-        self, question: Question, level: int, max_level: int, cells: int, quarter: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the masks (K,) and scores (K, V, S) of a question's keys; NaN where unknown."""
+        """Return the masks (K,) and scores (K, V, S) of a question's keys; NaN where unknown.
+
+        Those that are new are solved.
+        """
         keys = question.distinct[question.new]
         solved = self._solve(keys, level, max_level, cells, quarter)
         self._pending = (question.places[question.new], keys, *solved)
@@ -227,7 +224,8 @@ class LatticePoints:
             return len(answer)
 
         done = 0
-        for count in self._map(work, parts):
+        run = self._pool.map if self._pool else map
+        for count in run(work, parts):
             done += count
             if self._progress:
                 total = self.count + done
@@ -247,9 +245,6 @@ class LatticePoints:
         if not self._scores.size:
             self._scores = np.zeros((len(self._keys), *scores.shape[1:]))
         return scores
-
-    def _map(self, work: Callable[[slice], int], parts: Iterable[slice]) -> Iterator[int]:
-        return self._pool.map(work, parts) if self._pool else map(work, parts)
 
     def _count_missing(
         self, keys: np.ndarray, masks: np.ndarray, missing: np.ndarray, rank: tuple[int, bool]
@@ -345,27 +340,13 @@ class UnsolvedKeys:
 
 @dataclass(frozen=True)
 class Question:
-    """Keys, sorted and made distinct.
+    """Keys, sorted and made distinct."""
 
-    Parameters
-    ----------
-    distinct : (D,)
-        The distinct keys, ascending.
-    places : (D,)
-        Where they stand, or would stand, among the points solved before.
-    new : (D,)
-        Whether they are yet to be solved.
-    order : (K,)
-        Places, among the keys that were asked for, in ascending order of the keys.
-    first : (K,)
-        Whether the key at a place of `order` differs from the one before it.
-    """
-
-    distinct: np.ndarray
-    places: np.ndarray
-    new: np.ndarray
-    order: np.ndarray
-    first: np.ndarray
+    distinct: np.ndarray  # (D,): the distinct keys, ascending
+    places: np.ndarray  # (D,): where they stand, or would stand, among the points solved before
+    new: np.ndarray  # (D,): whether they are yet to be solved
+    order: np.ndarray  # (K,): places, among the keys asked for, in ascending order of the keys
+    first: np.ndarray  # (K,): whether the key at a place of `order` differs from the one before
 
     @property
     def samples(self) -> np.ndarray:

@@ -21,14 +21,8 @@ QUARTER = ROLES.index("quarter")
 class Ledger:
     """What a subdivision with so many `levels` has solved and has left.
 
-    Attributes
-    ----------
-    roles : (4,)
-        Solves by `ROLES`.
-    solves : (levels,)
-        Those that are counted by level.
-    stopped : str
-        The limit that ended the work, if any.
+    `roles` (4,) are solves by `ROLES`, `solves` (levels,) those that are counted by level;
+    `stopped` is the limit that ended the work, if any.
     """
 
     def __init__(self, task: SubdivisionTask, levels: int) -> None:
@@ -93,18 +87,10 @@ class Ledger:
 
 @dataclass(frozen=True, eq=False)
 class Tied:
-    """Points a quarter of the way to the centres of uniform cells, for test points that tie.
+    """Points a quarter of the way to the centres of uniform cells, for test points that tie."""
 
-    Parameters
-    ----------
-    keys : (K,)
-        Their keys.
-    cells : arrays (K,)
-        Their cells, as indices of an array of cells.
-    """
-
-    keys: np.ndarray
-    cells: tuple[np.ndarray, ...]
+    keys: np.ndarray  # (K,): their keys
+    cells: tuple[np.ndarray, ...]  # (K,) each: their cells, as indices of an array of cells
 
 
 class QuarterRule:
@@ -124,19 +110,11 @@ class QuarterRule:
         places: Callable[..., tuple[np.ndarray, np.ndarray]],
         can: np.ndarray | bool = True,
     ) -> Tied:
-        """Return the points to look at again.
+        """Return the points to look at again, in cells that `can` (...) be split.
 
-        Parameters
-        ----------
-        common : (...)
-            Sets of the symbols that could be best throughout cells, as masks.
-        masks : (P, ...)
-            Those of their test points.
-        places : callable
-            Indices of K cells to their corners (K, n) and edge lengths (n,) or (K, n) [lattice
-            units].
-        can : (...) bool
-            Which cells can be split.
+        `common` (...) are the sets of symbols that could be best throughout cells, `masks` (P, ...)
+        those of their test points. `places` gives, for indices of K cells, their corners (K, n) and
+        edge lengths (n,) or (K, n) [lattice units].
         """
         tie = several(masks[self.movable])
         tie &= (common != 0) & can

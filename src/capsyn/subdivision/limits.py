@@ -13,23 +13,14 @@ from capsyn.validation import finite_number, whole_number
 class Limits:
     """What a subdivision may take; see `subdivide`.
 
-    Parameters
-    ----------
-    max_solves : int, optional
-        Budget of solves.
-    max_seconds : float, optional
-        Budget of time [s].
-    max_memory, memory_limit : int, optional
-        Budget of memory, and what a run may need at worst [bytes].
-    room : int, optional
-        What a block of cells took before [bytes], where a run goes on: blocks stay as they were
-        unless there is no longer memory for them.
+    `room` is what a block of cells took before [bytes], where a run goes on: blocks stay as they
+    were unless there is no longer memory for them.
     """
 
     max_solves: int | None = None
-    max_seconds: float | None = None
-    max_memory: int | None = None
-    memory_limit: int | None = None
+    max_seconds: float | None = None  # [s]
+    max_memory: int | None = None  # [bytes]
+    memory_limit: int | None = None  # what a run may need at worst [bytes]
     room: int | None = None
 
     @staticmethod

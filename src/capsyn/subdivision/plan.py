@@ -23,25 +23,7 @@ REFINE = ("isotropic", "adaptive")
 
 @dataclass(frozen=True)
 class SubdivisionPlan:
-    """What a subdivision is asked for; see `subdivide`.
-
-    Parameters
-    ----------
-    grid : Grid
-        The grid of cells.
-    limits : Limits
-        What it may take.
-    leaves : "constant" or "affine"
-        One symbol for each cell, or affine rows for cells whose test points do not agree.
-    leaf_error : float
-        Largest estimated share of a cell where its rows may be wrong.
-    refine : "isotropic" or "adaptive"
-        Along which axes cells are split: all, or some only.
-    test_points : str
-        Which points of a cell are tested, see `CellPoints`.
-    seed : int
-        Seed of random test points.
-    """
+    """What a subdivision is asked for; see `subdivide`."""
 
     grid: Grid
     limits: Limits

@@ -45,19 +45,8 @@ def level_for_precision(
 ) -> int:
     """Return the least maximum level whose finest cells are no larger than wanted, eq. (9).
 
-    Parameters
-    ----------
-    domain : Box
-        The domain.
-    precision : (n,)
-        Wanted edge lengths of the finest cells [state units].
-    partitions, refinement : int or (n,)
-        Cells of the root grid, and children of a split cell, per axis.
-
-    Raises
-    ------
-    ProblemError
-        An argument that cannot be used.
+    The wanted edge lengths are `precision` (n,) [state units]; the grid's numbers are those of
+    `Grid.of`. An argument that cannot be used is a `ProblemError`.
     """
     wanted = np.asarray(precision, dtype=float)
     if wanted.shape != (domain.n,) or not (np.isfinite(wanted) & (wanted > 0)).all():
@@ -79,18 +68,10 @@ def level_for_precision(
 def worst_case_solves(grid: Grid, interior_points: int = 1, adaptive: bool = False) -> int:
     """Return the number of solves of Proposition 2, eq. (10), counted as the paper does.
 
-    It bounds the test points; those of the quarter rule, random ones of the levels between, and
-    parents' centres where axes are refined by even and odd numbers come on top.
-
-    Parameters
-    ----------
-    grid : Grid
-        The grid of cells.
-    interior_points : int
-        Test points of a cell beside its vertices.
-    adaptive : bool
-        Cells are split along some axes only: one after the other, this makes fewer than twice as
-        many cells as there are finest ones.
+    It bounds the test points, of which a cell has some beside its vertices; those of the quarter
+    rule, random ones of the levels between, and parents' centres where axes are refined by even and
+    odd numbers come on top. Adaptive splits, along one axis after the other, make fewer than twice
+    as many cells as there are finest ones.
     """
     vertices = math.prod(count + 1 for count in grid.counts)
     cells = 2 * grid.cells if adaptive else grid.roots + grid.cells
@@ -106,18 +87,7 @@ def worst_case_memory(
 ) -> int:
     """Return a bound of the bytes that a subdivision takes, from measurements.
 
-    Parameters
-    ----------
-    grid : Grid
-        The grid of cells.
-    test_points : CellPoints
-        Test points of a cell.
-    n_symbols : int
-        Number of symbols N.
-    max_solves : int, optional
-        Bound of the solves.
-    room : int, optional
-        What a block of cells may take [bytes], where levels are labelled block by block.
+    Where levels are labelled block by block, a block may take `room` [bytes].
     """
     split, cells = grid.split(grid.max_level), grid.cells
     children = math.prod(split)
@@ -178,18 +148,9 @@ def block_room(limits: Limits) -> int:
 def block_parents(limits: Limits, parents: int, need: int, left: int, taken: int) -> int:
     """Return how many of the parents of a level make a block.
 
-    As many as before, where a run goes on; unless memory has become too little for that.
-
-    Parameters
-    ----------
-    limits : Limits
-        What the run may take.
-    parents : int
-        Cells whose children are to be labelled.
-    need, left : int
-        What labelling the children of one takes, and what it leaves at worst [bytes].
-    taken : int
-        What is taken now [bytes].
+    As many as before, where a run goes on; unless memory has become too little for that. Labelling
+    the children of one parent needs `need` [bytes] and leaves `left` at worst; `taken` are taken
+    now.
     """
     own = max(1, block_room(limits) // need)
     if limits.room is None:

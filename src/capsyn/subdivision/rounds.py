@@ -157,7 +157,7 @@ class RoundSubdivision:
         self._streams += len(tests)
         samples = question.samples
         self._ledger.enter(np.concatenate(roles)[samples], np.concatenate(levels)[samples])
-        masks, scores = self._points.answer_with_scores(
+        masks, scores = self._points.answer(
             question, *self._shown(deepest), sum(len(group.corners) for group in groups)
         )
         self._points.check_finite(self._points.count, MANY)
@@ -287,7 +287,7 @@ class RoundSubdivision:
         def solve(question: Question) -> np.ndarray:
             new = level[tied.cells][question.samples]
             self._ledger.enter(np.full(len(new), QUARTER), new)
-            return self._points.answer(question, *self._shown(int(level.max())), common.size)
+            return self._points.answer(question, *self._shown(int(level.max())), common.size)[0]
 
         return self._rule.applied(common, tied, solve)
 

@@ -14,22 +14,12 @@ EVEN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class SplitAxes:
-    """Test points of a cell that differ along one axis only.
+    """Test points of a cell that differ along one axis only, by their places."""
 
-    Parameters
-    ----------
-    pairs : n arrays (K, 2)
-        For each axis the places of test points on opposite faces.
-    triples : n arrays (K, 3)
-        Those that have another test point half-way, which stands second.
-    center, vertices : (K,)
-        Places of the centre, if any, and of the vertices.
-    """
-
-    pairs: list[np.ndarray]
-    triples: list[np.ndarray]
-    center: np.ndarray
-    vertices: np.ndarray
+    pairs: list[np.ndarray]  # n of (K, 2): points on opposite faces
+    triples: list[np.ndarray]  # n of (K, 3): those that have another half-way, which stands second
+    center: np.ndarray  # (K,): the centre, if any
+    vertices: np.ndarray  # (K,)
 
     @staticmethod
     def of(offsets: np.ndarray) -> SplitAxes:

@@ -27,21 +27,11 @@ PROBES = 2048
 
 @dataclass(frozen=True)
 class Answerer:
-    """What labels states.
+    """What labels states."""
 
-    Parameters
-    ----------
-    controller : BatchController
-        The controller whose answers they are, in this process.
-    label : callable
-        States (B, n) to an answer.
-    threads : int
-        Threads that should call it.
-    """
-
-    controller: BatchController
-    label: Labelling
-    threads: int
+    controller: BatchController  # whose answers they are, in this process
+    label: Labelling  # states (B, n) to an answer
+    threads: int  # that should call it
 
 
 @contextlib.contextmanager
@@ -54,24 +44,12 @@ def answerer(
     checkpoint: str | os.PathLike[str] | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> Iterator[Answerer]:
-    """Yield what answers for a method of a controller.
+    """Yield what answers for a method, by its name, of a controller.
 
-    Parameters
-    ----------
-    controller : BatchController
-        The controller.
-    method : str
-        The name of its method.
-    threads : int
-        Threads of this process that solve, where it does.
-    backend : "auto", "c" or "numpy"
-        As asked for.
-    executor : dask.distributed.Client, optional
-        The workers to ask.
-    checkpoint : path, optional
-        The directory of a `Checkpoint`.
-    about : mapping, optional
-        What the questions depend on beside the controller, as plain data, for its manifest.
+    It solves with `threads` of this process, or on the workers of an executor, with the backend
+    that was asked for. The directory of a checkpoint is that of a `Checkpoint`, whose manifest
+    holds what the questions are `about`: all that they depend on beside the controller, as plain
+    data.
     """
     label = getattr(controller, method)
     with contextlib.ExitStack() as stack:
@@ -114,14 +92,7 @@ def manifest(controller: BatchController) -> dict[str, Any]:
 def label_job(formulation: Formulation, method: str, backend: str) -> Job:
     """Return the job of labelling batches of ``(states (B, n), states of each chunk)``.
 
-    Parameters
-    ----------
-    formulation : Formulation
-        With the steps of its settings.
-    method : str
-        The method of `BatchController` that answers.
-    backend : "c" or "numpy"
-        How to solve.
+    A method of `BatchController` answers, by its name; the formulation's settings have `steps`.
     """
     return Job(build, json.dumps([formulation.to_text(), method, backend]))
 

@@ -180,7 +180,13 @@ def _asked(problem: Problem, plan: SubdivisionPlan) -> dict[str, Any]:
 
 def _described(policy: Policy, problem: Problem, controller: BatchController, seed: int) -> Policy:
     """Return the policy of a problem with all that it carries beside its cells."""
-    _warn_not_finite(policy)
+    statistics = policy.statistics
+    if statistics["not_finite_points"]:
+        warn(
+            f"{statistics['not_finite_points']} of {statistics['solves']} solves gave no finite "
+            "result and take the default control, for instance at state "
+            f"{statistics['not_finite_example']}"
+        )
     sample = sample_statistics(controller, problem.domain, seed)
     return dataclasses.replace(
         policy,
@@ -192,7 +198,7 @@ def _described(policy: Policy, problem: Problem, controller: BatchController, se
         horizon=problem.horizon,
         settings=controller.settings,
         model=controller.formulation.model,
-        statistics=policy.statistics | {"sample": sample},
+        statistics=statistics | {"sample": sample},
     )
 
 
@@ -251,12 +257,3 @@ def sample_statistics(controller: BatchController, domain: Box, seed: int) -> di
         "negative_cost": float((cost < 0).sum() / SAMPLES),
         **ratios,
     }
-
-
-def _warn_not_finite(policy: Policy) -> None:
-    count = policy.statistics["not_finite_points"]
-    if count:
-        warn(
-            f"{count} of {policy.statistics['solves']} solves gave no finite result and take the "
-            f"default control, for instance at state {policy.statistics['not_finite_example']}"
-        )
