@@ -31,6 +31,7 @@ from capsyn.cli.options import (
     executor,
     flat,
     number,
+    option,
     whole_number_list,
 )
 from capsyn.cli.paper import bench, reproduce
@@ -97,29 +98,23 @@ def list_problems(as_json: Json = False) -> None:
 class GridOptions:
     """The grid of a policy, in place of the problem's own."""
 
-    max_level: Annotated[
-        int | None, typer.Option(help="Most times that a cell is split along an axis.")
-    ] = None
-    partitions: Annotated[
-        str | None, typer.Option(metavar="Q[,Q..]", help="Cells of the root grid per axis.")
-    ] = None
-    refinement: Annotated[
-        str | None, typer.Option(metavar="R[,R..]", help="Children of a split cell per axis.")
-    ] = None
+    max_level: int | None = option("Most times that a cell is split along an axis.")
+    partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
+    refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
 
 
 @dataclass(frozen=True)
 class SettingsOptions:
     """Fields of `capsyn.SsacSettings`; None leaves the problem's own."""
 
-    rule: Annotated[str | None, typer.Option(help="schedule or steepest.")] = None
-    gamma: Annotated[float | None, typer.Option(help="Wanted sensitivity over cost.")] = None
-    alpha_d: Annotated[float | None, typer.Option(help="Wanted sensitivity, absolute.")] = None
-    control_weight: Annotated[float | None, typer.Option(help="Weight R of the effort.")] = None
-    on_no_descent: Annotated[str | None, typer.Option(help="best or default.")] = None
-    steps: Annotated[int | None, typer.Option(help="Integration steps over the horizon.")] = None
-    tolerance: Annotated[float | None, typer.Option(help="Of the step-doubling check.")] = None
-    precision: Annotated[str | None, typer.Option(help="double or single.")] = None
+    rule: str | None = option("schedule or steepest.")
+    gamma: float | None = option("Wanted sensitivity over cost.")
+    alpha_d: float | None = option("Wanted sensitivity, absolute.")
+    control_weight: float | None = option("Weight R of the effort.")
+    on_no_descent: str | None = option("best or default.")
+    steps: int | None = option("Integration steps over the horizon.")
+    tolerance: float | None = option("Of the step-doubling check.")
+    precision: str | None = option("double or single.")
 
     def of(self, settings: SsacSettings) -> SsacSettings | None:
         """Return a problem's settings with these changes; None where there are none."""
@@ -135,34 +130,22 @@ class SettingsOptions:
 class SubdivisionOptions:
     """Arguments of `capsyn.synthesize` for the subdivision."""
 
-    test_points: Annotated[
-        str,
-        typer.Option(help="vertices or center+faces, then +center, +edge_midpoints, +random:R."),
-    ] = "vertices+center"
-    leaves: Annotated[str, typer.Option(help="constant, or affine for far fewer solves.")] = (
-        "constant"
+    test_points: str = option(
+        "vertices or center+faces, then +center, +edge_midpoints, +random:R.",
+        default="vertices+center",
     )
-    leaf_error: Annotated[float, typer.Option(help="Of affine leaves, accepted share.")] = 0.01
-    refine: Annotated[
-        str, typer.Option(help="isotropic, or adaptive: split along the axes that matter.")
-    ] = "isotropic"
+    leaves: str = option("constant, or affine for far fewer solves.", default="constant")
+    leaf_error: float = option("Of affine leaves, accepted share.", default=0.01)
+    refine: str = option(
+        "isotropic, or adaptive: split along the axes that matter.", default="isotropic"
+    )
     seed: Seed = 0
-    max_solves: Annotated[
-        int | None, typer.Option(help="Most solves; affine or adaptive cells spend them.")
-    ] = None
-    max_seconds: Annotated[
-        float | None, typer.Option(help="Stop after so long; the result depends on the machine.")
-    ] = None
-    max_memory: Annotated[
-        str | None, typer.Option(metavar="BYTES", help="Stop before so much, as 2GB.")
-    ] = None
-    memory_limit: Annotated[
-        str | None,
-        typer.Option(
-            metavar="BYTES",
-            help="Refuse what may take more at worst [default: what is available].",
-        ),
-    ] = None
+    max_solves: int | None = option("Most solves; affine or adaptive cells spend them.")
+    max_seconds: float | None = option("Stop after so long; the result depends on the machine.")
+    max_memory: str | None = option("Stop before so much, as 2GB.", metavar="BYTES")
+    memory_limit: str | None = option(
+        "Refuse what may take more at worst [default: what is available].", metavar="BYTES"
+    )
     backend: Backend = "auto"
     threads: Threads = None
 

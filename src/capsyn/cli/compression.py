@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from capsyn.cli.console import print_table, show, working
-from capsyn.cli.options import Backend, File, Json, Seed, flat
+from capsyn.cli.options import Backend, File, Json, Seed, flat, option
 from capsyn.cli.printed import print_automaton, print_compression
 from capsyn.errors import ProblemError
 
@@ -18,35 +18,23 @@ from capsyn.errors import ProblemError
 class CompressOptions:
     """Options of ``capsyn compress``."""
 
-    mode: Annotated[str, typer.Option(help="exact, freedom or linear.")] = "exact"
-    output: Annotated[
-        str | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="The tree [default: FILE-MODE.cap]; with --curve a .png, .pdf or .svg picture, "
-            "with a .csv beside it [default: FILE-curve.png].",
-        ),
-    ] = None
-    agreement: Annotated[
-        float | None,
-        typer.Option(help="Least agreement, for freedom and linear [default for linear: 0.99]."),
-    ] = None
-    level: Annotated[
-        int | None, typer.Option(help="Merge cells below this level first; not for linear.")
-    ] = None
-    node_price: Annotated[
-        float | None,
-        typer.Option(
-            help="For freedom: finest cells of disagreement that a node less is worth [default: "
-            "0.5]."
-        ),
-    ] = None
-    curve: Annotated[
-        bool, typer.Option("--curve", help="Size against agreement, by mode and level.")
-    ] = False
-    states: Annotated[int, typer.Option(help="Random states that trees are judged at.")] = 100_000
+    mode: str = option("exact, freedom or linear.", default="exact")
+    output: str | None = option(
+        "The tree [default: FILE-MODE.cap]; with --curve a .png, .pdf or .svg picture, with a .csv "
+        "beside it [default: FILE-curve.png].",
+        "--output",
+        "-o",
+        metavar="FILE",
+    )
+    agreement: float | None = option(
+        "Least agreement, for freedom and linear [default for linear: 0.99]."
+    )
+    level: int | None = option("Merge cells below this level first; not for linear.")
+    node_price: float | None = option(
+        "For freedom: finest cells of disagreement that a node less is worth [default: 0.5]."
+    )
+    curve: bool = option("Size against agreement, by mode and level.", "--curve", default=False)
+    states: int = option("Random states that trees are judged at.", default=100_000)
     seed: Seed = 0
     backend: Backend = "auto"
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from capsyn.cli.console import show, working
 from capsyn.cli.loop import LoopTexts, controller_of, loop_options
 from capsyn.cli.options import (
-    Before,
     Dask,
     File,
     Json,
@@ -20,6 +19,7 @@ from capsyn.cli.options import (
     flat,
     number_or_range,
     one_or_list,
+    option,
     region,
 )
 from capsyn.cli.printed import print_agreement, print_lyapunov, print_monte_carlo
@@ -34,60 +34,30 @@ if TYPE_CHECKING:
 class VerifyOptions(LoopTexts):
     """Options of ``capsyn verify``."""
 
-    monte_carlo: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Trials from random initial states."),
-        Before("duration"),
-    ] = None
-    duration: Annotated[
-        float | None, typer.Option(help="Time limit of a trial [s] [default: 20].")
-    ] = None
-    initial: Annotated[
-        str | None,
-        typer.Option(metavar="SET", help="NAME=LOW:HIGH[,..] [default: the domain]."),
-        Before("target"),
-    ] = None
-    within: Annotated[
-        float | None, typer.Option(help="Time to arrive in [s]."), Before("model")
-    ] = None
-    hold: Annotated[
-        float | None,
-        typer.Option(help="Time at the end to stay there [s] [default: 0]."),
-        Before("model"),
-    ] = None
-    lyapunov: Annotated[
-        str | None,
-        typer.Option(metavar="FILE.py:V", help="A function V of x whose decrease is proved."),
-        Before("seed"),
-    ] = None
-    depth: Annotated[
-        int | None,
-        typer.Option(help="Bisections of a cell in the proof [default: 12]."),
-        Before("seed"),
-    ] = None
-    grid: Annotated[
-        str | None,
-        typer.Option(metavar="H[,H..]", help="Spacing of a grid of signs of dV/dt."),
-        Before("seed"),
-    ] = None
-    agreement: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Random states to compare with sSAC."),
-        Before("seed"),
-    ] = None
-    confidence: Annotated[float, typer.Option(help="Of the intervals."), Before("seed")] = 0.95
-    require_success: Annotated[
-        float | None, typer.Option(help="Least share of successes."), Before("seed")
-    ] = None
-    require_proved: Annotated[
-        float | None, typer.Option(help="Least share proved."), Before("seed")
-    ] = None
-    require_agreement: Annotated[
-        float | None, typer.Option(help="Least agreement."), Before("seed")
-    ] = None
-    save: Annotated[
-        bool, typer.Option("--save", help="Keep the evidence in the file."), Before("seed")
-    ] = False
+    monte_carlo: int | None = option(
+        "Trials from random initial states.", metavar="N", before="duration"
+    )
+    duration: float | None = option("Time limit of a trial [s] [default: 20].")
+    initial: str | None = option(
+        "NAME=LOW:HIGH[,..] [default: the domain].", metavar="SET", before="target"
+    )
+    within: float | None = option("Time to arrive in [s].", before="model")
+    hold: float | None = option("Time at the end to stay there [s] [default: 0].", before="model")
+    lyapunov: str | None = option(
+        "A function V of x whose decrease is proved.", metavar="FILE.py:V", before="seed"
+    )
+    depth: int | None = option("Bisections of a cell in the proof [default: 12].", before="seed")
+    grid: str | None = option(
+        "Spacing of a grid of signs of dV/dt.", metavar="H[,H..]", before="seed"
+    )
+    agreement: int | None = option(
+        "Random states to compare with sSAC.", metavar="N", before="seed"
+    )
+    confidence: float = option("Of the intervals.", default=0.95, before="seed")
+    require_success: float | None = option("Least share of successes.", before="seed")
+    require_proved: float | None = option("Least share proved.", before="seed")
+    require_agreement: float | None = option("Least agreement.", before="seed")
+    save: bool = option("Keep the evidence in the file.", "--save", default=False, before="seed")
     dask: Dask = None
 
 

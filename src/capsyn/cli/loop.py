@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from capsyn.cli.console import show, working
 from capsyn.cli.options import (
     Backend,
-    Before,
     File,
     Json,
     MinDwell,
@@ -24,6 +23,7 @@ from capsyn.cli.options import (
     number,
     number_list,
     one_or_list,
+    option,
     region,
 )
 from capsyn.errors import ProblemError
@@ -37,65 +37,42 @@ if TYPE_CHECKING:
 class LoopTexts:
     """`capsyn.simulation.options.LoopOptions` as texts, and which controller runs the loop."""
 
-    duration: Annotated[float | None, typer.Option(help="Seconds to simulate.")] = 20.0
-    rate: Annotated[
-        float | None,
-        typer.Option(help="Samples per second [default: by the policy's settings, 1000]."),
-    ] = None
-    target: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SET",
-            help="NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a "
-            "function of x that says whether it has arrived.",
-        ),
-    ] = None
-    tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PLANT",
-            help="Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, "
-            "and of p where there are parameters; a policy without a model, such as an imported "
-            "one, takes a problem only.",
-        ),
-    ] = None
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=P[:P]",
-            help="A component of p, in the order of p; verify takes a range, too. May be repeated.",
-        ),
-    ] = None
-    disturbance: Annotated[
-        str | None,
-        typer.Option(
-            metavar="D[,D..]",
-            help="Added to the rates, of all states or of each; verify takes a range "
-            "D[,D..]:D[,D..], too.",
-        ),
-    ] = None
-    noise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="S[,S..]",
-            help="Standard deviation of the measured states, of all or of each; verify takes a "
-            "range S[,S..]:S[,S..], too.",
-        ),
-    ] = None
-    delay: Annotated[
-        str | None,
-        typer.Option(metavar="T", help="Input delay [s]; verify takes a range T:T, too."),
-    ] = None
+    duration: float | None = option("Seconds to simulate.", default=20.0)
+    rate: float | None = option("Samples per second [default: by the policy's settings, 1000].")
+    target: str | None = option(
+        "NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a function of x "
+        "that says whether it has arrived.",
+        metavar="SET",
+    )
+    tolerance: float | None = option("Radius of the target.")
+    model: str | None = option(
+        "Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, and of p "
+        "where there are parameters; a policy without a model, such as an imported one, takes a "
+        "problem only.",
+        metavar="PLANT",
+    )
+    parameter: list[str] | None = option(
+        "A component of p, in the order of p; verify takes a range, too. May be repeated.",
+        metavar="NAME=P[:P]",
+    )
+    disturbance: str | None = option(
+        "Added to the rates, of all states or of each; verify takes a range D[,D..]:D[,D..], too.",
+        metavar="D[,D..]",
+    )
+    noise: str | None = option(
+        "Standard deviation of the measured states, of all or of each; verify takes a range "
+        "S[,S..]:S[,S..], too.",
+        metavar="S[,S..]",
+    )
+    delay: str | None = option("Input delay [s]; verify takes a range T:T, too.", metavar="T")
     min_dwell: MinDwell = None
     outside: Outside = None
-    online: Annotated[
-        str | None,
-        typer.Option(help="ssac or sac: solve online in receding horizon instead of the policy."),
-    ] = None
-    background: Annotated[
-        bool, typer.Option(help="Let the policy be the default control of the online controller.")
-    ] = False
+    online: str | None = option(
+        "ssac or sac: solve online in receding horizon instead of the policy."
+    )
+    background: bool = option(
+        "Let the policy be the default control of the online controller.", default=False
+    )
     seed: Seed = 0
     backend: Backend = "auto"
     threads: Threads = None
@@ -182,19 +159,13 @@ def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
 class SimulateOptions(LoopTexts):
     """Options of ``capsyn simulate``."""
 
-    x0: Annotated[
-        list[str] | None,
-        typer.Option(metavar="X[,X..]", help="Initial state; may be repeated [default: random]."),
-        Before("duration"),
-    ] = None
-    output: Annotated[
-        str | None,
-        typer.Option("--output", "-o", metavar="FILE", help=".csv, .json, .png, .pdf or .svg."),
-        Before("target"),
-    ] = None
-    stop_at_target: Annotated[
-        bool, typer.Option(help="End where the target is reached."), Before("model")
-    ] = False
+    x0: list[str] | None = option(
+        "Initial state; may be repeated [default: random].", metavar="X[,X..]", before="duration"
+    )
+    output: str | None = option(
+        ".csv, .json, .png, .pdf or .svg.", "--output", "-o", metavar="FILE", before="target"
+    )
+    stop_at_target: bool = option("End where the target is reached.", default=False, before="model")
 
 
 @flat
