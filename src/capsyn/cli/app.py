@@ -208,12 +208,8 @@ def synth(
         )
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
-
-    def print_policy() -> None:
-        print_report(data)
-        typer.echo(f"wrote {path} in {sum(policy.timings.values()):.2f} s")
-
-    show(as_json, data, print_policy)
+    end = f"wrote {path} in {sum(policy.timings.values()):.2f} s"
+    show(as_json, data, lambda: print_report(data), end)
 
 
 def _chosen_problem(

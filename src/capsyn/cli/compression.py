@@ -75,12 +75,7 @@ def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
         )
     tree.save(path)
     data = report(tree) | {"file": path}
-
-    def print_tree() -> None:
-        print_compression(data, report(policy))
-        typer.echo(f"wrote {path}")
-
-    show(as_json, data, print_tree)
+    show(as_json, data, lambda: print_compression(data, report(policy)), f"wrote {path}")
     if not tree.guarantee.reached:
         raise typer.Exit(1)
 
@@ -107,22 +102,14 @@ def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
     for path in (picture, table):
         check_writable(path)
     with working("trying modes and levels") as say:
-        points = size_curve(
-            policy,
-            states=options.states,
-            seed=options.seed,
-            backend=options.backend,
-            progress=say,
-        )
+        judged = {"states": options.states, "seed": options.seed, "backend": options.backend}
+        points = size_curve(policy, **judged, progress=say)
     save_curve(points, table)
     save_curve_plot(points, policy.name, picture)
     rows = [point.to_json() for point in points]
-
-    def print_rows() -> None:
-        print_table([_shown(row) for row in rows])
-        typer.echo(f"wrote {table} and {picture}")
-
-    show(as_json, {"points": rows, "table": table, "picture": picture}, print_rows)
+    data = {"points": rows, "table": table, "picture": picture}
+    end = f"wrote {table} and {picture}"
+    show(as_json, data, lambda: print_table([_shown(row) for row in rows]), end)
 
 
 def _shown(row: dict[str, Any]) -> dict[str, Any]:
@@ -159,10 +146,5 @@ def automaton(
     if output is not None:
         save_automaton(machine, output)
     data = machine.to_json()
-
-    def print_machine() -> None:
-        print_automaton(data)
-        if output is not None:
-            typer.echo(f"wrote {output}")
-
-    show(as_json, data, print_machine)
+    end = None if output is None else f"wrote {output}"
+    show(as_json, data, lambda: print_automaton(data), end)

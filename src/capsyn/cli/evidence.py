@@ -73,10 +73,6 @@ class Kind:
         Field that states the least value of a figure of the evidence, and that figure.
     own : tuple of str
         Fields that need it.
-    usual : callable ``(policy, options) -> int or None``
-        What is asked where no kind is, as far as the policy allows.
-    check : callable ``(policy, file)``
-        Raises `ProblemError` where a policy allows no such evidence.
     doing : str
         What is said while it is looked for.
     find : callable ``(policy, options, client) -> dict``
@@ -89,15 +85,9 @@ class Kind:
     requirement: str
     figure: str
     own: tuple[str, ...]
-    usual: Callable[[Policy, VerifyOptions], int | None]
-    check: Callable[[Policy, str], None]
     doing: str
     find: Callable[[Policy, VerifyOptions, Any], dict[str, Any]]
     show: Callable[[dict[str, Any], str, str, VerifyOptions], None]
-
-
-def _usual_trials(policy: Policy, options: VerifyOptions) -> int | None:
-    return 1000 if policy.target is not None or options.target is not None else None
 
 
 def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
@@ -140,16 +130,8 @@ def _prove(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any
     return proof
 
 
-def _usual_states(policy: Policy, options: VerifyOptions) -> int | None:
-    return 100_000 if policy.settings is not None and policy.model is not None else None
-
-
-def _check_comparable(policy: Policy, file: str) -> None:
-    if policy.settings is None or policy.model is None:
-        raise ProblemError(
-            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
-            "Python capsyn.agreement(policy, controller=function) compares it with a function"
-        )
+def _comparable(policy: Policy) -> bool:
+    return policy.settings is not None and policy.model is not None
 
 
 def _compare(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
@@ -174,8 +156,6 @@ KINDS = (
             "rate initial target tolerance within hold duration model parameter disturbance noise "
             "delay min_dwell outside online background dask".split()
         ),
-        _usual_trials,
-        lambda policy, file: None,
         "Monte Carlo",
         _try_out,
         _show_trials,
@@ -185,8 +165,6 @@ KINDS = (
         "require_proved",
         "proved",
         ("depth", "grid"),
-        lambda policy, options: None,
-        lambda policy, file: None,
         "proving dV/dt <= 0",
         _prove,
         lambda data, sentence, *_: print_lyapunov(data, sentence),
@@ -196,8 +174,6 @@ KINDS = (
         "require_agreement",
         "share",
         (),
-        _usual_states,
-        _check_comparable,
         "comparing with sSAC",
         _compare,
         lambda data, sentence, *_: print_agreement(data, sentence),
@@ -226,8 +202,11 @@ def verify(file: File, options: VerifyOptions, as_json: Json = False) -> None:
     policy = Policy.load(file)
     options = _with_kinds(policy, options)
     kinds = [kind for kind in KINDS if getattr(options, kind.name) is not None]
-    for kind in kinds:
-        kind.check(policy, file)
+    if options.agreement is not None and not _comparable(policy):
+        raise ProblemError(
+            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
+            "Python capsyn.agreement(policy, controller=function) compares it with a function"
+        )
     _check_requirements(options)
     _check_owners(options)
     if options.save and options.online is not None:
@@ -257,10 +236,11 @@ def _with_kinds(policy: Policy, options: VerifyOptions) -> VerifyOptions:
     """Return options that ask for a kind of evidence: the usual ones where they ask for none."""
     if any(getattr(options, kind.name) is not None for kind in KINDS):
         return options
-    usual: dict[str, Any] = {kind.name: kind.usual(policy, options) for kind in KINDS}
-    if not any(usual.values()):
+    trials = 1000 if policy.target is not None or options.target is not None else None
+    states = 100_000 if _comparable(policy) else None
+    if trials is None and states is None:
         raise ProblemError("the policy has neither target nor model: nothing can be verified")
-    return dataclasses.replace(options, **usual)
+    return dataclasses.replace(options, monte_carlo=trials, agreement=states)
 
 
 def _check_requirements(options: VerifyOptions) -> None:
@@ -286,7 +266,6 @@ def _missed(options: VerifyOptions, evidence: dict[str, Any]) -> list[str]:
     sentences = []
     for kind in KINDS:
         least = getattr(options, kind.requirement)
-        if least is not None and evidence[kind.name][kind.figure] < least:
-            share = evidence[kind.name][kind.figure]
+        if least is not None and (share := evidence[kind.name][kind.figure]) < least:
             sentences.append(f"{_option(kind.requirement)} {least:g} is not met: {share:.6g}")
     return sentences

@@ -78,10 +78,8 @@ def export(file: File, options: ExportOptions, as_json: Json = False) -> None:
 
 def _own_options(options: ExportOptions) -> dict[str, Any]:
     """Return what only some targets take."""
-    values: dict[str, Any] = {
-        key.replace("-", "_"): _value(text)
-        for key, text in assignments("--option", options.option or []).items()
-    }
+    texts = assignments("--option", options.option or [])
+    values: dict[str, Any] = {key.replace("-", "_"): _value(text) for key, text in texts.items()}
     named = {"style": options.style, "arithmetic": options.arithmetic, "name": options.name}
     return values | {key: value for key, value in named.items() if value is not None}
 
@@ -107,9 +105,7 @@ def _value(text: str) -> Any:
             return kind(text)
         except ValueError:
             pass
-    if "," in text:
-        return [_value(part) for part in text.split(",")]
-    return text
+    return [_value(part) for part in text.split(",")] if "," in text else text
 
 
 def print_export(

@@ -54,21 +54,14 @@ def import_table(
         raise ProblemError(f"the output must be another file than the table; got '{path}'")
     check_writable(path)
     symbols = None if options.alphabet is None else _symbols(options.alphabet)
-    default = options.default
+    name = Path(file).stem if options.name is None else options.name
     with working("reading the table"):
-        policy = _table(file, symbols, options).policy(
-            Path(file).stem if options.name is None else options.name,
-            default=None if default is None else number_list("--default", default),
-            outside=options.outside,
-        )
+        table, default = _table(file, symbols, options), options.default
+        controls = None if default is None else number_list("--default", default)
+        policy = table.policy(name, default=controls, outside=options.outside)
     policy.save(path)
     data = report(policy) | {"file": path}
-
-    def print_policy() -> None:
-        print_report(data)
-        typer.echo(f"wrote {path}")
-
-    show(as_json, data, print_policy)
+    show(as_json, data, lambda: print_report(data), f"wrote {path}")
 
 
 def _table(file: str, symbols: Alphabet | None, options: ImportOptions) -> Table:

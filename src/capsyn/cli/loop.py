@@ -95,25 +95,19 @@ def loop_options(
     """
     from capsyn.simulation.options import LoopOptions
 
-    values = {
-        "duration": texts.duration,
-        "rate": texts.rate,
+    def meant(name: str, meaning: Callable[[str, str], Any]) -> Any:
+        text = getattr(texts, name)
+        return None if text is None else meaning(f"--{name}", text)
+
+    plain = "duration rate min_dwell outside seed backend threads".split()
+    parameters = assignments("--parameter", texts.parameter or [])
+    values = {name: getattr(texts, name) for name in plain} | {
         "model": _model(texts.model),
-        "parameters": {
-            name: one(name, text)
-            for name, text in assignments("--parameter", texts.parameter or []).items()
-        },
-        "disturbance": None
-        if texts.disturbance is None
-        else each("--disturbance", texts.disturbance),
-        "noise": None if texts.noise is None else each("--noise", texts.noise),
-        "delay": None if texts.delay is None else one("--delay", texts.delay),
-        "min_dwell": texts.min_dwell,
-        "outside": texts.outside,
+        "parameters": {name: one(name, text) for name, text in parameters.items()},
+        "disturbance": meant("disturbance", each),
+        "noise": meant("noise", each),
+        "delay": meant("delay", one),
         "target": _target(policy, texts.target, texts.tolerance),
-        "seed": texts.seed,
-        "backend": texts.backend,
-        "threads": texts.threads,
     }
     chosen = {name: value for name, value in values.items() if value is not None}
     return LoopOptions(**chosen, **more)
@@ -188,14 +182,9 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
         trajectory = trajectories(controller, states[0] if len(states) == 1 else states, loop)
     save(trajectory)
     rows = trajectory.summary()
-
-    def print_rows() -> None:
-        for row in rows:
-            typer.echo(_sentence(row))
-        if options.output is not None:
-            typer.echo(f"wrote {options.output}")
-
-    show(as_json, rows if len(rows) > 1 else rows[0], print_rows)
+    text = "\n".join(map(_sentence, rows))
+    end = None if options.output is None else f"wrote {options.output}"
+    show(as_json, rows if len(rows) > 1 else rows[0], lambda: typer.echo(text), end)
 
 
 def _saving(output: str | None) -> Callable[[Any], None]:

@@ -124,10 +124,8 @@ def one_or_list(name: str, text: str) -> Any:
     return values[0] if len(values) == 1 else values
 
 
-def number_or_range(name: str, text: str | None) -> Any:
+def number_or_range(name: str, text: str) -> Any:
     """Return the numbers of a text, or the `Uniform` of LOW:HIGH."""
-    if text is None:
-        return None
     low, colon, high = text.partition(":")
     if not colon:
         return one_or_list(name, text)
