@@ -36,31 +36,17 @@ MOST_SAMPLES = 10**9
 class Experiment:
     """A controller, a plant, and how they are brought together.
 
-    Parameters
-    ----------
-    controller : Policy, OnlineController or callable ``(time, states (B, n)) -> controls (B, m)``
-        What acts.
-    outside : "error", "nearest" or symbol
-        The rule of a policy outside its domain; None for other controllers.
-    plant : Plant
-        The plant.
-    loop : Loop
-        How the loop runs.
-    rate : float
-        Samples per second [1 / s].
-    target : Ball, Box, Program or None
-        What arriving means.
-    options : LoopOptions
-        What it was made of.
+    The controller is a policy, an online controller or a function ``(time, states (B, n)) ->
+    controls (B, m)``; `outside` is the rule of a policy outside its domain, None for others.
     """
 
     controller: Any
     outside: Outside | None
     plant: Plant
     loop: Loop
-    rate: float
+    rate: float  # samples per second [1 / s]
     target: Target | None
-    options: LoopOptions
+    options: LoopOptions  # what it was made of
 
     @property
     def alphabet(self) -> Alphabet:

@@ -319,20 +319,17 @@ class _Cells:
 
     def _describe(self, cells: np.ndarray, states: np.ndarray, values: np.ndarray) -> LyapunovCells:
         labels = self.labels[cells]
+        sizes = self.boxes.upper[cells] - self.boxes.lower[cells]
         return LyapunovCells(
             entries=self.entries[cells],
             levels=self.levels[cells],
             symbols=np.where(labels == len(self.policy.alphabet), -1, labels),
-            boundary=self._finest(cells) & self._differing(cells),
+            boundary=self.policy.cells.finest(self.entries[cells], sizes) & self._differing(cells),
             lower=self.lower[cells],
             upper=self.upper[cells],
             states=states,
             values=values,
         )
-
-    def _finest(self, cells: np.ndarray) -> np.ndarray:
-        sizes = self.boxes.upper[cells] - self.boxes.lower[cells]
-        return self.policy.cells.finest(self.entries[cells], sizes)
 
     def _differing(self, cells: np.ndarray) -> np.ndarray:
         """Return which cells are mixed or have a neighbour with another symbol."""
