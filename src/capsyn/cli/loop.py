@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -190,15 +189,12 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
 def _saving(output: str | None) -> Callable[[Any], None]:
     """Return what writes a trajectory to a file, by its ending; nothing for None."""
     from capsyn.execution.files import check_writable
-    from capsyn.plots.figure import FORMATS
+    from capsyn.plots.figure import FORMATS, check_format
     from capsyn.plots.trajectory import save_trajectory_plot
 
     if output is None:
         return lambda trajectory: None
-    kind = Path(output).suffix.lstrip(".").lower()
-    if kind not in ("csv", "json", *FORMATS):
-        endings = ", ".join(f".{ending}" for ending in ("csv", "json", *FORMATS))
-        raise ProblemError(f"the output must end in {endings}; got '{output}'")
+    kind = check_format(output, ("csv", "json", *FORMATS), "the output")
     check_writable(output)
     if kind in FORMATS:
         return lambda trajectory: save_trajectory_plot(trajectory, output)

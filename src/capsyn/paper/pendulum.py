@@ -15,9 +15,9 @@ from capsyn.paper.figures import (
     draw_dwell_tradeoff,
     draw_layers,
     halves,
-    new_figure,
 )
 from capsyn.plots.automaton import plot_automaton
+from capsyn.plots.figure import new_figure
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.problems import cart_pendulum

@@ -89,7 +89,7 @@ def reproduce(
         keep_figure("figure-5", paper_tanks.figure_5())
         for letter, readings in paper_tanks.READINGS.items():
             for reading in readings:
-                policy, result = paper_tanks.try_tank(reading, trials, threads)
+                policy, result = paper_tanks.try_tank(letter, reading, trials, threads)
                 row = paper_tanks.success_row(letter, reading, result)
                 (rows if reading.main else others).append(row)
                 if reading is readings[0]:

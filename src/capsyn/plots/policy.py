@@ -9,15 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.plots.figure import (
-    check_format,
-    frame,
-    literal,
-    outline_width,
-    rectangles,
-    reproducible,
-    save_figure,
-)
+from capsyn.plots.figure import frame, literal, outline_width, rectangles, saved_figure
 from capsyn.policies.colors import symbol_colors
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe, finite_number
@@ -188,10 +180,5 @@ def save_policy_plot(
     outlines: bool = True,
 ) -> None:
     """Write a picture of a policy as PNG, PDF or SVG; see `plot_policy` and `save_figure`."""
-    check_format(path)
-    with reproducible():
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(7, 4.5), layout="constrained")
+    with saved_figure(path, 7, 4.5) as figure:
         plot_policy(policy, plane, at, figure.add_subplot(), outlines)
-        save_figure(figure, path)
