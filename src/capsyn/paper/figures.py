@@ -230,9 +230,8 @@ def draw_dwell_tradeoff(
     """
     positive = dwell_times[dwell_times > 0]
     if positive.size and positive[-1] > 10 * positive[0]:
-        ax.set_xscale(
-            "symlog", linthresh=positive[0], linscale=0.4
-        )  # as logarithmic, but 0 has a place
+        # as logarithmic, but 0 has a place
+        ax.set_xscale("symlog", linthresh=positive[0], linscale=0.4)
         ax.set_xticks(dwell_times, [f"{time:g}" for time in dwell_times])
         ax.minorticks_off()
     errors = np.abs(np.stack([lows, highs]) - shares)

@@ -87,10 +87,7 @@ READINGS = {
             V2_OPEN,
         ),
         Reading(
-            STEEPEST_CHECKED,
-            "steepest descent, V2 open by default",
-            "drifts likewise",
-            V2_OPEN,
+            STEEPEST_CHECKED, "steepest descent, V2 open by default", "drifts likewise", V2_OPEN
         ),
         Reading(
             STEEPEST_CHECKED,

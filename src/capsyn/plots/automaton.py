@@ -70,7 +70,8 @@ def plot_automaton(automaton: Automaton, ax: Axes | None = None) -> Axes:
         places = _label_places(curves, centers, radius, box)
         for edge, place in places.items():
             ax.text(
-                *place.tolist(),
+                float(place[0]),
+                float(place[1]),
                 automaton.edge_text(edge),
                 color=_arrow_color(automaton, edge),
                 fontsize=size,
@@ -233,9 +234,8 @@ def _draw_arrow(ax: Axes, automaton: Automaton, edge: Edge, curve: np.ndarray) -
         outside = [np.linalg.norm(line - end, axis=1) > radius * 1.03 for end in curve[[0, 2]]]
         inner = t[outside[0] & outside[1]]
         points = _part(curve, inner[0], inner[-1])
-    codes = [Curve.MOVETO] + [Curve.CURVE3 if len(points) == 3 else Curve.CURVE4] * (
-        len(points) - 1
-    )
+    code = Curve.CURVE3 if len(points) == 3 else Curve.CURVE4
+    codes = [Curve.MOVETO] + [code] * (len(points) - 1)
     impossible = edge.possible is False
     ax.add_patch(
         FancyArrowPatch(

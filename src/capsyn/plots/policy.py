@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -157,16 +157,14 @@ def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
     names = policy.domain.names
     axes = []
     for axis in plane:
-        if isinstance(axis, str) and axis in names:
-            axes.append(names.index(axis))
-        elif isinstance(axis, str) and axis.isdecimal() and int(axis) < len(names):
-            axes.append(int(axis))
-        elif isinstance(axis, (int, np.integer)) and 0 <= axis < len(names):
-            axes.append(int(axis))
-        else:
+        place: Any = axis
+        if isinstance(axis, str):
+            place = names.index(axis) if axis in names else int(axis) if axis.isdecimal() else -1
+        if not isinstance(place, (int, np.integer)) or not 0 <= place < len(names):
             raise ProblemError(
                 f"`plane` must name two of the states {', '.join(names)}; got {describe(plane)}"
             )
+        axes.append(int(place))
     if len(axes) != 2 or axes[0] == axes[1]:
         raise ProblemError(f"`plane` must name two different states; got {describe(plane)}")
     return axes[0], axes[1]
