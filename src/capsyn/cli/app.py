@@ -95,9 +95,12 @@ def list_problems(as_json: Json = False) -> None:
 
 
 @dataclass(frozen=True)
-class GridOptions:
-    """The grid of a policy, in place of the problem's own."""
+class ProblemOptions:
+    """What is made of a problem where its own horizon, default or grid is not wanted."""
 
+    output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
+    horizon: float | None = option("Prediction horizon in seconds.")
+    default: str | None = option("Control of the prediction.", metavar="U[,U..]")
     max_level: int | None = option("Most times that a cell is split along an axis.")
     partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
     refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
@@ -161,15 +164,7 @@ def synth(
         ),
     ],
     *,
-    output: Annotated[
-        str | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Default: NAME.cap"),
-    ] = None,
-    horizon: Annotated[float | None, typer.Option(help="Prediction horizon in seconds.")] = None,
-    default: Annotated[
-        str | None, typer.Option(metavar="U[,U..]", help="Control of the prediction.")
-    ] = None,
-    grid: GridOptions,
+    changes: ProblemOptions,
     settings: SettingsOptions,
     outside: Outside = None,
     min_dwell: MinDwell = None,
@@ -187,7 +182,7 @@ def synth(
     from capsyn.policies.report import report
     from capsyn.synthesis.synthesize import synthesize
 
-    chosen, path = _chosen_problem(problem, output, horizon, default)
+    chosen, path = _chosen_problem(problem, changes)
     with (
         executor(dask) as client,
         progress_bars() as progress,
@@ -195,9 +190,9 @@ def synth(
     ):
         policy = synthesize(
             chosen,
-            partitions=whole_number_list("--partitions", grid.partitions),
-            refinement=whole_number_list("--refinement", grid.refinement),
-            max_level=grid.max_level,
+            partitions=whole_number_list("--partitions", changes.partitions),
+            refinement=whole_number_list("--refinement", changes.refinement),
+            max_level=changes.max_level,
             settings=settings.of(chosen.settings),
             outside=outside,
             min_dwell=min_dwell,
@@ -212,22 +207,21 @@ def synth(
     show(as_json, data, lambda: print_report(data), end)
 
 
-def _chosen_problem(
-    text: str, output: str | None, horizon: float | None, default: str | None
-) -> tuple[Problem, str]:
+def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
     """Return the problem that a text names, changed, and the path of its policy, checked."""
     from capsyn.cli.problem_finder import find_problem
     from capsyn.execution.files import check_writable
 
-    if output is not None:
-        check_writable(output)
+    if changes.output is not None:
+        check_writable(changes.output)
     problem = find_problem(text)
-    if horizon is not None:
-        problem = problem.replace(horizon=horizon)
-    if default is not None:
-        problem = problem.replace(default=[number("--default", u) for u in default.split(",")])
-    if output is not None:
-        return problem, output
+    if changes.horizon is not None:
+        problem = problem.replace(horizon=changes.horizon)
+    if changes.default is not None:
+        values = [number("--default", u) for u in changes.default.split(",")]
+        problem = problem.replace(default=values)
+    if changes.output is not None:
+        return problem, changes.output
     path = f"{problem.name}.cap"
     if "/" in path:
         raise ProblemError(f"the name '{problem.name}' makes no file name; give one with -o")
@@ -286,18 +280,13 @@ def query(
         )
     values = [number(name, text) for name, text in zip(names, state)]
     symbol = int(policy(values, outside))
-    control = policy.control(values, outside).tolist()
-    data = {
-        "state": values,
-        "symbol": symbol,
-        "name": policy.symbol_name(symbol),
-        "control": control,
-    }
+    control, own_name = policy.control(values, outside).tolist(), policy.symbol_name(symbol)
+    data = {"state": values, "symbol": symbol, "name": own_name, "control": control}
     pairs = [
         f"{name} = {value:g} {unit}".rstrip()
         for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)
     ]
-    show(as_json, data, lambda: typer.echo(f"symbol {symbol} '{data['name']}': {', '.join(pairs)}"))
+    show(as_json, data, lambda: typer.echo(f"symbol {symbol} '{own_name}': {', '.join(pairs)}"))
 
 
 @app.command()
@@ -336,8 +325,6 @@ app.command()(export)
 app.command()(explore)
 app.command()(simulate)
 app.command()(verify)
-
-
 app.command()(bench)
 app.command()(reproduce)
 app.command()(doctor)
@@ -372,7 +359,5 @@ def _fail(message: str) -> None:
 
 
 def _show_warning(message: Any, category: type[Warning], *rest: Any, **more: Any) -> None:
-    text = (
-        str(message) if issubclass(category, CapsynWarning) else f"{category.__name__}: {message}"
-    )
-    print(f"warning: {' '.join(text.split())}", file=sys.stderr)
+    kind = "" if issubclass(category, CapsynWarning) else f"{category.__name__}: "
+    print(f"warning: {' '.join(f'{kind}{message}'.split())}", file=sys.stderr)

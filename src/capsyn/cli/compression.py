@@ -57,22 +57,16 @@ def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
     from capsyn.policies.policy import Policy
     from capsyn.policies.report import report
 
-    path = _beside(file, f"-{options.mode}.cap") if options.output is None else options.output
+    path = options.output
+    if path is None:  # in the working directory, named after the policy's file
+        path = f"{Path(file).stem}-{options.mode}.cap"
     check_writable(path)
     if Path(path).resolve() == Path(file).resolve():
         raise ProblemError(f"the output must be another file than the policy; got '{path}'")
     policy = Policy.load(file)
     with working(f"compressing, mode {options.mode}"):
-        tree = compress(
-            policy,
-            options.mode,
-            agreement=options.agreement,
-            level=options.level,
-            node_price=options.node_price,
-            states=options.states,
-            seed=options.seed,
-            backend=options.backend,
-        )
+        names = "mode agreement level node_price states seed backend".split()
+        tree = compress(policy, **{name: getattr(options, name) for name in names})
     tree.save(path)
     data = report(tree) | {"file": path}
     show(as_json, data, lambda: print_compression(data, report(policy)), f"wrote {path}")
@@ -96,13 +90,17 @@ def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
     if wrong or options.mode != "exact":
         raise ProblemError(f"--curve tries all modes and takes no {', '.join(wrong) or '--mode'}")
     policy = Policy.load(file)
-    picture = _beside(file, "-curve.png") if options.output is None else options.output
+    picture = f"{Path(file).stem}-curve.png" if options.output is None else options.output
     check_format(picture)
     table = str(Path(picture).with_suffix(".csv"))
     for path in (picture, table):
         check_writable(path)
     with working("trying modes and levels") as say:
-        judged = {"states": options.states, "seed": options.seed, "backend": options.backend}
+        judged: dict[str, Any] = {
+            "states": options.states,
+            "seed": options.seed,
+            "backend": options.backend,
+        }
         points = size_curve(policy, **judged, progress=say)
     save_curve(points, table)
     save_curve_plot(points, policy.name, picture)
@@ -117,11 +115,6 @@ def _shown(row: dict[str, Any]) -> dict[str, Any]:
     level = "" if row["level"] is None else str(row["level"])
     smallest = "*" if row["smallest"] else ""
     return row | shares | {"level": level, "smallest": smallest}
-
-
-def _beside(file: str, ending: str) -> str:
-    """Return a path in the working directory named after a policy file."""
-    return f"{Path(file).stem}{ending}"
 
 
 def automaton(

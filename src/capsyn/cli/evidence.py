@@ -63,31 +63,15 @@ class VerifyOptions(LoopTexts):
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of evidence that ``capsyn verify`` gives.
+    """A kind of evidence that ``capsyn verify`` gives."""
 
-    Parameters
-    ----------
-    name : str
-        Field of `VerifyOptions` that asks for it, and its name in files and JSON.
-    requirement, figure : str
-        Field that states the least value of a figure of the evidence, and that figure.
-    own : tuple of str
-        Fields that need it.
-    doing : str
-        What is said while it is looked for.
-    find : callable ``(policy, options, client) -> dict``
-        The evidence as plain data.
-    show : callable ``(data, sentence, file, options)``
-        Prints it.
-    """
-
-    name: str
-    requirement: str
+    name: str  # field of `VerifyOptions` that asks for it, and its name in files and JSON
+    requirement: str  # field that states the least value of its figure
     figure: str
-    own: tuple[str, ...]
-    doing: str
-    find: Callable[[Policy, VerifyOptions, Any], dict[str, Any]]
-    show: Callable[[dict[str, Any], str, str, VerifyOptions], None]
+    own: tuple[str, ...]  # fields that need it
+    doing: str  # what is said while it is looked for
+    find: Callable[[Policy, VerifyOptions, Any], dict[str, Any]]  # gives it as plain data
+    show: Callable[[dict[str, Any], str, str, VerifyOptions], None]  # (data, sentence, file, ..)
 
 
 def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:

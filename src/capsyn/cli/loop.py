@@ -87,10 +87,7 @@ def loop_options(
 ) -> LoopOptions:
     """Return the options that texts mean for a policy, and `more`; what is None is left out.
 
-    Parameters
-    ----------
-    one, each : callable ``(option, text) -> value``
-        Meaning of a text that is for one quantity, or for each state.
+    `one` and `each` give the meaning of a text for one quantity, and for each state.
     """
     from capsyn.simulation.options import LoopOptions
 

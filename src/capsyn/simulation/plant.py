@@ -94,16 +94,10 @@ class Plant:
 
 
 def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ()) -> Plant:
-    """Return the plant for a controller.
+    """Return the plant for a controller: its own model where no other is given.
 
-    Parameters
-    ----------
-    controller : Policy, OnlineController or callable
-        Its own model is the plant where no other is given.
-    model : Problem, Policy or callable ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``, optional
-        Another plant; costs and names of a callable are those of the controller's model.
-    parameters : names
-        Components of `p`; a callable takes it only where there are any.
+    Costs and names of a model that is a function are those of the controller's own; it takes `p`
+    only where there are names of `parameters`.
 
     Raises
     ------
@@ -129,15 +123,8 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
             "such as an imported policy"
         )
     target = transcribe_target(source) if isinstance(source, Problem) else source.target
-    plant = Plant(
-        programs.dynamics,
-        programs.running_cost,
-        programs.terminal_cost,
-        source.domain,
-        source.alphabet,
-        source.default,
-        target,
-    )
+    described = (source.domain, source.alphabet, source.default, target)
+    plant = Plant(programs.dynamics, programs.running_cost, programs.terminal_cost, *described)
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))
         inputs += (("p", len(parameters)),) if parameters else ()

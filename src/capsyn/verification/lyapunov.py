@@ -255,11 +255,6 @@ def lyapunov_grid(
     return LyapunovGrid(axes, signs.reshape(shape), tolerance)
 
 
-def _total(shares: np.ndarray) -> float:
-    """Return a sum of shares of a whole, which rounding does not lift above it."""
-    return min(1.0, math.fsum(shares))
-
-
 class _Cells:
     """The leaf cells of a policy as arrays, and what is found in them."""
 
@@ -288,14 +283,15 @@ class _Cells:
         worst = _largest(left.cells, np.where(np.isnan(left.high), np.inf, left.high))
         undecided = left.cells[worst], left.middle.T[worst], left.high[worst]
         count = len(self.entries)
+        shares: dict[str, Any] = {  # which rounding must not lift above the whole
+            name: min(1.0, math.fsum(boxes.shares[getattr(boxes, name)]))
+            for name in ("proved", "negative", "violated", "undecided")
+        }
         return LyapunovProof(
             function=function,
             depth=depth,
             max_boxes=max_boxes,
-            proved=_total(boxes.shares[boxes.proved]),
-            negative=_total(boxes.shares[boxes.negative]),
-            violated=_total(boxes.shares[boxes.violated]),
-            undecided=_total(boxes.shares[boxes.undecided]),
+            **shares,
             cells=count,
             proved_cells=count - len(np.unique(boxes.cells[~boxes.proved])),
             negative_cells=count - len(np.unique(boxes.cells[~boxes.negative])),

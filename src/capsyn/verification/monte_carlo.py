@@ -250,10 +250,9 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     """Return what `monte_carlo` does."""
     parameters = drawn_parameters(options)
     plant = plant_of(controller, options.loop.model, tuple(parameters))
-    own = described(controller)
     target = options.loop.target
     if target is None:
-        target = own.target if own else plant.target
+        target = (described(controller) or plant).target
     if target is None:
         raise ProblemError("`target` must be given: neither policy nor problem has one")
     target = with_tolerance(target, options.tolerance)
