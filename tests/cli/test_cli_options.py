@@ -11,20 +11,20 @@ from capsyn import SsacSettings, synthesize
 from capsyn.cli.app import SettingsOptions, SubdivisionOptions
 from capsyn.cli.evidence import KINDS, VerifyOptions, verify
 from capsyn.cli.loop import LoopTexts, SimulateOptions, simulate
-from capsyn.cli.options import Before, flat
+from capsyn.cli.options import flat, option
 from capsyn.simulation.options import LoopOptions
 
 
 @dataclass(frozen=True)
 class Pair:
-    first: Annotated[int, typer.Option()] = 1
+    first: int = option("", default=1)
     last: Annotated[int, typer.Option()] = 2
 
 
 @dataclass(frozen=True)
 class More(Pair):
-    middle: Annotated[int, typer.Option(), Before("last")] = 3
-    also: Annotated[int, typer.Option(), Before("last")] = 4
+    middle: int = option("", default=3, before="last")
+    also: int = option("", default=4, before="last")
 
 
 def test_a_dataclass_of_options_is_flattened_in_its_place():

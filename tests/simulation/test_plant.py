@@ -170,7 +170,7 @@ def test_the_steps_are_chosen_for_every_control_and_parameter():
 
 
 def test_a_switch_in_the_dynamics_warns(monkeypatch):
-    monkeypatch.setattr(plants, "MOST_SUBSTEPS", 64)
+    monkeypatch.setattr(plants, "LADDER", plants.LADDER[:6])
     problem = relay_problem(dynamics=lambda x, u: [ca.if_else(x[0] > 0.1, -3.0, 7 + u[0])])
     plant = plant_of(online_controller(problem, backend="numpy"))
     with pytest.warns(CapsynWarning, match="the closed loop is integrated with .* give `substeps`"):

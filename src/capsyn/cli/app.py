@@ -31,6 +31,7 @@ from capsyn.cli.options import (
     executor,
     flat,
     number,
+    option,
     whole_number_list,
 )
 from capsyn.cli.paper import bench, reproduce
@@ -94,32 +95,29 @@ def list_problems(as_json: Json = False) -> None:
 
 
 @dataclass(frozen=True)
-class GridOptions:
-    """The grid of a policy, in place of the problem's own."""
+class ProblemOptions:
+    """What is made of a problem where its own horizon, default or grid is not wanted."""
 
-    max_level: Annotated[
-        int | None, typer.Option(help="Most times that a cell is split along an axis.")
-    ] = None
-    partitions: Annotated[
-        str | None, typer.Option(metavar="Q[,Q..]", help="Cells of the root grid per axis.")
-    ] = None
-    refinement: Annotated[
-        str | None, typer.Option(metavar="R[,R..]", help="Children of a split cell per axis.")
-    ] = None
+    output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
+    horizon: float | None = option("Prediction horizon in seconds.")
+    default: str | None = option("Control of the prediction.", metavar="U[,U..]")
+    max_level: int | None = option("Most times that a cell is split along an axis.")
+    partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
+    refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
 
 
 @dataclass(frozen=True)
 class SettingsOptions:
     """Fields of `capsyn.SsacSettings`; None leaves the problem's own."""
 
-    rule: Annotated[str | None, typer.Option(help="schedule or steepest.")] = None
-    gamma: Annotated[float | None, typer.Option(help="Wanted sensitivity over cost.")] = None
-    alpha_d: Annotated[float | None, typer.Option(help="Wanted sensitivity, absolute.")] = None
-    control_weight: Annotated[float | None, typer.Option(help="Weight R of the effort.")] = None
-    on_no_descent: Annotated[str | None, typer.Option(help="best or default.")] = None
-    steps: Annotated[int | None, typer.Option(help="Integration steps over the horizon.")] = None
-    tolerance: Annotated[float | None, typer.Option(help="Of the step-doubling check.")] = None
-    precision: Annotated[str | None, typer.Option(help="double or single.")] = None
+    rule: str | None = option("schedule or steepest.")
+    gamma: float | None = option("Wanted sensitivity over cost.")
+    alpha_d: float | None = option("Wanted sensitivity, absolute.")
+    control_weight: float | None = option("Weight R of the effort.")
+    on_no_descent: str | None = option("best or default.")
+    steps: int | None = option("Integration steps over the horizon.")
+    tolerance: float | None = option("Of the step-doubling check.")
+    precision: str | None = option("double or single.")
 
     def of(self, settings: SsacSettings) -> SsacSettings | None:
         """Return a problem's settings with these changes; None where there are none."""
@@ -135,34 +133,22 @@ class SettingsOptions:
 class SubdivisionOptions:
     """Arguments of `capsyn.synthesize` for the subdivision."""
 
-    test_points: Annotated[
-        str,
-        typer.Option(help="vertices or center+faces, then +center, +edge_midpoints, +random:R."),
-    ] = "vertices+center"
-    leaves: Annotated[str, typer.Option(help="constant, or affine for far fewer solves.")] = (
-        "constant"
+    test_points: str = option(
+        "vertices or center+faces, then +center, +edge_midpoints, +random:R.",
+        default="vertices+center",
     )
-    leaf_error: Annotated[float, typer.Option(help="Of affine leaves, accepted share.")] = 0.01
-    refine: Annotated[
-        str, typer.Option(help="isotropic, or adaptive: split along the axes that matter.")
-    ] = "isotropic"
+    leaves: str = option("constant, or affine for far fewer solves.", default="constant")
+    leaf_error: float = option("Of affine leaves, accepted share.", default=0.01)
+    refine: str = option(
+        "isotropic, or adaptive: split along the axes that matter.", default="isotropic"
+    )
     seed: Seed = 0
-    max_solves: Annotated[
-        int | None, typer.Option(help="Most solves; affine or adaptive cells spend them.")
-    ] = None
-    max_seconds: Annotated[
-        float | None, typer.Option(help="Stop after so long; the result depends on the machine.")
-    ] = None
-    max_memory: Annotated[
-        str | None, typer.Option(metavar="BYTES", help="Stop before so much, as 2GB.")
-    ] = None
-    memory_limit: Annotated[
-        str | None,
-        typer.Option(
-            metavar="BYTES",
-            help="Refuse what may take more at worst [default: what is available].",
-        ),
-    ] = None
+    max_solves: int | None = option("Most solves; affine or adaptive cells spend them.")
+    max_seconds: float | None = option("Stop after so long; the result depends on the machine.")
+    max_memory: str | None = option("Stop before so much, as 2GB.", metavar="BYTES")
+    memory_limit: str | None = option(
+        "Refuse what may take more at worst [default: what is available].", metavar="BYTES"
+    )
     backend: Backend = "auto"
     threads: Threads = None
 
@@ -178,15 +164,7 @@ def synth(
         ),
     ],
     *,
-    output: Annotated[
-        str | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Default: NAME.cap"),
-    ] = None,
-    horizon: Annotated[float | None, typer.Option(help="Prediction horizon in seconds.")] = None,
-    default: Annotated[
-        str | None, typer.Option(metavar="U[,U..]", help="Control of the prediction.")
-    ] = None,
-    grid: GridOptions,
+    changes: ProblemOptions,
     settings: SettingsOptions,
     outside: Outside = None,
     min_dwell: MinDwell = None,
@@ -204,7 +182,7 @@ def synth(
     from capsyn.policies.report import report
     from capsyn.synthesis.synthesize import synthesize
 
-    chosen, path = _chosen_problem(problem, output, horizon, default)
+    chosen, path = _chosen_problem(problem, changes)
     with (
         executor(dask) as client,
         progress_bars() as progress,
@@ -212,9 +190,9 @@ def synth(
     ):
         policy = synthesize(
             chosen,
-            partitions=whole_number_list("--partitions", grid.partitions),
-            refinement=whole_number_list("--refinement", grid.refinement),
-            max_level=grid.max_level,
+            partitions=whole_number_list("--partitions", changes.partitions),
+            refinement=whole_number_list("--refinement", changes.refinement),
+            max_level=changes.max_level,
             settings=settings.of(chosen.settings),
             outside=outside,
             min_dwell=min_dwell,
@@ -225,30 +203,25 @@ def synth(
         )
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
-
-    def print_policy() -> None:
-        print_report(data)
-        typer.echo(f"wrote {path} in {sum(policy.timings.values()):.2f} s")
-
-    show(as_json, data, print_policy)
+    end = f"wrote {path} in {sum(policy.timings.values()):.2f} s"
+    show(as_json, data, lambda: print_report(data), end)
 
 
-def _chosen_problem(
-    text: str, output: str | None, horizon: float | None, default: str | None
-) -> tuple[Problem, str]:
+def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
     """Return the problem that a text names, changed, and the path of its policy, checked."""
     from capsyn.cli.problem_finder import find_problem
     from capsyn.execution.files import check_writable
 
-    if output is not None:
-        check_writable(output)
+    if changes.output is not None:
+        check_writable(changes.output)
     problem = find_problem(text)
-    if horizon is not None:
-        problem = problem.replace(horizon=horizon)
-    if default is not None:
-        problem = problem.replace(default=[number("--default", u) for u in default.split(",")])
-    if output is not None:
-        return problem, output
+    if changes.horizon is not None:
+        problem = problem.replace(horizon=changes.horizon)
+    if changes.default is not None:
+        values = [number("--default", u) for u in changes.default.split(",")]
+        problem = problem.replace(default=values)
+    if changes.output is not None:
+        return problem, changes.output
     path = f"{problem.name}.cap"
     if "/" in path:
         raise ProblemError(f"the name '{problem.name}' makes no file name; give one with -o")
@@ -307,18 +280,13 @@ def query(
         )
     values = [number(name, text) for name, text in zip(names, state)]
     symbol = int(policy(values, outside))
-    control = policy.control(values, outside).tolist()
-    data = {
-        "state": values,
-        "symbol": symbol,
-        "name": policy.symbol_name(symbol),
-        "control": control,
-    }
+    control, own_name = policy.control(values, outside).tolist(), policy.symbol_name(symbol)
+    data = {"state": values, "symbol": symbol, "name": own_name, "control": control}
     pairs = [
         f"{name} = {value:g} {unit}".rstrip()
         for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)
     ]
-    show(as_json, data, lambda: typer.echo(f"symbol {symbol} '{data['name']}': {', '.join(pairs)}"))
+    show(as_json, data, lambda: typer.echo(f"symbol {symbol} '{own_name}': {', '.join(pairs)}"))
 
 
 @app.command()
@@ -357,8 +325,6 @@ app.command()(export)
 app.command()(explore)
 app.command()(simulate)
 app.command()(verify)
-
-
 app.command()(bench)
 app.command()(reproduce)
 app.command()(doctor)
@@ -393,7 +359,5 @@ def _fail(message: str) -> None:
 
 
 def _show_warning(message: Any, category: type[Warning], *rest: Any, **more: Any) -> None:
-    text = (
-        str(message) if issubclass(category, CapsynWarning) else f"{category.__name__}: {message}"
-    )
-    print(f"warning: {' '.join(text.split())}", file=sys.stderr)
+    kind = "" if issubclass(category, CapsynWarning) else f"{category.__name__}: "
+    print(f"warning: {' '.join(f'{kind}{message}'.split())}", file=sys.stderr)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from capsyn.cli.console import print_table, show, working
-from capsyn.cli.options import Backend, File, Json, Seed, flat
+from capsyn.cli.options import Backend, File, Json, Seed, flat, option
 from capsyn.cli.printed import print_automaton, print_compression
 from capsyn.errors import ProblemError
 
@@ -18,35 +18,23 @@ from capsyn.errors import ProblemError
 class CompressOptions:
     """Options of ``capsyn compress``."""
 
-    mode: Annotated[str, typer.Option(help="exact, freedom or linear.")] = "exact"
-    output: Annotated[
-        str | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="The tree [default: FILE-MODE.cap]; with --curve a .png, .pdf or .svg picture, "
-            "with a .csv beside it [default: FILE-curve.png].",
-        ),
-    ] = None
-    agreement: Annotated[
-        float | None,
-        typer.Option(help="Least agreement, for freedom and linear [default for linear: 0.99]."),
-    ] = None
-    level: Annotated[
-        int | None, typer.Option(help="Merge cells below this level first; not for linear.")
-    ] = None
-    node_price: Annotated[
-        float | None,
-        typer.Option(
-            help="For freedom: finest cells of disagreement that a node less is worth [default: "
-            "0.5]."
-        ),
-    ] = None
-    curve: Annotated[
-        bool, typer.Option("--curve", help="Size against agreement, by mode and level.")
-    ] = False
-    states: Annotated[int, typer.Option(help="Random states that trees are judged at.")] = 100_000
+    mode: str = option("exact, freedom or linear.", default="exact")
+    output: str | None = option(
+        "The tree [default: FILE-MODE.cap]; with --curve a .png, .pdf or .svg picture, with a .csv "
+        "beside it [default: FILE-curve.png].",
+        "--output",
+        "-o",
+        metavar="FILE",
+    )
+    agreement: float | None = option(
+        "Least agreement, for freedom and linear [default for linear: 0.99]."
+    )
+    level: int | None = option("Merge cells below this level first; not for linear.")
+    node_price: float | None = option(
+        "For freedom: finest cells of disagreement that a node less is worth [default: 0.5]."
+    )
+    curve: bool = option("Size against agreement, by mode and level.", "--curve", default=False)
+    states: int = option("Random states that trees are judged at.", default=100_000)
     seed: Seed = 0
     backend: Backend = "auto"
 
@@ -69,30 +57,19 @@ def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
     from capsyn.policies.policy import Policy
     from capsyn.policies.report import report
 
-    path = _beside(file, f"-{options.mode}.cap") if options.output is None else options.output
+    path = options.output
+    if path is None:  # in the working directory, named after the policy's file
+        path = f"{Path(file).stem}-{options.mode}.cap"
     check_writable(path)
     if Path(path).resolve() == Path(file).resolve():
         raise ProblemError(f"the output must be another file than the policy; got '{path}'")
     policy = Policy.load(file)
     with working(f"compressing, mode {options.mode}"):
-        tree = compress(
-            policy,
-            options.mode,
-            agreement=options.agreement,
-            level=options.level,
-            node_price=options.node_price,
-            states=options.states,
-            seed=options.seed,
-            backend=options.backend,
-        )
+        names = "mode agreement level node_price states seed backend".split()
+        tree = compress(policy, **{name: getattr(options, name) for name in names})
     tree.save(path)
     data = report(tree) | {"file": path}
-
-    def print_tree() -> None:
-        print_compression(data, report(policy))
-        typer.echo(f"wrote {path}")
-
-    show(as_json, data, print_tree)
+    show(as_json, data, lambda: print_compression(data, report(policy)), f"wrote {path}")
     if not tree.guarantee.reached:
         raise typer.Exit(1)
 
@@ -113,28 +90,24 @@ def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
     if wrong or options.mode != "exact":
         raise ProblemError(f"--curve tries all modes and takes no {', '.join(wrong) or '--mode'}")
     policy = Policy.load(file)
-    picture = _beside(file, "-curve.png") if options.output is None else options.output
+    picture = f"{Path(file).stem}-curve.png" if options.output is None else options.output
     check_format(picture)
     table = str(Path(picture).with_suffix(".csv"))
     for path in (picture, table):
         check_writable(path)
     with working("trying modes and levels") as say:
-        points = size_curve(
-            policy,
-            states=options.states,
-            seed=options.seed,
-            backend=options.backend,
-            progress=say,
-        )
+        judged: dict[str, Any] = {
+            "states": options.states,
+            "seed": options.seed,
+            "backend": options.backend,
+        }
+        points = size_curve(policy, **judged, progress=say)
     save_curve(points, table)
     save_curve_plot(points, policy.name, picture)
     rows = [point.to_json() for point in points]
-
-    def print_rows() -> None:
-        print_table([_shown(row) for row in rows])
-        typer.echo(f"wrote {table} and {picture}")
-
-    show(as_json, {"points": rows, "table": table, "picture": picture}, print_rows)
+    data = {"points": rows, "table": table, "picture": picture}
+    end = f"wrote {table} and {picture}"
+    show(as_json, data, lambda: print_table([_shown(row) for row in rows]), end)
 
 
 def _shown(row: dict[str, Any]) -> dict[str, Any]:
@@ -142,11 +115,6 @@ def _shown(row: dict[str, Any]) -> dict[str, Any]:
     level = "" if row["level"] is None else str(row["level"])
     smallest = "*" if row["smallest"] else ""
     return row | shares | {"level": level, "smallest": smallest}
-
-
-def _beside(file: str, ending: str) -> str:
-    """Return a path in the working directory named after a policy file."""
-    return f"{Path(file).stem}{ending}"
 
 
 def automaton(
@@ -171,10 +139,5 @@ def automaton(
     if output is not None:
         save_automaton(machine, output)
     data = machine.to_json()
-
-    def print_machine() -> None:
-        print_automaton(data)
-        if output is not None:
-            typer.echo(f"wrote {output}")
-
-    show(as_json, data, print_machine)
+    end = None if output is None else f"wrote {output}"
+    show(as_json, data, lambda: print_automaton(data), end)

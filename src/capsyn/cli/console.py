@@ -15,12 +15,14 @@ if TYPE_CHECKING:
     from capsyn.subdivision.lattice_points import Progress
 
 
-def show(as_json: bool, data: Any, text: Callable[[], None]) -> None:
-    """Print data as JSON, or call what prints it as text."""
+def show(as_json: bool, data: Any, text: Callable[[], None], end: str | None = None) -> None:
+    """Print data as JSON, or call what prints it as text, and print a last line."""
     if as_json:
         typer.echo(json.dumps(data, indent=2))
-    else:
-        text()
+        return
+    text()
+    if end is not None:
+        typer.echo(end)
 
 
 @contextlib.contextmanager

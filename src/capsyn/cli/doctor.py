@@ -13,7 +13,7 @@ from typing import Any
 
 import typer
 
-from capsyn.cli.console import show
+from capsyn.cli.console import print_line, show
 from capsyn.cli.options import Json
 from capsyn.errors import CapsynError
 from capsyn.version import __version__
@@ -150,14 +150,19 @@ def _version(command: str) -> str | None:
     if program is None:
         return None
     for option in ("--version", "-V"):
-        try:
-            run = subprocess.run([program, option], capture_output=True, text=True, timeout=20)
-        except (OSError, subprocess.TimeoutExpired):
-            continue
-        version = re.search(r"\d+(\.\d+)+", run.stdout + run.stderr)
+        version = re.search(r"\d+(\.\d+)+", _said([program, option]))
         if version:
             return version[0]
     return "unknown"
+
+
+def _said(command: list[str]) -> str:
+    """Return what a command prints when it is given no input; nothing where it does not run."""
+    try:
+        run = subprocess.run(command, input="", capture_output=True, text=True, timeout=20)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return run.stdout + run.stderr
 
 
 def _compiler(broken: bool) -> dict[str, Any]:
@@ -179,17 +184,7 @@ def _compiler(broken: bool) -> dict[str, Any]:
 
 def _lanes(command: list[str]) -> int | None:
     """Return how many double-precision numbers an instruction takes; None if it does not tell."""
-    try:
-        run = subprocess.run(
-            [*command, "-dM", "-E", "-x", "c", "-"],
-            input="",
-            capture_output=True,
-            text=True,
-            timeout=20,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    defined = set(run.stdout.split())
+    defined = set(_said([*command, "-dM", "-E", "-x", "c", "-"]).split())
     return next((lanes for macro, lanes in LANES if macro in defined), None)
 
 
@@ -213,23 +208,21 @@ def _cache() -> dict[str, Any]:
 
 def _print(data: dict[str, Any]) -> None:
     compiler, cache = data["compiler"], data["cache"]
-
-    def line(name: str, text: str) -> None:
-        typer.echo(f"{name:<13}{text}")
-
-    line("capsyn", f"{data['capsyn']}, Python {data['python']}, {data['platform']}")
+    print_line("capsyn", f"{data['capsyn']}, Python {data['python']}, {data['platform']}")
     if compiler["command"]:
         lanes = f"; {compiler['lanes']} double-precision lanes" if compiler["lanes"] else ""
-        line("compiler", f"{' '.join(compiler['command'])}: {compiler['version']}{lanes}")
+        print_line("compiler", f"{' '.join(compiler['command'])}: {compiler['version']}{lanes}")
     if compiler["trouble"]:
-        line("no kernels", f"{compiler['trouble']}. {SLOWER}")
-    line("processors", f"{data['processors']} that this process may use")
+        print_line("no kernels", f"{compiler['trouble']}. {SLOWER}")
+    print_line("processors", f"{data['processors']} that this process may use")
     kept = f"{cache['kernels']:,} kernels, {cache['bytes']:,} bytes"
-    line("cache", f"{cache['directory']}: {kept}")
+    print_line("cache", f"{cache['directory']}: {kept}")
     if cache["trouble"]:
-        line("", f"not used, since {cache['trouble']}; kernels are built for each process anew")
+        print_line(
+            "", f"not used, since {cache['trouble']}; kernels are built for each process anew"
+        )
     for package in data["packages"]:
-        line(package["name"], package["trouble"] or package["version"])
+        print_line(package["name"], package["trouble"] or package["version"])
     typer.echo("\noptional commands")
     for tool in data["commands"]:
         _print_optional(tool, "without: ")

@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from capsyn.cli.console import show, working
 from capsyn.cli.loop import LoopTexts, controller_of, loop_options
 from capsyn.cli.options import (
-    Before,
     Dask,
     File,
     Json,
@@ -20,6 +19,7 @@ from capsyn.cli.options import (
     flat,
     number_or_range,
     one_or_list,
+    option,
     region,
 )
 from capsyn.cli.printed import print_agreement, print_lyapunov, print_monte_carlo
@@ -34,100 +34,44 @@ if TYPE_CHECKING:
 class VerifyOptions(LoopTexts):
     """Options of ``capsyn verify``."""
 
-    monte_carlo: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Trials from random initial states."),
-        Before("duration"),
-    ] = None
-    duration: Annotated[
-        float | None, typer.Option(help="Time limit of a trial [s] [default: 20].")
-    ] = None
-    initial: Annotated[
-        str | None,
-        typer.Option(metavar="SET", help="NAME=LOW:HIGH[,..] [default: the domain]."),
-        Before("target"),
-    ] = None
-    within: Annotated[
-        float | None, typer.Option(help="Time to arrive in [s]."), Before("model")
-    ] = None
-    hold: Annotated[
-        float | None,
-        typer.Option(help="Time at the end to stay there [s] [default: 0]."),
-        Before("model"),
-    ] = None
-    lyapunov: Annotated[
-        str | None,
-        typer.Option(metavar="FILE.py:V", help="A function V of x whose decrease is proved."),
-        Before("seed"),
-    ] = None
-    depth: Annotated[
-        int | None,
-        typer.Option(help="Bisections of a cell in the proof [default: 12]."),
-        Before("seed"),
-    ] = None
-    grid: Annotated[
-        str | None,
-        typer.Option(metavar="H[,H..]", help="Spacing of a grid of signs of dV/dt."),
-        Before("seed"),
-    ] = None
-    agreement: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Random states to compare with sSAC."),
-        Before("seed"),
-    ] = None
-    confidence: Annotated[float, typer.Option(help="Of the intervals."), Before("seed")] = 0.95
-    require_success: Annotated[
-        float | None, typer.Option(help="Least share of successes."), Before("seed")
-    ] = None
-    require_proved: Annotated[
-        float | None, typer.Option(help="Least share proved."), Before("seed")
-    ] = None
-    require_agreement: Annotated[
-        float | None, typer.Option(help="Least agreement."), Before("seed")
-    ] = None
-    save: Annotated[
-        bool, typer.Option("--save", help="Keep the evidence in the file."), Before("seed")
-    ] = False
+    monte_carlo: int | None = option(
+        "Trials from random initial states.", metavar="N", before="duration"
+    )
+    duration: float | None = option("Time limit of a trial [s] [default: 20].")
+    initial: str | None = option(
+        "NAME=LOW:HIGH[,..] [default: the domain].", metavar="SET", before="target"
+    )
+    within: float | None = option("Time to arrive in [s].", before="model")
+    hold: float | None = option("Time at the end to stay there [s] [default: 0].", before="model")
+    lyapunov: str | None = option(
+        "A function V of x whose decrease is proved.", metavar="FILE.py:V", before="seed"
+    )
+    depth: int | None = option("Bisections of a cell in the proof [default: 12].", before="seed")
+    grid: str | None = option(
+        "Spacing of a grid of signs of dV/dt.", metavar="H[,H..]", before="seed"
+    )
+    agreement: int | None = option(
+        "Random states to compare with sSAC.", metavar="N", before="seed"
+    )
+    confidence: float = option("Of the intervals.", default=0.95, before="seed")
+    require_success: float | None = option("Least share of successes.", before="seed")
+    require_proved: float | None = option("Least share proved.", before="seed")
+    require_agreement: float | None = option("Least agreement.", before="seed")
+    save: bool = option("Keep the evidence in the file.", "--save", default=False, before="seed")
     dask: Dask = None
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of evidence that ``capsyn verify`` gives.
+    """A kind of evidence that ``capsyn verify`` gives."""
 
-    Parameters
-    ----------
-    name : str
-        Field of `VerifyOptions` that asks for it, and its name in files and JSON.
-    requirement, figure : str
-        Field that states the least value of a figure of the evidence, and that figure.
-    own : tuple of str
-        Fields that need it.
-    usual : callable ``(policy, options) -> int or None``
-        What is asked where no kind is, as far as the policy allows.
-    check : callable ``(policy, file)``
-        Raises `ProblemError` where a policy allows no such evidence.
-    doing : str
-        What is said while it is looked for.
-    find : callable ``(policy, options, client) -> dict``
-        The evidence as plain data.
-    show : callable ``(data, sentence, file, options)``
-        Prints it.
-    """
-
-    name: str
-    requirement: str
+    name: str  # field of `VerifyOptions` that asks for it, and its name in files and JSON
+    requirement: str  # field that states the least value of its figure
     figure: str
-    own: tuple[str, ...]
-    usual: Callable[[Policy, VerifyOptions], int | None]
-    check: Callable[[Policy, str], None]
-    doing: str
-    find: Callable[[Policy, VerifyOptions, Any], dict[str, Any]]
-    show: Callable[[dict[str, Any], str, str, VerifyOptions], None]
-
-
-def _usual_trials(policy: Policy, options: VerifyOptions) -> int | None:
-    return 1000 if policy.target is not None or options.target is not None else None
+    own: tuple[str, ...]  # fields that need it
+    doing: str  # what is said while it is looked for
+    find: Callable[[Policy, VerifyOptions, Any], dict[str, Any]]  # gives it as plain data
+    show: Callable[[dict[str, Any], str, str, VerifyOptions], None]  # (data, sentence, file, ..)
 
 
 def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
@@ -170,16 +114,8 @@ def _prove(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any
     return proof
 
 
-def _usual_states(policy: Policy, options: VerifyOptions) -> int | None:
-    return 100_000 if policy.settings is not None and policy.model is not None else None
-
-
-def _check_comparable(policy: Policy, file: str) -> None:
-    if policy.settings is None or policy.model is None:
-        raise ProblemError(
-            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
-            "Python capsyn.agreement(policy, controller=function) compares it with a function"
-        )
+def _comparable(policy: Policy) -> bool:
+    return policy.settings is not None and policy.model is not None
 
 
 def _compare(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
@@ -204,8 +140,6 @@ KINDS = (
             "rate initial target tolerance within hold duration model parameter disturbance noise "
             "delay min_dwell outside online background dask".split()
         ),
-        _usual_trials,
-        lambda policy, file: None,
         "Monte Carlo",
         _try_out,
         _show_trials,
@@ -215,8 +149,6 @@ KINDS = (
         "require_proved",
         "proved",
         ("depth", "grid"),
-        lambda policy, options: None,
-        lambda policy, file: None,
         "proving dV/dt <= 0",
         _prove,
         lambda data, sentence, *_: print_lyapunov(data, sentence),
@@ -226,8 +158,6 @@ KINDS = (
         "require_agreement",
         "share",
         (),
-        _usual_states,
-        _check_comparable,
         "comparing with sSAC",
         _compare,
         lambda data, sentence, *_: print_agreement(data, sentence),
@@ -256,8 +186,11 @@ def verify(file: File, options: VerifyOptions, as_json: Json = False) -> None:
     policy = Policy.load(file)
     options = _with_kinds(policy, options)
     kinds = [kind for kind in KINDS if getattr(options, kind.name) is not None]
-    for kind in kinds:
-        kind.check(policy, file)
+    if options.agreement is not None and not _comparable(policy):
+        raise ProblemError(
+            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
+            "Python capsyn.agreement(policy, controller=function) compares it with a function"
+        )
     _check_requirements(options)
     _check_owners(options)
     if options.save and options.online is not None:
@@ -287,10 +220,11 @@ def _with_kinds(policy: Policy, options: VerifyOptions) -> VerifyOptions:
     """Return options that ask for a kind of evidence: the usual ones where they ask for none."""
     if any(getattr(options, kind.name) is not None for kind in KINDS):
         return options
-    usual: dict[str, Any] = {kind.name: kind.usual(policy, options) for kind in KINDS}
-    if not any(usual.values()):
+    trials = 1000 if policy.target is not None or options.target is not None else None
+    states = 100_000 if _comparable(policy) else None
+    if trials is None and states is None:
         raise ProblemError("the policy has neither target nor model: nothing can be verified")
-    return dataclasses.replace(options, **usual)
+    return dataclasses.replace(options, monte_carlo=trials, agreement=states)
 
 
 def _check_requirements(options: VerifyOptions) -> None:
@@ -316,7 +250,6 @@ def _missed(options: VerifyOptions, evidence: dict[str, Any]) -> list[str]:
     sentences = []
     for kind in KINDS:
         least = getattr(options, kind.requirement)
-        if least is not None and evidence[kind.name][kind.figure] < least:
-            share = evidence[kind.name][kind.figure]
+        if least is not None and (share := evidence[kind.name][kind.figure]) < least:
             sentences.append(f"{_option(kind.requirement)} {least:g} is not met: {share:.6g}")
     return sentences

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from capsyn.cli.console import show, working
-from capsyn.cli.options import File, Json, assignments, flat, one_or_list
+from capsyn.cli.options import File, Json, assignments, flat, one_or_list, option
 
 TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
 
@@ -18,52 +19,33 @@ TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
 class ExportOptions:
     """Options of ``capsyn export``."""
 
-    to: Annotated[
-        str,
-        typer.Option(
-            metavar="TARGET[,..]",
-            help=f"One of {TARGETS}; several, or all, into a folder each.",
-        ),
-    ]
-    output: Annotated[
-        str, typer.Option("--output", "-o", metavar="DIR", help="Where; made if need be.")
-    ]
-    safe: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SYMBOL",
-            help="Symbol of states that have no other: its name, index, or default [default: the "
-            "policy's own safe symbol, else default].",
-        ),
-    ] = None
-    dwell: Annotated[
-        float | None, typer.Option(help="Least time between switches [s] [default: the policy's].")
-    ] = None
-    scale: Annotated[
-        str | None,
-        typer.Option(
-            metavar="S[,S..]", help="A state is reading * scale + offset, for all or each [1]."
-        ),
-    ] = None
-    offset: Annotated[str | None, typer.Option(metavar="O[,O..]", help="See --scale [0].")] = None
-    style: Annotated[
-        str | None,
-        typer.Option(
-            help="c: table (smallest), nested, grid (fastest); structured-text: nested, table."
-        ),
-    ] = None
-    arithmetic: Annotated[str | None, typer.Option(help="c: lattice, double, float.")] = None
-    name: Annotated[
-        str | None,
-        typer.Option(help="What files and functions are called [default: the policy's name]."),
-    ] = None
-    option: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="Another option of the target, such as sources_only=yes of fmu; may be repeated.",
-        ),
-    ] = None
+    to: str = option(
+        f"One of {TARGETS}; several, or all, into a folder each.",
+        default=dataclasses.MISSING,
+        metavar="TARGET[,..]",
+    )
+    output: str = option(
+        "Where; made if need be.", "--output", "-o", default=dataclasses.MISSING, metavar="DIR"
+    )
+    safe: str | None = option(
+        "Symbol of states that have no other: its name, index, or default [default: the policy's "
+        "own safe symbol, else default].",
+        metavar="SYMBOL",
+    )
+    dwell: float | None = option("Least time between switches [s] [default: the policy's].")
+    scale: str | None = option(
+        "A state is reading * scale + offset, for all or each [1].", metavar="S[,S..]"
+    )
+    offset: str | None = option("See --scale [0].", metavar="O[,O..]")
+    style: str | None = option(
+        "c: table (smallest), nested, grid (fastest); structured-text: nested, table."
+    )
+    arithmetic: str | None = option("c: lattice, double, float.")
+    name: str | None = option("What files and functions are called [default: the policy's name].")
+    option: list[str] | None = option(
+        "Another option of the target, such as sources_only=yes of fmu; may be repeated.",
+        metavar="NAME=VALUE",
+    )
 
 
 @flat
@@ -96,10 +78,8 @@ def export(file: File, options: ExportOptions, as_json: Json = False) -> None:
 
 def _own_options(options: ExportOptions) -> dict[str, Any]:
     """Return what only some targets take."""
-    values: dict[str, Any] = {
-        key.replace("-", "_"): _value(text)
-        for key, text in assignments("--option", options.option or []).items()
-    }
+    texts = assignments("--option", options.option or [])
+    values: dict[str, Any] = {key.replace("-", "_"): _value(text) for key, text in texts.items()}
     named = {"style": options.style, "arithmetic": options.arithmetic, "name": options.name}
     return values | {key: value for key, value in named.items() if value is not None}
 
@@ -125,9 +105,7 @@ def _value(text: str) -> Any:
             return kind(text)
         except ValueError:
             pass
-    if "," in text:
-        return [_value(part) for part in text.split(",")]
-    return text
+    return [_value(part) for part in text.split(",")] if "," in text else text
 
 
 def print_export(

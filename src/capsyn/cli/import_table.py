@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from capsyn.cli.console import show, working
-from capsyn.cli.options import Json, check_states, flat, number_list
+from capsyn.cli.options import Json, check_states, flat, number_list, option
 from capsyn.cli.printed import print_report
 from capsyn.errors import ProblemError
 
@@ -23,35 +23,18 @@ if TYPE_CHECKING:
 class ImportOptions:
     """Options of ``capsyn import``."""
 
-    output: Annotated[
-        str | None, typer.Option("--output", "-o", metavar="POLICY", help="Default: FILE.cap")
-    ] = None
-    name: Annotated[str | None, typer.Option(help="Of the policy [default: the file's].")] = None
-    states: Annotated[
-        str | None, typer.Option(metavar="NAME[,NAME..]", help="Names of the states.")
-    ] = None
-    periodic: Annotated[
-        str | None,
-        typer.Option(metavar="NAME[,NAME..]", help="States whose grid is a whole turn."),
-    ] = None
-    alphabet: Annotated[
-        str | None,
-        typer.Option(
-            metavar="[NAME=]U[,U..][;..]",
-            help="Control vectors of the symbols in place of those of the table, with names for "
-            "all of them or none: fill=1,0;drain=0,1;off=0,0.",
-        ),
-    ] = None
-    default: Annotated[
-        str | None,
-        typer.Option(metavar="U[,U..]", help="Default control, that of no symbol [0]."),
-    ] = None
-    outside: Annotated[str, typer.Option(help="error, nearest, or a symbol's name or index.")] = (
-        "error"
+    output: str | None = option("Default: FILE.cap", "--output", "-o", metavar="POLICY")
+    name: str | None = option("Of the policy [default: the file's].")
+    states: str | None = option("Names of the states.", metavar="NAME[,NAME..]")
+    periodic: str | None = option("States whose grid is a whole turn.", metavar="NAME[,NAME..]")
+    alphabet: str | None = option(
+        "Control vectors of the symbols in place of those of the table, with names for all of them "
+        "or none: fill=1,0;drain=0,1;off=0,0.",
+        metavar="[NAME=]U[,U..][;..]",
     )
-    missing: Annotated[
-        str, typer.Option(help="Points without a row in a .csv: error or outside.")
-    ] = "error"
+    default: str | None = option("Default control, that of no symbol [0].", metavar="U[,U..]")
+    outside: str = option("error, nearest, or a symbol's name or index.", default="error")
+    missing: str = option("Points without a row in a .csv: error or outside.", default="error")
 
 
 @flat
@@ -71,21 +54,14 @@ def import_table(
         raise ProblemError(f"the output must be another file than the table; got '{path}'")
     check_writable(path)
     symbols = None if options.alphabet is None else _symbols(options.alphabet)
-    default = options.default
+    name = Path(file).stem if options.name is None else options.name
     with working("reading the table"):
-        policy = _table(file, symbols, options).policy(
-            Path(file).stem if options.name is None else options.name,
-            default=None if default is None else number_list("--default", default),
-            outside=options.outside,
-        )
+        table, default = _table(file, symbols, options), options.default
+        controls = None if default is None else number_list("--default", default)
+        policy = table.policy(name, default=controls, outside=options.outside)
     policy.save(path)
     data = report(policy) | {"file": path}
-
-    def print_policy() -> None:
-        print_report(data)
-        typer.echo(f"wrote {path}")
-
-    show(as_json, data, print_policy)
+    show(as_json, data, lambda: print_report(data), f"wrote {path}")
 
 
 def _table(file: str, symbols: Alphabet | None, options: ImportOptions) -> Table:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from capsyn.cli.console import show, working
 from capsyn.cli.options import (
     Backend,
-    Before,
     File,
     Json,
     MinDwell,
@@ -24,6 +22,7 @@ from capsyn.cli.options import (
     number,
     number_list,
     one_or_list,
+    option,
     region,
 )
 from capsyn.errors import ProblemError
@@ -37,65 +36,42 @@ if TYPE_CHECKING:
 class LoopTexts:
     """`capsyn.simulation.options.LoopOptions` as texts, and which controller runs the loop."""
 
-    duration: Annotated[float | None, typer.Option(help="Seconds to simulate.")] = 20.0
-    rate: Annotated[
-        float | None,
-        typer.Option(help="Samples per second [default: by the policy's settings, 1000]."),
-    ] = None
-    target: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SET",
-            help="NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a "
-            "function of x that says whether it has arrived.",
-        ),
-    ] = None
-    tolerance: Annotated[float | None, typer.Option(help="Radius of the target.")] = None
-    model: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PLANT",
-            help="Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, "
-            "and of p where there are parameters; a policy without a model, such as an imported "
-            "one, takes a problem only.",
-        ),
-    ] = None
-    parameter: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=P[:P]",
-            help="A component of p, in the order of p; verify takes a range, too. May be repeated.",
-        ),
-    ] = None
-    disturbance: Annotated[
-        str | None,
-        typer.Option(
-            metavar="D[,D..]",
-            help="Added to the rates, of all states or of each; verify takes a range "
-            "D[,D..]:D[,D..], too.",
-        ),
-    ] = None
-    noise: Annotated[
-        str | None,
-        typer.Option(
-            metavar="S[,S..]",
-            help="Standard deviation of the measured states, of all or of each; verify takes a "
-            "range S[,S..]:S[,S..], too.",
-        ),
-    ] = None
-    delay: Annotated[
-        str | None,
-        typer.Option(metavar="T", help="Input delay [s]; verify takes a range T:T, too."),
-    ] = None
+    duration: float | None = option("Seconds to simulate.", default=20.0)
+    rate: float | None = option("Samples per second [default: by the policy's settings, 1000].")
+    target: str | None = option(
+        "NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a function of x "
+        "that says whether it has arrived.",
+        metavar="SET",
+    )
+    tolerance: float | None = option("Radius of the target.")
+    model: str | None = option(
+        "Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, and of p "
+        "where there are parameters; a policy without a model, such as an imported one, takes a "
+        "problem only.",
+        metavar="PLANT",
+    )
+    parameter: list[str] | None = option(
+        "A component of p, in the order of p; verify takes a range, too. May be repeated.",
+        metavar="NAME=P[:P]",
+    )
+    disturbance: str | None = option(
+        "Added to the rates, of all states or of each; verify takes a range D[,D..]:D[,D..], too.",
+        metavar="D[,D..]",
+    )
+    noise: str | None = option(
+        "Standard deviation of the measured states, of all or of each; verify takes a range "
+        "S[,S..]:S[,S..], too.",
+        metavar="S[,S..]",
+    )
+    delay: str | None = option("Input delay [s]; verify takes a range T:T, too.", metavar="T")
     min_dwell: MinDwell = None
     outside: Outside = None
-    online: Annotated[
-        str | None,
-        typer.Option(help="ssac or sac: solve online in receding horizon instead of the policy."),
-    ] = None
-    background: Annotated[
-        bool, typer.Option(help="Let the policy be the default control of the online controller.")
-    ] = False
+    online: str | None = option(
+        "ssac or sac: solve online in receding horizon instead of the policy."
+    )
+    background: bool = option(
+        "Let the policy be the default control of the online controller.", default=False
+    )
     seed: Seed = 0
     backend: Backend = "auto"
     threads: Threads = None
@@ -111,32 +87,23 @@ def loop_options(
 ) -> LoopOptions:
     """Return the options that texts mean for a policy, and `more`; what is None is left out.
 
-    Parameters
-    ----------
-    one, each : callable ``(option, text) -> value``
-        Meaning of a text that is for one quantity, or for each state.
+    `one` and `each` give the meaning of a text for one quantity, and for each state.
     """
     from capsyn.simulation.options import LoopOptions
 
-    values = {
-        "duration": texts.duration,
-        "rate": texts.rate,
+    def meant(name: str, meaning: Callable[[str, str], Any]) -> Any:
+        text = getattr(texts, name)
+        return None if text is None else meaning(f"--{name}", text)
+
+    plain = "duration rate min_dwell outside seed backend threads".split()
+    parameters = assignments("--parameter", texts.parameter or [])
+    values = {name: getattr(texts, name) for name in plain} | {
         "model": _model(texts.model),
-        "parameters": {
-            name: one(name, text)
-            for name, text in assignments("--parameter", texts.parameter or []).items()
-        },
-        "disturbance": None
-        if texts.disturbance is None
-        else each("--disturbance", texts.disturbance),
-        "noise": None if texts.noise is None else each("--noise", texts.noise),
-        "delay": None if texts.delay is None else one("--delay", texts.delay),
-        "min_dwell": texts.min_dwell,
-        "outside": texts.outside,
+        "parameters": {name: one(name, text) for name, text in parameters.items()},
+        "disturbance": meant("disturbance", each),
+        "noise": meant("noise", each),
+        "delay": meant("delay", one),
         "target": _target(policy, texts.target, texts.tolerance),
-        "seed": texts.seed,
-        "backend": texts.backend,
-        "threads": texts.threads,
     }
     chosen = {name: value for name, value in values.items() if value is not None}
     return LoopOptions(**chosen, **more)
@@ -182,19 +149,13 @@ def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
 class SimulateOptions(LoopTexts):
     """Options of ``capsyn simulate``."""
 
-    x0: Annotated[
-        list[str] | None,
-        typer.Option(metavar="X[,X..]", help="Initial state; may be repeated [default: random]."),
-        Before("duration"),
-    ] = None
-    output: Annotated[
-        str | None,
-        typer.Option("--output", "-o", metavar="FILE", help=".csv, .json, .png, .pdf or .svg."),
-        Before("target"),
-    ] = None
-    stop_at_target: Annotated[
-        bool, typer.Option(help="End where the target is reached."), Before("model")
-    ] = False
+    x0: list[str] | None = option(
+        "Initial state; may be repeated [default: random].", metavar="X[,X..]", before="duration"
+    )
+    output: str | None = option(
+        ".csv, .json, .png, .pdf or .svg.", "--output", "-o", metavar="FILE", before="target"
+    )
+    stop_at_target: bool = option("End where the target is reached.", default=False, before="model")
 
 
 @flat
@@ -217,28 +178,20 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
         trajectory = trajectories(controller, states[0] if len(states) == 1 else states, loop)
     save(trajectory)
     rows = trajectory.summary()
-
-    def print_rows() -> None:
-        for row in rows:
-            typer.echo(_sentence(row))
-        if options.output is not None:
-            typer.echo(f"wrote {options.output}")
-
-    show(as_json, rows if len(rows) > 1 else rows[0], print_rows)
+    text = "\n".join(map(_sentence, rows))
+    end = None if options.output is None else f"wrote {options.output}"
+    show(as_json, rows if len(rows) > 1 else rows[0], lambda: typer.echo(text), end)
 
 
 def _saving(output: str | None) -> Callable[[Any], None]:
     """Return what writes a trajectory to a file, by its ending; nothing for None."""
     from capsyn.execution.files import check_writable
-    from capsyn.plots.figure import FORMATS
+    from capsyn.plots.figure import FORMATS, check_format
     from capsyn.plots.trajectory import save_trajectory_plot
 
     if output is None:
         return lambda trajectory: None
-    kind = Path(output).suffix.lstrip(".").lower()
-    if kind not in ("csv", "json", *FORMATS):
-        endings = ", ".join(f".{ending}" for ending in ("csv", "json", *FORMATS))
-        raise ProblemError(f"the output must end in {endings}; got '{output}'")
+    kind = check_format(output, ("csv", "json", *FORMATS), "the output")
     check_writable(output)
     if kind in FORMATS:
         return lambda trajectory: save_trajectory_plot(trajectory, output)

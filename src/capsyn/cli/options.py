@@ -7,8 +7,7 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 import typer
 
@@ -39,11 +38,15 @@ Dask = Annotated[
 ]
 
 
-@dataclass(frozen=True)
-class Before:
-    """Where the help has an option that a subclass adds: before another one."""
+def option(
+    help: str, *names: str, default: Any = None, before: str | None = None, **more: Any
+) -> Any:
+    """Return a field that `flat` makes an option of, with what `typer.Option` takes.
 
-    name: str
+    `before` says where the help has an option that a subclass adds: before that one.
+    """
+    extra = {"option": typer.Option(*names, help=help, **more), "before": before}
+    return dataclasses.field(default=default, metadata=extra)
 
 
 def flat(command: Callable[..., None]) -> Callable[..., None]:
@@ -74,21 +77,20 @@ def flat(command: Callable[..., None]) -> Callable[..., None]:
 
 def _field_parameters(kind: Any) -> list[inspect.Parameter]:
     """Return the fields of a dataclass as parameters, in the order of the help."""
-    hints, ordered = get_type_hints(kind, include_extras=True), dict[str, inspect.Parameter]()
+    hints, ordered = get_type_hints(kind, include_extras=True), list[inspect.Parameter]()
     for field in dataclasses.fields(kind):
         default = inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+        hint, extra = hints[field.name], field.metadata
         parameter = inspect.Parameter(
             field.name,
             inspect.Parameter.KEYWORD_ONLY,
             default=default,
-            annotation=hints[field.name],
+            annotation=Annotated[hint, extra["option"]] if extra else hint,
         )
-        places = [extra.name for extra in get_args(hints[field.name]) if isinstance(extra, Before)]
-        names = list(ordered)
-        after = names[names.index(places[0]) :] if places else []
-        later = {name: ordered.pop(name) for name in after}
-        ordered |= {field.name: parameter} | later
-    return list(ordered.values())
+        names = [p.name for p in ordered]
+        before = extra.get("before")
+        ordered.insert(names.index(before) if before else len(names), parameter)
+    return ordered
 
 
 @contextlib.contextmanager
@@ -122,10 +124,8 @@ def one_or_list(name: str, text: str) -> Any:
     return values[0] if len(values) == 1 else values
 
 
-def number_or_range(name: str, text: str | None) -> Any:
+def number_or_range(name: str, text: str) -> Any:
     """Return the numbers of a text, or the `Uniform` of LOW:HIGH."""
-    if text is None:
-        return None
     low, colon, high = text.partition(":")
     if not colon:
         return one_or_list(name, text)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from capsyn.cli.console import print_line, print_table
-from capsyn.verification.sentences import circumstances, evidence_rows, failing_trial
+from capsyn.verification.sentences import circumstances, evidence_rows, failing_trial, vector
 
 
 def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -> None:
@@ -28,10 +27,8 @@ def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) ->
         if data[key]:
             spread = ", ".join(f"{k} {v:.3g}" for k, v in data[key].items())
             print_line(name, f"{spread} {unit}")
-    if data["trials_outside_domain"]:
-        print_line(
-            "outside", f"{data['trials_outside_domain']:,} trials left the domain on the way"
-        )
+    if outside := data["trials_outside_domain"]:
+        print_line("outside", f"{outside:,} trials left the domain on the way")
     trials, failed = data["failing_trials"], data["trials"] - data["successes"]
     for trial in trials[:5]:
         print_line("failed from", failing_trial(trial))
@@ -48,8 +45,7 @@ def print_lyapunov(data: dict[str, Any], headline: str) -> None:
     print_line("lyapunov", headline)
     print_line("cells", f"{violated:,} with a state where it grows, {undecided:,} more undecided")
     for cell in data["violated_cells"][:3]:
-        state = ", ".join(f"{v:g}" for v in cell["state"])
-        print_line("grows at", f"({state}): {cell['value']:.3g} per second")
+        print_line("grows at", f"{vector(cell['state'])}: {cell['value']:.3g} per second")
     if "grid" in data:
         shares = data["grid"]["shares"].items()
         print_line("grid", ", ".join(f"{name} {value:.3%}" for name, value in shares))
@@ -99,12 +95,11 @@ def print_automaton(data: dict[str, Any]) -> None:
     names = {}
     for vertex in data["vertices"]:
         names[vertex["symbol"]] = vertex["name"]
-        value = ", ".join(f"{v:g}" for v in vertex["value"])
         print_line(
             f"region {vertex['region']}",
-            f"{vertex['name']} ({value}): {vertex['volume_share']:.2%} of the volume, "
-            f"{vertex['cells']:,} cells in {vertex['partitions']:,} connected partitions and "
-            f"{vertex['boxes']:,} boxes",
+            f"{vertex['name']} {vector(vertex['value'])}: {vertex['volume_share']:.2%} of the "
+            f"volume, {vertex['cells']:,} cells in {vertex['partitions']:,} connected partitions "
+            f"and {vertex['boxes']:,} boxes",
         )
     pairs = [{key: names[edge[key]] for key in ("source", "target")} for edge in data["edges"]]
     edges = [edge | pair for edge, pair in zip(data["edges"], pairs)]
@@ -165,9 +160,12 @@ def print_report(data: dict[str, Any]) -> None:
         print_line("proof", f"holds for {data['proof']['policy']}")
     if data.get("complexity"):
         _print_complexity(data["complexity"], "cells" in data)
-    for name, print_source in _SOURCES.items():
-        if name in statistics:
-            print_source(statistics)
+    if "table" in statistics:
+        _print_table_source(statistics["table"])
+    if "solves" in statistics:
+        _print_solves(statistics)
+    if statistics.get("sample"):
+        _print_sample(statistics["sample"])
     if data["settings"]:
         _print_settings(data["settings"], data["horizon"])
     if data["target"]:
@@ -186,12 +184,11 @@ def _print_states_and_symbols(data: dict[str, Any]) -> None:
         bounds = f"[{state['lower']:g}, {state['upper']:g}]"
         print_line("state", f"{state['name']} in {bounds}{unit}{periodic}")
     for symbol in data["symbols"]:
-        value, share = ", ".join(f"{v:g}" for v in symbol["value"]), symbol["volume_share"]
-        print_line("symbol", f"{symbol['name']} ({value}): {share:.2%} of the volume")
-    value = ", ".join(f"{v:g}" for v in data["default"]["value"])
+        value, share = vector(symbol["value"]), symbol["volume_share"]
+        print_line("symbol", f"{symbol['name']} {value}: {share:.2%} of the volume")
     kind = ", in gaps, which are outside" if data["gaps"] else ""
-    share = data["default"]["volume_share"]
-    print_line("default", f"({value}): {share:.2%} of the volume{kind}")
+    value, share = vector(data["default"]["value"]), data["default"]["volume_share"]
+    print_line("default", f"{value}: {share:.2%} of the volume{kind}")
 
 
 def _print_cells(data: dict[str, Any]) -> None:
@@ -209,12 +206,11 @@ def _print_cells(data: dict[str, Any]) -> None:
     print_line("table", f"{data['packed_bytes']:,} bytes packed")
 
 
-def _print_table_source(statistics: dict[str, Any]) -> None:
-    counts = {name: f"{count:,}" for name, count in statistics["table"].items()}
+def _print_table_source(counts: dict[str, int]) -> None:
     print_line(
         "from",
-        f"a table of {counts['points']} points, {counts['outside']} without a symbol and "
-        f"{counts['several']} with several",
+        f"a table of {counts['points']:,} points, {counts['outside']:,} without a symbol and "
+        f"{counts['several']:,} with several",
     )
 
 
@@ -240,23 +236,13 @@ def _print_solves(statistics: dict[str, Any]) -> None:
             print_line(name, f"{statistics[key]:,} {unit}")
 
 
-def _print_sample(statistics: dict[str, Any]) -> None:
-    sample = statistics["sample"]
-    if sample:
-        print_line(
-            "controller",
-            f"no descent in {sample['no_descent']:.2%} of the volume, several symbols tie in "
-            f"{sample['indifferent']:.2%}, no finite result in {sample['not_finite']:.2%} "
-            f"({sample['states']:,} random states)",
-        )
-
-
-_SOURCES: dict[str, Callable[[dict[str, Any]], None]] = {
-    "table": _print_table_source,
-    "solves": _print_solves,
-    "sample": _print_sample,
-}
-"""What prints where a policy comes from, by the statistics that tell it."""
+def _print_sample(sample: dict[str, Any]) -> None:
+    print_line(
+        "controller",
+        f"no descent in {sample['no_descent']:.2%} of the volume, several symbols tie in "
+        f"{sample['indifferent']:.2%}, no finite result in {sample['not_finite']:.2%} "
+        f"({sample['states']:,} random states)",
+    )
 
 
 def _print_settings(settings: dict[str, Any], horizon: float) -> None:

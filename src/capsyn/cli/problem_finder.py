@@ -18,15 +18,10 @@ from capsyn.modelling.problem import Problem
 
 
 def find_problem(text: str) -> Problem:
-    """Return the problem that a text names.
+    """Return the problem of a built-in name, ``path/to/file.py[:name]`` or ``package.module:name``.
 
-    What the user's file prints while it is run goes to stderr.
-
-    Parameters
-    ----------
-    text : str
-        A built-in name, ``path/to/file.py[:name]`` or ``package.module:name``; the name of the
-        `Problem` in the file or module is ``problem`` unless given.
+    The name of the `Problem` in the file or module is ``problem`` unless given. What the user's
+    file prints while it is run goes to stderr.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -225,18 +226,14 @@ def evaluate(
     """
     episodes = whole_number("episodes", episodes, least=1, most=10_000_000)
     seed = whole_number("seed", seed, least=0)
-    own = None
-    if isinstance(env, str):
-        with foreign(f"`env` must be a registered environment; got {describe(env)}"):
-            env = own = gymnasium.make(env)
-    try:
+    with contextlib.ExitStack() as stack:
+        if isinstance(env, str):
+            with foreign(f"`env` must be a registered environment; got {describe(env)}"):
+                env = gymnasium.make(env)
+            stack.callback(env.close)
         act = player(policy, env, observation=observation, actions=actions)
-        played = [
-            _episode(act, env, derived_seed(seed, PLAYING, k) % 2**31) for k in range(episodes)
-        ]
-    finally:
-        if own is not None:
-            own.close()
+        seeds = [derived_seed(seed, PLAYING, k) % 2**31 for k in range(episodes)]
+        played = [_episode(act, env, seed) for seed in seeds]
     returns, lengths, terminated = zip(*played)
     return Evaluation(np.array(returns), np.array(lengths), np.array(terminated))
 
@@ -271,11 +268,9 @@ class Environment(gymnasium.Env):
         self._inside = target_program(self._plant.target, problem.domain)
         self._period, self._samples = 1 / rate, max(1, round(duration * rate))
         controls = np.vstack([problem.alphabet.values, problem.default])
-        self._substeps = (
-            choose_substeps(self._plant, controls, np.zeros((0, 1)), self._period)
-            if substeps is None
-            else substeps
-        )
+        if substeps is None:
+            substeps = choose_substeps(self._plant, controls, np.zeros((0, 1)), self._period)
+        self._substeps = substeps
         domain = problem.domain
         self.observation_space = gymnasium.spaces.Box(domain.lower, domain.upper, dtype=np.float64)
         self.action_space = gymnasium.spaces.Discrete(len(problem.alphabet))

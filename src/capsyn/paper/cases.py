@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -53,9 +52,7 @@ class Row:
 def problem_of(case: Case) -> Problem:
     """Return the problem of a case."""
     problem = problems.get(case.problem)
-    if case.settings is not None:
-        problem = dataclasses.replace(problem, settings=case.settings)
-    return dataclasses.replace(problem, max_level=case.max_level)
+    return problem.replace(max_level=case.max_level, settings=case.settings or problem.settings)
 
 
 def synthesize_case(case: Case, **options: Any) -> tuple[Policy, float]:

@@ -22,13 +22,6 @@ BLUE, ORANGE, GREEN, _, SKY, RED, _, _ = PALETTE
 INK, GREY, LIGHT = "#222222", "#7F7F7F", "#DCE9F2"
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure [inches] that no window shows."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def halves(figure: Figure, columns: bool, ratios: tuple[float, float]) -> tuple[Any, Any]:
     """Return the two parts of a figure, side by side or one above the other."""
     if columns:
@@ -98,16 +91,8 @@ def draw_derivative_signs(
 ) -> Axes:
     """Draw the sign of the derivative of a Lyapunov function over a grid, Fig. 4b.
 
-    Parameters
-    ----------
-    x_axis, y_axis : (nx,), (ny,)
-        Grid of the two states [state units].
-    signs : (nx, ny)
-        -1, 0 or 1, and 2 where the derivative is not finite.
-    domain : Box
-        Domain of the policy, for names, units and bounds.
-    ax : Axes
-        Where to draw.
+    The axes (nx,) and (ny,) are in state units; a sign (nx, ny) is -1, 0 or 1, and 2 where the
+    derivative is not finite.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -205,21 +190,7 @@ def draw_end_states(
     names_units: Sequence[tuple[str, str]],
     ax: Axes,
 ) -> Axes:
-    """Draw the initial and the final states of trials, and the target, Fig. 6, top right.
-
-    Parameters
-    ----------
-    initial, final : (trials, 2)
-        States [state units].
-    center : (2,)
-        Centre of the target [state units].
-    radius : float
-        Tolerance: radius of the target [state units].
-    names_units : 2 pairs of strings
-        Name and unit of each state.
-    ax : Axes
-        Where to draw.
-    """
+    """Draw initial and final states (trials, 2) and the target, Fig. 6, top right [state units]."""
     turn = np.linspace(0, 2 * np.pi, 181)
     circle = np.asarray(center)[:, None] + radius * np.stack([np.cos(turn), np.sin(turn)])
     ax.plot(*initial.T, "o", ms=3.5, mew=0, color=GREEN, label="initial")
@@ -232,18 +203,9 @@ def draw_end_states(
 
 
 def draw_costs(times: np.ndarray, costs: np.ndarray, ax: Axes, log: bool = False) -> Axes:
-    """Draw the cost J along trials, Fig. 6, bottom right.
+    """Draw the open-loop cost J (trials, K) of eq. (3) at times (K,) [s], Fig. 6, bottom right.
 
-    Parameters
-    ----------
-    times : (K,)
-        Times [s].
-    costs : (trials, K)
-        Open-loop cost of eq. (3) at each time; NaN after the end of a trial.
-    ax : Axes
-        Where to draw.
-    log : bool
-        Whether the axis of the cost is logarithmic.
+    It is NaN after the end of a trial; its axis may be logarithmic.
     """
     ax.plot(times, np.transpose(costs), color=BLUE, lw=0.6, alpha=0.6)
     ax.set(xlabel="time [s]", ylabel="cost J of eq. (3)", xlim=(times[0], times[-1]))
@@ -263,22 +225,13 @@ def draw_dwell_tradeoff(
 ) -> tuple[Axes, Axes]:
     """Draw what a minimum dwell time costs and saves; return also the Axes of the switches.
 
-    Parameters
-    ----------
-    dwell_times : (K,)
-        Least times between switches [s], ascending.
-    shares, lows, highs : (K,)
-        Share of successful trials, and its confidence interval.
-    switch_rates : (K,)
-        Switches per second.
-    ax : Axes
-        Where to draw.
+    Dwell times (K,) [s] ascend; each has a share of successful trials, with its confidence
+    interval, and a rate of switches [1 / s].
     """
     positive = dwell_times[dwell_times > 0]
     if positive.size and positive[-1] > 10 * positive[0]:
-        ax.set_xscale(
-            "symlog", linthresh=positive[0], linscale=0.4
-        )  # as logarithmic, but 0 has a place
+        # as logarithmic, but 0 has a place
+        ax.set_xscale("symlog", linthresh=positive[0], linscale=0.4)
         ax.set_xticks(dwell_times, [f"{time:g}" for time in dwell_times])
         ax.minorticks_off()
     errors = np.abs(np.stack([lows, highs]) - shares)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,9 +15,9 @@ from capsyn.paper.figures import (
     draw_dwell_tradeoff,
     draw_layers,
     halves,
-    new_figure,
 )
 from capsyn.plots.automaton import plot_automaton
+from capsyn.plots.figure import new_figure
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.problems import cart_pendulum
@@ -116,18 +116,10 @@ def swing_up(
 ) -> tuple[Figure, list[Row]]:
     """Return success against minimum dwell time, and the swing-up trials."""
     rows, tried = [], {}
+    tests: dict[str, Any] = {"duration": 20.0, "rate": RATE, "within": 10.0, "hold": 5.0}
     for policy in pendulums:
         tried[policy.name] = [
-            monte_carlo(
-                policy,
-                trials,
-                duration=20.0,
-                rate=RATE,
-                within=10.0,
-                hold=5.0,
-                min_dwell=dwell,
-                threads=threads,
-            )
+            monte_carlo(policy, trials, **tests, min_dwell=dwell, threads=threads)
             for dwell in (DWELL_TIMES if policy is pendulums[0] else DWELL_TIMES[:1])
         ]
         result = tried[policy.name][0]
@@ -151,12 +143,7 @@ def swing_up(
         figure.add_subplot(),
     )
     whole = [time for time, run in zip(DWELL_TIMES, runs) if run.success.all()]
-    rows.append(
-        Row(
-            "longest minimum dwell time without a failure",
-            "",
-            f"{max(whole):g} s of those tried" if whole else "none of those tried",
-            "see dwell-time.pdf",
-        )
-    )
+    what = "longest minimum dwell time without a failure"
+    ours = f"{max(whole):g} s of those tried" if whole else "none of those tried"
+    rows.append(Row(what, "", ours, "see dwell-time.pdf"))
     return figure, rows

@@ -89,7 +89,7 @@ def reproduce(
         keep_figure("figure-5", paper_tanks.figure_5())
         for letter, readings in paper_tanks.READINGS.items():
             for reading in readings:
-                policy, result = paper_tanks.try_tank(reading, trials, threads)
+                policy, result = paper_tanks.try_tank(letter, reading, trials, threads)
                 row = paper_tanks.success_row(letter, reading, result)
                 (rows if reading.main else others).append(row)
                 if reading is readings[0]:
@@ -117,15 +117,12 @@ def _counts(threads: int | None) -> list[Row]:
         policy, _ = synthesize_case(case, threads=threads)
         counts[case.problem, case.max_level] = solves = policy.statistics["solves"]
         again = policy.statistics["solves_by_role"]["quarter"]
-        rows.append(
-            Row(
-                f"solves, {case.problem}, level {case.max_level}",
-                f"{case.paper_solves:,}",
-                f"{solves:,}",
-                f"{solves - again:,} distinct test points, and {again:,} second looks near ties; "
-                "no one reading of the ties gives all six counts",
-            )
+        what = f"solves, {case.problem}, level {case.max_level}"
+        note = (
+            f"{solves - again:,} distinct test points, and {again:,} second looks near ties; no "
+            "one reading of the ties gives all six counts"
         )
+        rows.append(Row(what, f"{case.paper_solves:,}", f"{solves:,}", note))
     for tank, paper in (("double-tank-a", 17125 / 7621), ("double-tank-b", 9474 / 3965)):
         ours = counts[tank, 5] / counts[tank, 4]
         note = "the ratio of the counts above"

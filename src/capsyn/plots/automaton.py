@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from capsyn.automata.automaton import Automaton, Edge
-from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
-from capsyn.plots.figure import FORMATS, literal, reproducible, save_figure
+from capsyn.plots.figure import FORMATS, check_format, literal, reproducible, save_figure
 from capsyn.policies.colors import symbol_colors
 
 if TYPE_CHECKING:
@@ -20,8 +18,6 @@ if TYPE_CHECKING:
 
 GREY = "#999999"
 LINE = "#333333"
-RING = 1.0
-"""Radius of the ring on which the vertices lie; all lengths are relative to it."""
 BOW = 0.08
 """Height of arcs over their chords, in chords."""
 MOST_BOW = 0.5
@@ -71,7 +67,7 @@ def plot_automaton(automaton: Automaton, ax: Axes | None = None) -> Axes:
         _draw_arrow(ax, automaton, edge, curve)
     if labelled:
         box = np.array([0.0125, 0.0105]) * size
-        places = _label_places(automaton, curves, centers, radius, box)
+        places = _label_places(curves, centers, radius, box)
         for edge, place in places.items():
             ax.text(
                 float(place[0]),
@@ -135,23 +131,20 @@ def save_automaton(automaton: Automaton, path: str | os.PathLike[str]) -> None:
 
 def check_drawing(path: str | os.PathLike[str]) -> str:
     """Return the kind of drawing that a path ends with."""
-    kind = Path(path).suffix.lstrip(".").lower()
-    if kind not in ("dot", *FORMATS):
-        endings = ", ".join("." + name for name in ("dot", *FORMATS))
-        raise ProblemError(f"`path` must end in {endings}; got '{path}'")
-    return kind
+    return check_format(path, ("dot", *FORMATS), "`path`")
 
 
 def _layout(count: int) -> tuple[np.ndarray, float]:
     """Return the centres (V, 2) of vertices, clockwise from the left of the top, and their radius.
 
-    All of them lie on a ring, so that no straight arrow passes over a vertex.
+    All of them lie on a ring, so that no straight arrow passes over a vertex; lengths are relative
+    to its radius.
     """
     turns = math.pi / 2 + math.pi / count - 2 * math.pi * np.arange(count) / count
-    centers = RING * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    centers = np.stack([np.cos(turns), np.sin(turns)], axis=1)
     if count == 1:
         centers = np.zeros((1, 2))
-    gap = 2 * RING * math.sin(math.pi / count) if count > 1 else 2 * RING
+    gap = 2 * math.sin(math.pi / count) if count > 1 else 2.0
     return centers, min(0.2, 0.21 * gap)
 
 
@@ -186,7 +179,6 @@ def _points(curve: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def _label_places(
-    automaton: Automaton,
     curves: dict[Edge, np.ndarray],
     centers: np.ndarray,
     radius: float,
@@ -196,26 +188,14 @@ def _label_places(
 
     Of the places on its arc, from the best one on, a label gets the first that is clear of labels,
     vertices and other arrows, else of labels and vertices, else the one farthest from them. The
-    best one is the middle, or near the target where there are many arrows.
-
-    Parameters
-    ----------
-    automaton : Automaton
-        The automaton.
-    curves : mapping of Edge to (3 or 4, 2)
-        The arrows.
-    centers, radius : (V, 2), float
-        The vertices.
-    box : (2,)
-        Width and height of a label.
+    best one is the middle, or near the target where there are many arrows. The arrows are curves
+    (3 or 4, 2), the vertices circles with centers (V, 2); a label has the width and height `box`.
     """
     lines = {edge: _points(curve, np.linspace(0, 1, 60)) for edge, curve in curves.items()}
-    placed: dict[Edge, np.ndarray] = {}
+    loops = [edge for edge in curves if edge.source == edge.target]
+    placed = {edge: _points(curves[edge], np.array([0.5]))[0] for edge in loops}
     for edge, curve in curves.items():
-        if edge.source == edge.target:
-            placed[edge] = _points(curve, np.array([0.5]))[0]
-    for edge, curve in curves.items():
-        if edge.source == edge.target:
+        if edge in placed:
             continue
         t = np.linspace(0.2, 0.8, 61)
         spots = _points(curve, t)
@@ -254,9 +234,8 @@ def _draw_arrow(ax: Axes, automaton: Automaton, edge: Edge, curve: np.ndarray) -
         outside = [np.linalg.norm(line - end, axis=1) > radius * 1.03 for end in curve[[0, 2]]]
         inner = t[outside[0] & outside[1]]
         points = _part(curve, inner[0], inner[-1])
-    codes = [Curve.MOVETO] + [Curve.CURVE3 if len(points) == 3 else Curve.CURVE4] * (
-        len(points) - 1
-    )
+    code = Curve.CURVE3 if len(points) == 3 else Curve.CURVE4
+    codes = [Curve.MOVETO] + [code] * (len(points) - 1)
     impossible = edge.possible is False
     ax.add_patch(
         FancyArrowPatch(

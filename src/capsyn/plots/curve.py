@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from capsyn.compression.curve import CurvePoint
-from capsyn.plots.figure import check_format, literal, reproducible, save_figure
+from capsyn.plots.figure import literal, saved_figure
 from capsyn.policies.colors import PALETTE
 
 if TYPE_CHECKING:
@@ -69,10 +69,5 @@ def plot_curve(points: Sequence[CurvePoint], ax: Axes) -> Axes:
 
 def save_curve_plot(points: Sequence[CurvePoint], title: str, path: str | os.PathLike[str]) -> None:
     """Write the picture as PNG, PDF or SVG; see `capsyn.plots.figure.save_figure`."""
-    check_format(path)
-    with reproducible():
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(7, 4.5), layout="constrained")
+    with saved_figure(path, 7, 4.5) as figure:
         plot_curve(points, figure.add_subplot()).set_title(literal(title))
-        save_figure(figure, path)

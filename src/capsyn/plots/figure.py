@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,6 +78,23 @@ def reproducible() -> contextlib.AbstractContextManager[None]:
     return matplotlib.rc_context({"svg.hashsalt": "capsyn"})
 
 
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure [inches] that no window shows."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+@contextlib.contextmanager
+def saved_figure(path: str | os.PathLike[str], width: float, height: float) -> Iterator[Figure]:
+    """Yield an empty figure [inches] to draw on, and write it; see `save_figure`."""
+    check_format(path)
+    with reproducible():
+        figure = new_figure(width, height)
+        yield figure
+        save_figure(figure, path)
+
+
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG, PDF or SVG, by the ending of `path`.
 
@@ -93,11 +110,12 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     atomic_write(path, write)
 
 
-def check_format(path: str | os.PathLike[str]) -> str:
-    """Return the picture format that a path ends with."""
+def check_format(
+    path: str | os.PathLike[str], kinds: Sequence[str] = FORMATS, what: str = "a picture"
+) -> str:
+    """Return the format that a path ends with, of a picture or of something else."""
     kind = Path(path).suffix.lstrip(".").lower()
-    if kind not in FORMATS:
-        raise ProblemError(
-            f"a picture must end in {', '.join('.' + f for f in FORMATS)}; got '{path}'"
-        )
+    if kind not in kinds:
+        endings = ", ".join(f".{ending}" for ending in kinds)
+        raise ProblemError(f"{what} must end in {endings}; got '{path}'")
     return kind

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.plots.figure import (
-    check_format,
-    frame,
-    literal,
-    outline_width,
-    rectangles,
-    reproducible,
-    save_figure,
-)
+from capsyn.plots.figure import frame, literal, outline_width, rectangles, saved_figure
 from capsyn.policies.colors import symbol_colors
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe, finite_number
@@ -165,16 +157,14 @@ def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
     names = policy.domain.names
     axes = []
     for axis in plane:
-        if isinstance(axis, str) and axis in names:
-            axes.append(names.index(axis))
-        elif isinstance(axis, str) and axis.isdecimal() and int(axis) < len(names):
-            axes.append(int(axis))
-        elif isinstance(axis, (int, np.integer)) and 0 <= axis < len(names):
-            axes.append(int(axis))
-        else:
+        place: Any = axis
+        if isinstance(axis, str):
+            place = names.index(axis) if axis in names else int(axis) if axis.isdecimal() else -1
+        if not isinstance(place, (int, np.integer)) or not 0 <= place < len(names):
             raise ProblemError(
                 f"`plane` must name two of the states {', '.join(names)}; got {describe(plane)}"
             )
+        axes.append(int(place))
     if len(axes) != 2 or axes[0] == axes[1]:
         raise ProblemError(f"`plane` must name two different states; got {describe(plane)}")
     return axes[0], axes[1]
@@ -188,10 +178,5 @@ def save_policy_plot(
     outlines: bool = True,
 ) -> None:
     """Write a picture of a policy as PNG, PDF or SVG; see `plot_policy` and `save_figure`."""
-    check_format(path)
-    with reproducible():
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(7, 4.5), layout="constrained")
+    with saved_figure(path, 7, 4.5) as figure:
         plot_policy(policy, plane, at, figure.add_subplot(), outlines)
-        save_figure(figure, path)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.plots.figure import check_format, quantity, reproducible, save_figure
+from capsyn.plots.figure import quantity, saved_figure
 from capsyn.policies.colors import PALETTE
 from capsyn.simulation.simulate import Trajectory
-
-if TYPE_CHECKING:
-    pass
 
 
 def plot_trajectory(trajectory: Trajectory, axes: Any) -> Any:
@@ -52,12 +49,7 @@ def plot_trajectory(trajectory: Trajectory, axes: Any) -> Any:
 
 def save_trajectory_plot(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
     """Write a picture of trajectories; see `plot_trajectory` and `save_figure`."""
-    check_format(path)
-    with reproducible():
-        from matplotlib.figure import Figure
-
-        count = len(trajectory.names)
-        figure = Figure(figsize=(7, 1 + 1.3 * count), layout="constrained")
+    count = len(trajectory.names)
+    with saved_figure(path, 7, 1 + 1.3 * count) as figure:
         plot_trajectory(trajectory, figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
         figure.align_ylabels()
-        save_figure(figure, path)

@@ -36,54 +36,26 @@ NOISE_BYTES = 1 << 24
 
 @dataclass(frozen=True)
 class Loop:
-    """How the closed loop runs.
+    """How the closed loop runs."""
 
-    Parameters
-    ----------
-    period : float
-        Sample time [s].
-    samples : int
-        Samples to go; a trial has one state more.
-    substeps : int
-        Runge-Kutta steps between samples.
-    dwell : int
-        Samples that a control is held at least.
-    inside : Program ``x -> inside``
-        The target.
-    stop_at_target : bool
-        Whether arriving ends a trial.
-    idle : (m,)
-        Control before the first command arrives [input units].
-    pushes : (samples, n), optional
-        Added to the rates of every trial, held over a sample [state units / s].
-    """
-
-    period: float
-    samples: int
-    substeps: int
-    dwell: int
-    inside: Program
-    stop_at_target: bool
-    idle: np.ndarray
-    pushes: np.ndarray | None = None
+    period: float  # sample time [s]
+    samples: int  # samples to go; a trial has one state more
+    substeps: int  # Runge-Kutta steps between samples
+    dwell: int  # samples that a control is held at least
+    inside: Program  # x -> whether it is in the target
+    stop_at_target: bool  # whether arriving ends a trial
+    idle: np.ndarray  # (m,) control before the first command arrives [input units]
+    pushes: np.ndarray | None = None  # (samples, n) added to the rates, held [state units / s]
 
 
 @dataclass(frozen=True)
 class Record:
-    """Where a run writes every sample, if it does; see `new_record`.
+    """Where a run writes every sample of B trials, if it does; see `new_record`."""
 
-    Parameters
-    ----------
-    states, costs : (B, samples + 1, n), (B, samples + 1)
-        NaN after the end of a trial.
-    symbols, controls : (B, samples), (B, samples, m)
-        `NONE` and NaN after the end.
-    """
-
-    states: np.ndarray
-    costs: np.ndarray
-    symbols: np.ndarray
-    controls: np.ndarray
+    states: np.ndarray  # (B, samples + 1, n), NaN after the end of a trial
+    costs: np.ndarray  # (B, samples + 1), likewise
+    symbols: np.ndarray  # (B, samples), `NONE` after the end
+    controls: np.ndarray  # (B, samples, m), NaN after the end
 
 
 def new_record(count: int, samples: int, n: int, m: int) -> Record:
@@ -106,18 +78,8 @@ def new_trials(
 ) -> np.ndarray:
     """Return trials (B,) before their first sample, as records of `trial_type`.
 
-    Parameters
-    ----------
-    states, push : (B, n)
-        Initial states, and what is added to their rates.
-    m : int
-        Number of inputs.
-    delays : (B,)
-        Input delays [s].
-    parameters : (B, P)
-        Parameters of the plant.
-    period : float
-        Sample time [s].
+    They begin at states (B, n), to whose rates `push` (B, n) is added, with input delays (B,) [s]
+    and parameters (B, P) of the plant; there are m inputs, and a sample takes `period` [s].
     """
     whole = np.floor(delays / period + SLACK)
     rest = delays - whole * period
@@ -132,18 +94,10 @@ def new_trials(
 
 @dataclass(frozen=True)
 class Noise:
-    """Gaussian measurement noise, from a stream of its own for each trial.
+    """Gaussian measurement noise, from a stream of its own for each of B trials."""
 
-    Parameters
-    ----------
-    deviations : (B, n)
-        Standard deviations [state units].
-    seeds : (B,) sequences of ints
-        Seeds of the streams.
-    """
-
-    deviations: np.ndarray
-    seeds: Sequence[Sequence[int]]
+    deviations: np.ndarray  # (B, n) standard deviations [state units]
+    seeds: Sequence[Sequence[int]]  # (B,) of the streams
 
     def draw(self, start: int, stop: int) -> Callable[[int], np.ndarray]:
         """Return what draws the next samples (stop - start, samples, n) of some trials."""

@@ -16,7 +16,7 @@ from capsyn.errors import ProblemError
 from capsyn.execution.cluster import check_client
 from capsyn.execution.memory import check_memory
 from capsyn.execution.processors import processors
-from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
+from capsyn.modelling.alphabet import Outside, check_outside
 from capsyn.modelling.targets import Target, check_target, target_program
 from capsyn.modelling.transcription import target_condition
 from capsyn.policies.policy import Policy
@@ -36,36 +36,17 @@ MOST_SAMPLES = 10**9
 class Experiment:
     """A controller, a plant, and how they are brought together.
 
-    Parameters
-    ----------
-    controller : Policy, OnlineController or callable ``(time, states (B, n)) -> controls (B, m)``
-        What acts.
-    outside : "error", "nearest" or symbol
-        The rule of a policy outside its domain; None for other controllers.
-    plant : Plant
-        The plant.
-    loop : Loop
-        How the loop runs.
-    rate : float
-        Samples per second [1 / s].
-    target : Ball, Box, Program or None
-        What arriving means.
-    options : LoopOptions
-        What it was made of.
+    The controller is a policy, an online controller or a function ``(time, states (B, n)) ->
+    controls (B, m)``; `outside` is the rule of a policy outside its domain, None for others.
     """
 
     controller: Any
     outside: Outside | None
     plant: Plant
     loop: Loop
-    rate: float
+    rate: float  # samples per second [1 / s]
     target: Target | None
-    options: LoopOptions
-
-    @property
-    def alphabet(self) -> Alphabet:
-        """Names and units of the inputs: the controller's, else the plant's."""
-        return (described(self.controller) or self.plant).alphabet
+    options: LoopOptions  # what it was made of
 
     def trials(
         self,
@@ -206,11 +187,8 @@ def _pushes(disturbance: Any, n: int, period: float, samples: int) -> np.ndarray
         return None
     if not callable(disturbance):
         return np.tile(per_state("disturbance", disturbance, n), (samples, 1))
-    values = [
-        per_state("disturbance", called("disturbance", disturbance, k * period), n)
-        for k in range(samples)
-    ]
-    return np.array(values)
+    values = (called("disturbance", disturbance, k * period) for k in range(samples))
+    return np.array([per_state("disturbance", value, n) for value in values])
 
 
 def called(name: str, function: Callable[..., Any], *arguments: Any) -> Any:

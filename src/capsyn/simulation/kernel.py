@@ -58,16 +58,9 @@ class SimulationKernel:
     def build(
         dynamics: Program, running_cost: Program, inside: Program, queue: int
     ) -> SimulationKernel:
-        """Return the kernel of a plant; `KernelBuildError` if it fails.
+        """Return the kernel of a plant and a target; `KernelBuildError` if it fails.
 
-        Parameters
-        ----------
-        dynamics : Program ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``
-            The plant.
-        running_cost, inside : Program of ``x``
-            Cost [cost / s], and whether a state is in the target (not 0).
-        queue : int
-            Controls that a trial remembers: one more than samples of delay, at least 2.
+        A trial remembers `queue` controls: one more than samples of delay, at least 2.
         """
         sizes = dict(dynamics.inputs)
         programs = {"dynamics": dynamics, "running_cost": running_cost, "inside": inside}

@@ -36,36 +36,16 @@ PERCENTILE = 95
 
 @dataclass(frozen=True)
 class Plant:
-    """A system for closed loops, as programs.
+    """A system for closed loops, as programs."""
 
-    Parameters
-    ----------
-    dynamics : Program ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``
-        Its rates [state unit / s].
-    running_cost : Program ``x -> cost``
-        Cost that a trajectory gathers [cost / s].
-    terminal_cost : Program ``x -> (cost, gradient)``
-        Cost of the state where it ends.
-    domain : Box
-        Names and units of its states.
-    alphabet : Alphabet
-        Names and units of its inputs, and the controls that steps are chosen for.
-    default : (m,)
-        Default control, until a first one arrives [input units].
-    target : Ball, Box or Program, optional
-        What arriving means.
-    parameters : tuple of str
-        Names of the components of `p`.
-    """
-
-    dynamics: Program
-    running_cost: Program
-    terminal_cost: Program
-    domain: Box
-    alphabet: Alphabet
-    default: np.ndarray
-    target: Target | None
-    parameters: tuple[str, ...] = ()
+    dynamics: Program  # (x, u) -> xdot, or (x, u, p) -> xdot: its rates [state unit / s]
+    running_cost: Program  # x -> cost that a trajectory gathers [cost / s]
+    terminal_cost: Program  # x -> (cost of the state where it ends, gradient)
+    domain: Box  # names and units of its states
+    alphabet: Alphabet  # names and units of its inputs, and the controls that steps are chosen for
+    default: np.ndarray  # (m,) control until a first one arrives [input units]
+    target: Target | None  # what arriving means
+    parameters: tuple[str, ...] = ()  # names of the components of p
 
     @property
     def n(self) -> int:
@@ -92,18 +72,10 @@ class Plant:
         duration: np.ndarray,
         substeps: int,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return states and costs after a duration by the classical Runge-Kutta method.
+        """Return states (n, B) and costs (B,) after durations (B,) [s] of `substeps` steps each.
 
-        Parameters
-        ----------
-        x, u, p, push : (n, B), (m, B), (P, B), (n, B)
-            States, controls, parameters, and what is added to the rates.
-        cost : (B,)
-            Cost so far.
-        duration : (B,)
-            Time to go [s].
-        substeps : int
-            Steps for it.
+        They are those of the classical Runge-Kutta method under controls (m, B), parameters (P, B),
+        and a push (n, B) that is added to the rates.
         """
 
         def slope(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,16 +94,10 @@ class Plant:
 
 
 def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ()) -> Plant:
-    """Return the plant for a controller.
+    """Return the plant for a controller: its own model where no other is given.
 
-    Parameters
-    ----------
-    controller : Policy, OnlineController or callable
-        Its own model is the plant where no other is given.
-    model : Problem, Policy or callable ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``, optional
-        Another plant; costs and names of a callable are those of the controller's model.
-    parameters : names
-        Components of `p`; a callable takes it only where there are any.
+    Costs and names of a model that is a function are those of the controller's own; it takes `p`
+    only where there are names of `parameters`.
 
     Raises
     ------
@@ -157,15 +123,8 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
             "such as an imported policy"
         )
     target = transcribe_target(source) if isinstance(source, Problem) else source.target
-    plant = Plant(
-        programs.dynamics,
-        programs.running_cost,
-        programs.terminal_cost,
-        source.domain,
-        source.alphabet,
-        source.default,
-        target,
-    )
+    described = (source.domain, source.alphabet, source.default, target)
+    plant = Plant(programs.dynamics, programs.running_cost, programs.terminal_cost, *described)
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))
         inputs += (("p", len(parameters)),) if parameters else ()
@@ -204,11 +163,7 @@ def choose_substeps(
     """
     states = plant.domain.sample(SAMPLES, 0).T
     u = controls[np.arange(SAMPLES) % len(controls)].T
-    p = (
-        parameters[:, np.arange(SAMPLES) % max(parameters.shape[1], 1)]
-        if len(parameters)
-        else parameters
-    )
+    p = parameters[:, np.arange(SAMPLES) % parameters.shape[1]]
     push, cost, time = np.zeros_like(states), np.zeros(SAMPLES), np.full(SAMPLES, period)
 
     @functools.cache

@@ -44,7 +44,6 @@ def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> Simulatio
 
 def policy_decide(policy: Policy, outside: Outside) -> Decide:
     """Return the decision of a policy under an out-of-domain rule."""
-    table = policy.controls
 
     def decide(time: float, measured: np.ndarray) -> Command:
         finite = np.isfinite(measured).all(axis=1)
@@ -57,7 +56,9 @@ def policy_decide(policy: Policy, outside: Outside) -> Decide:
         if isinstance(outside, str):
             ended[lost] = LEFT_DOMAIN
             ended[~finite] = NOT_FINITE
-        return dataclasses.replace(hold(table[symbols], symbols), ended=ended, outside=out)
+        return dataclasses.replace(
+            hold(policy.controls[symbols], symbols), ended=ended, outside=out
+        )
 
     return decide
 

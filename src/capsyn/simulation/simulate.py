@@ -18,7 +18,7 @@ from capsyn.execution.files import atomic_write
 from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Outside
 from capsyn.simulation.closed_loop import Noise, Record, new_record
-from capsyn.simulation.experiment import Experiment, per_state, set_up
+from capsyn.simulation.experiment import Experiment, described, per_state, set_up
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
 from capsyn.validation import describe, finite_number, numbers
@@ -133,10 +133,8 @@ class Trajectory:
         many = self.states.ndim > 2
         yield [*["trial"] * many, "time", *self.names[:n], "cost", "symbol", *self.names[n:]]
         states, costs = self.states.reshape(-1, size, n), self.costs.reshape(-1, size)
-        symbols, controls = (
-            self.symbols.reshape(-1, size - 1),
-            self.controls.reshape(-1, size - 1, m),
-        )
+        symbols = self.symbols.reshape(-1, size - 1)
+        controls = self.controls.reshape(-1, size - 1, m)
         for trial, end in enumerate(np.ravel(self.last)):
             for k in range(end + 1):
                 row = [self.times[k], *states[trial, k], costs[trial, k]]
@@ -277,7 +275,8 @@ def _trajectory(
     experiment: Experiment, trials: np.ndarray, record: Record, shape: tuple[int, ...]
 ) -> Trajectory:
     """Return what was recorded of trials, in the shape (...) of their initial states."""
-    plant, alphabet = experiment.plant, experiment.alphabet
+    plant = experiment.plant
+    alphabet = (described(experiment.controller) or plant).alphabet
 
     def shaped(values: np.ndarray) -> Any:
         return values.reshape((*shape, *values.shape[1:]))[()]

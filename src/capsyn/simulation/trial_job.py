@@ -25,6 +25,8 @@ from capsyn.simulation.policy_loop import run_policy, simulation_kernel
 PROBE_TRIALS = 64
 PROBE_SAMPLES = 256
 """The first trials, and their first samples, tell whether two machines compute the same."""
+PROGRAMS = ("dynamics", "running_cost", "terminal_cost")
+"""Those of a plant that are sent."""
 BATCHES = 4
 """Batches for each thread of the workers, so that none waits long for the last one."""
 BATCH_BYTES = 1 << 21
@@ -77,18 +79,14 @@ def _job(
         path = Path(directory) / "policy.cap"
         policy.save(path)
         file = zlib.compress(path.read_bytes(), 1)
-    programs = {
-        name: getattr(plant, name).to_json()
-        for name in ("dynamics", "running_cost", "terminal_cost")
-    }
-    options = {f.name: getattr(loop, f.name) for f in dataclasses.fields(loop)}
+    programs = {name: getattr(plant, name).to_json() for name in PROGRAMS}
     return Job(
         build,
         {
             "policy": file,
             "outside": outside,
             "plant": programs | {"parameters": plant.parameters},
-            "loop": options | {"inside": loop.inside.to_json()},
+            "loop": vars(loop) | {"inside": loop.inside.to_json()},
             "probe": first,
             "backend": backend,
         },
@@ -103,10 +101,7 @@ def build(
         path = Path(directory) / "policy.cap"
         path.write_bytes(zlib.decompress(plain["policy"]))
         policy = Policy.load(path)
-    programs = {
-        name: Program.from_json(plain["plant"][name])
-        for name in ("dynamics", "running_cost", "terminal_cost")
-    }
+    programs = {name: Program.from_json(plain["plant"][name]) for name in PROGRAMS}
     plant = Plant(
         **programs,
         domain=policy.domain,

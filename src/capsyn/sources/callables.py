@@ -113,15 +113,7 @@ def labels_of(
 def foreign(failed: str) -> Iterator[None]:
     """Make any error of somebody else's code a `ProblemError` in one line, with its cause.
 
-    Parameters
-    ----------
-    failed : str
-        What has failed, and where.
-
-    Raises
-    ------
-    ProblemError
-        What was raised within.
+    The line begins with what has `failed`, and where.
     """
     try:
         yield

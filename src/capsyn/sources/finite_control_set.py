@@ -184,24 +184,12 @@ def finite_control_set(
 
 @dataclass(frozen=True, eq=False)
 class _Moves:
-    """What the moves of all sequences are made of.
+    """What the moves of all sequences are made of."""
 
-    Parameters
-    ----------
-    controls : (N, m)
-        Control of each symbol [input units].
-    efforts : (N,)
-        What it costs [cost / s].
-    dt : (D,)
-        Integration step of each move [s].
-    steps : (D,) ints
-        Integration steps of each move.
-    """
-
-    controls: np.ndarray
-    efforts: np.ndarray
-    dt: np.ndarray
-    steps: np.ndarray
+    controls: np.ndarray  # (N, m) of each symbol [input units]
+    efforts: np.ndarray  # (N,) what it costs [cost / s]
+    dt: np.ndarray  # (D,) integration step of each move [s]
+    steps: np.ndarray  # (D,) ints: integration steps of each move
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,12 +228,6 @@ class _NumpyCosts:
         return best
 
 
-class PredictionArguments(ctypes.Structure):
-    """The ``prediction`` of finite_control_set.c."""
-
-    _fields_ = [(name, ctypes.c_void_p) for name in "controls efforts dt steps".split()]
-
-
 @dataclass(frozen=True, eq=False)
 class FiniteControlSetKernel:
     """Least costs of sequences by their first symbol, compiled. Safe to call from threads."""
@@ -280,12 +262,9 @@ class FiniteControlSetKernel:
         """Return costs (B, N) of states (B, n)."""
         states = np.ascontiguousarray(states, dtype=np.float64)
         costs = np.empty((len(states), len(self.moves.controls)))
-        arrays = [
-            np.ascontiguousarray(self.moves.controls, dtype=np.float64),
-            np.ascontiguousarray(self.moves.efforts, dtype=np.float64),
-            np.ascontiguousarray(self.moves.dt, dtype=np.float64),
-            np.ascontiguousarray(self.moves.steps, dtype=np.int64),
-        ]
-        plan = PredictionArguments(*(array.ctypes.data for array in arrays))
+        moves, types = vars(self.moves).values(), (np.float64,) * 3 + (np.int64,)
+        arrays = [np.ascontiguousarray(array, kind) for array, kind in zip(moves, types)]
+        # the `prediction` of the C file is a pointer to each
+        plan = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
         self.function(len(states), states.ctypes.data, ctypes.addressof(plan), costs.ctypes.data)
         return costs

@@ -99,14 +99,14 @@ def _read(path: str) -> tuple[list[str], list[str], list[list[str]], list[str], 
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ProblemError(f"'{path}' is no CSV file: it is not text in UTF-8") from None
-    wanted = "the names of the states, then symbol"
     rows: list[list[str]] = []
     symbols, lines = [], []
     reader = csv.reader(text.rstrip().splitlines(), strict=True)
     try:
         head = [name.strip() for name in next(reader, [])]
         if len(head) < 2 or head[-1] != "symbol":
-            fail(path, 1, wanted, ",".join(head) if text else None)
+            got = ",".join(head) if text else None
+            fail(path, 1, "the names of the states, then symbol", got)
         with naming(path):
             check_points((1,) * (len(head) - 1))
         for row in reader:
@@ -208,9 +208,7 @@ def _names_or_indices(path: str, where: dict[str, int], alphabet: Alphabet) -> d
     """Return the symbols that texts stand for, names or else indices; `where` has their lines."""
     names = {name: k for k, name in enumerate(alphabet.names)}
     indices = {str(k): k for k in range(len(alphabet))}
-    named, rest = (
-        [part for part in where if (part in names) == is_name] for is_name in (True, False)
-    )
+    named, rest = ([p for p in where if (p in names) == is_name] for is_name in (True, False))
     for part in rest:
         if part not in indices:
             wanted = f"symbols among {', '.join(alphabet.names)}, or their indices"
@@ -281,10 +279,8 @@ def _header(archive: zipfile.ZipFile, key: str) -> tuple[tuple[int, ...], np.dty
         raise ValueError(f"'{key}' has an unknown version of the array format, {version}")
     if dtype.kind not in "biuf":
         raise ValueError(f"'{key}' must be numbers; it has {one_line(str(dtype))}")
-    if (
-        min(shape, default=1) < 0
-        or info.file_size - start.tell() != math.prod(shape) * dtype.itemsize
-    ):
+    size = info.file_size - start.tell()
+    if min(shape, default=1) < 0 or size != math.prod(shape) * dtype.itemsize:
         raise ValueError(
             f"'{key}' has {info.file_size:,} bytes, which its shape {shape} does not take"
         )

@@ -190,6 +190,11 @@ class Table:
         grids = list(_grids(self.counts, padded))
         grid = min(grids, key=lambda grid: _entry_count(masks, gap, grid))
         masks = _padded(masks, gap, grid)
+        counts = {
+            "points": int(self.masks.size),
+            "outside": int(np.count_nonzero(self.masks == 0)),
+            "several": int(np.count_nonzero(several(self.masks))),
+        }
         domain = self._box(masks.shape)
         domain.check_resolution(masks.shape)
         return Policy(
@@ -200,13 +205,7 @@ class Table:
             cells=_merged(masks, grid, len(self.alphabet)),
             outside=outside,
             min_dwell=min_dwell,
-            statistics={
-                "table": {
-                    "points": int(self.masks.size),
-                    "outside": int(np.count_nonzero(self.masks == 0)),
-                    "several": int(np.count_nonzero(several(self.masks))),
-                }
-            },
+            statistics={"table": counts},
             gaps=gaps,
         )
 
@@ -286,9 +285,8 @@ def _grids(counts: tuple[int, ...], padded: Sequence[bool]) -> Iterator[Grid]:
 
 def _root(count: int, level: int) -> int | None:
     """Return the least factor >= 2 whose power divides a count, if there is one."""
-    return next(
-        (r for r in range(2, int(count ** (1 / level) + 1.5)) if count % r**level == 0), None
-    )
+    factors = range(2, int(count ** (1 / level) + 1.5))
+    return next((r for r in factors if count % r**level == 0), None)
 
 
 def _padded(masks: np.ndarray, gap: np.uint64, grid: Grid) -> np.ndarray:
@@ -334,12 +332,7 @@ def _merged(masks: np.ndarray, grid: Grid, gap: int) -> CellTree:
         sets.append(own[free])
         start = end
         cells = (cells[split][:, None, :] * grid.refinement + children).reshape(-1, grid.n)
-    return CellTree(
-        grid,
-        np.concatenate(entries),
-        np.concatenate(mixed),
-        np.concatenate(sets),
-    )
+    return CellTree(grid, np.concatenate(entries), np.concatenate(mixed), np.concatenate(sets))
 
 
 def _array(name: str, value: Any) -> np.ndarray:

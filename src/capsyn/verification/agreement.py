@@ -301,9 +301,10 @@ class _Tally:
         uniform_wrong = self._wrong.copy()
         uniform_wrong[mixed] = 0
         islands = np.flatnonzero(uniform_wrong)
-        levels = tree.layers()
-        level_states = np.array([self._drawn[places].sum() for places in levels])
-        level_wrong = np.array([self._wrong[places].sum() for places in levels])
+        level_states, level_wrong = (
+            np.array([counts[places].sum() for places in tree.layers()])
+            for counts in (self._drawn, self._wrong)
+        )
         states, symbols = (np.concatenate(parts) for parts in zip(*self._kept))
         return {
             "ties": self._ties,

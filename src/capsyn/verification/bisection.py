@@ -18,25 +18,13 @@ SLENDER = 4
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Closed boxes that are parts of cells, with bounds of a function.
+    """Closed boxes that are parts of cells, with bounds of a function."""
 
-    Parameters
-    ----------
-    lower, upper : (n, B)
-        Their corners.
-    cells : (B,) ints
-        Which cell each is a part of.
-    shares : (B,)
-        Their shares of the whole volume.
-    low, high : (B,)
-        Bounds of the function; both NaN where it may be undefined.
-    """
-
-    lower: np.ndarray
+    lower: np.ndarray  # (n, B) corners
     upper: np.ndarray
-    cells: np.ndarray
-    shares: np.ndarray
-    low: np.ndarray
+    cells: np.ndarray  # (B,) ints: which cell each is a part of
+    shares: np.ndarray  # (B,) of the whole volume
+    low: np.ndarray  # (B,) bounds of the function; both NaN where it may be undefined
     high: np.ndarray
 
     @property
@@ -100,21 +88,12 @@ def bisect(
 ) -> Boxes:
     """Return parts that make up the cells, as few as it takes to know the function's sign.
 
-    Parameters
-    ----------
-    bounds : callable
-        Bounds of the function over boxes of given cells.
-    lower, upper : (n, K)
-        Corners of the cells.
-    shares : (K,)
-        Their shares of the whole volume.
-    depth : int
-        Most times that a cell is bisected.
-    max_boxes : int
-        Most parts that are made in one round; where that is too few, undecided boxes are bisected
-        before proved ones, and large ones before small ones.
+    The cells have corners (n, K) and shares (K,) of the whole volume. A cell is bisected `depth`
+    times at most, and `max_boxes` parts at most are made in one round; where that is too few,
+    undecided boxes are bisected before proved ones, and large ones before small ones.
     """
-    boxes = _bounded(bounds, lower, upper, np.arange(len(shares)), shares)
+    cells = np.arange(len(shares))
+    boxes = Boxes(lower, upper, cells, shares, *bounds(lower, upper, cells))
     widths, done = upper - lower, []
     for _ in range(depth):
         busy = np.flatnonzero(boxes.unsettled & boxes.divisible.any(axis=0))
@@ -131,12 +110,6 @@ def bisect(
     return Boxes.joined([*done, boxes])
 
 
-def _bounded(
-    bounds: Bounds, lower: np.ndarray, upper: np.ndarray, cells: np.ndarray, shares: np.ndarray
-) -> Boxes:
-    return Boxes(lower, upper, cells, shares, *bounds(lower, upper, cells))
-
-
 def _halves(bounds: Bounds, boxes: Boxes, sizes: np.ndarray) -> Boxes:
     """Return the halves (2 B) of boxes with sizes (n, B), each cut on the axis that decides most.
 
@@ -151,7 +124,7 @@ def _halves(bounds: Bounds, boxes: Boxes, sizes: np.ndarray) -> Boxes:
     for axis in range(n):
         lower, upper = np.tile(boxes.lower, 2), np.tile(boxes.upper, 2)
         lower[axis, count:] = upper[axis, :count] = middle[axis]
-        halves = _bounded(bounds, lower, upper, cells, shares)
+        halves = Boxes(lower, upper, cells, shares, *bounds(lower, upper, cells))
         tries.append(halves)
         bound, unsettled, undecided = (  # a bound that is NaN comes last
             values.reshape(2, count).sum(axis=0, dtype=float)

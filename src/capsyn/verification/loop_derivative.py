@@ -30,14 +30,7 @@ JUMPS = {"floor", "ceil", "sign", "copysign", "fmod", "remainder"}
 
 
 class LoopDerivative:
-    """The derivative ``grad V . f(x, u)`` under every symbol of a policy.
-
-    Parameters
-    ----------
-    policy : Policy
-        A policy with a model.
-    V : callable ``x -> scalar``
-        Function of a CasADi column.
+    """The derivative ``grad V . f(x, u)`` of a function under every symbol of a policy.
 
     Raises
     ------

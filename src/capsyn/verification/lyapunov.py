@@ -255,11 +255,6 @@ def lyapunov_grid(
     return LyapunovGrid(axes, signs.reshape(shape), tolerance)
 
 
-def _total(shares: np.ndarray) -> float:
-    """Return a sum of shares of a whole, which rounding does not lift above it."""
-    return min(1.0, math.fsum(shares))
-
-
 class _Cells:
     """The leaf cells of a policy as arrays, and what is found in them."""
 
@@ -288,14 +283,15 @@ class _Cells:
         worst = _largest(left.cells, np.where(np.isnan(left.high), np.inf, left.high))
         undecided = left.cells[worst], left.middle.T[worst], left.high[worst]
         count = len(self.entries)
+        shares: dict[str, Any] = {  # which rounding must not lift above the whole
+            name: min(1.0, math.fsum(boxes.shares[getattr(boxes, name)]))
+            for name in ("proved", "negative", "violated", "undecided")
+        }
         return LyapunovProof(
             function=function,
             depth=depth,
             max_boxes=max_boxes,
-            proved=_total(boxes.shares[boxes.proved]),
-            negative=_total(boxes.shares[boxes.negative]),
-            violated=_total(boxes.shares[boxes.violated]),
-            undecided=_total(boxes.shares[boxes.undecided]),
+            **shares,
             cells=count,
             proved_cells=count - len(np.unique(boxes.cells[~boxes.proved])),
             negative_cells=count - len(np.unique(boxes.cells[~boxes.negative])),
@@ -319,20 +315,17 @@ class _Cells:
 
     def _describe(self, cells: np.ndarray, states: np.ndarray, values: np.ndarray) -> LyapunovCells:
         labels = self.labels[cells]
+        sizes = self.boxes.upper[cells] - self.boxes.lower[cells]
         return LyapunovCells(
             entries=self.entries[cells],
             levels=self.levels[cells],
             symbols=np.where(labels == len(self.policy.alphabet), -1, labels),
-            boundary=self._finest(cells) & self._differing(cells),
+            boundary=self.policy.cells.finest(self.entries[cells], sizes) & self._differing(cells),
             lower=self.lower[cells],
             upper=self.upper[cells],
             states=states,
             values=values,
         )
-
-    def _finest(self, cells: np.ndarray) -> np.ndarray:
-        sizes = self.boxes.upper[cells] - self.boxes.lower[cells]
-        return self.policy.cells.finest(self.entries[cells], sizes)
 
     def _differing(self, cells: np.ndarray) -> np.ndarray:
         """Return which cells are mixed or have a neighbour with another symbol."""

@@ -250,10 +250,9 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     """Return what `monte_carlo` does."""
     parameters = drawn_parameters(options)
     plant = plant_of(controller, options.loop.model, tuple(parameters))
-    own = described(controller)
     target = options.loop.target
     if target is None:
-        target = own.target if own else plant.target
+        target = (described(controller) or plant).target
     if target is None:
         raise ProblemError("`target` must be given: neither policy nor problem has one")
     target = with_tolerance(target, options.tolerance)
@@ -267,7 +266,7 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     )
     values = np.array(list(parameters.values())).reshape(len(parameters), options.trials)
     experiment = set_up(controller, plant, loop, values)
-    trials = experiment.trials(drawn.states, drawn.delays, values.T, drawn.disturbances)
+    trials = experiment.trials(drawn.initial, drawn.delays, values.T, drawn.disturbances)
     noise = None
     if loop.noise is not None:
         seeds = [(loop.seed, 5, k + 1) for k in range(options.trials)]
@@ -287,7 +286,7 @@ def _result(
     if options.hold:
         stayed = trials["away"] < samples - options.hold * rate - SLACK
         success &= (trials["ended"] == TIME) & stayed
-    states = np.vstack([drawn.states, trials["state"]])
+    states = np.vstack([drawn.initial, trials["state"]])
     costs = default_costs(controller, states, options.loop.backend)
     low, high = clopper_pearson(int(success.sum()), count, options.confidence)
     return MonteCarlo(
@@ -297,7 +296,6 @@ def _result(
         low=low,
         high=high,
         success=success,
-        initial=drawn.states,
         final=trials["state"].copy(),
         ended=trials["ended"].copy(),
         times=trials["end"] / rate,
@@ -306,10 +304,7 @@ def _result(
         outside=trials["outside"].copy(),
         initial_cost=costs[:count],
         final_cost=costs[count:],
-        parameters=drawn.parameters,
-        delays=drawn.delays,
-        disturbances=drawn.disturbances,
-        noises=drawn.noises,
+        **vars(drawn),
     )
 
 

@@ -70,22 +70,15 @@ def failing_trial(trial: dict[str, Any]) -> str:
     if trial["delay"]:
         parts.append(f"delay {trial['delay']:.6g} s")
     parts += [
-        f"{name} {_vector(trial[name])}" for name in ("disturbance", "noise") if any(trial[name])
+        f"{name} {vector(trial[name])}" for name in ("disturbance", "noise") if any(trial[name])
     ]
-    return _vector(trial["initial"]) + (f" with {', '.join(parts)}" if parts else "")
+    return vector(trial["initial"]) + (f" with {', '.join(parts)}" if parts else "")
 
 
 def simulate_line(file: str, trial: dict[str, Any], options: Mapping[str, Any]) -> str:
-    """Return the command that repeats a trial of ``capsyn verify``.
+    """Return the command that repeats a trial of ``capsyn verify``, from `MonteCarlo.trial`.
 
-    Parameters
-    ----------
-    file : str
-        The policy's file.
-    trial : dict
-        What `MonteCarlo.trial` returns.
-    options : mapping of option to value
-        What both commands take in the same way; those that are None or False were not given.
+    `options` are what both commands take in the same way; None and False were not given.
     """
 
     def values(numbers: list[float]) -> str:
@@ -105,7 +98,8 @@ def simulate_line(file: str, trial: dict[str, Any], options: Mapping[str, Any]) 
     return shlex.join(words)
 
 
-def _vector(values: list[float]) -> str:
+def vector(values: list[float]) -> str:
+    """Return numbers in brackets."""
     return "(" + ", ".join(f"{v:g}" for v in values) + ")"
 
 

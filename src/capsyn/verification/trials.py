@@ -14,7 +14,7 @@ from capsyn.modelling.targets import check_target, target_axes
 from capsyn.simulation.experiment import per_state
 from capsyn.simulation.options import LoopOptions
 from capsyn.statistics import check_confidence
-from capsyn.validation import describe, finite_number, whole_number
+from capsyn.validation import describe, finite_number, keep, whole_number
 
 MOST_TRIALS = 10**8
 
@@ -37,22 +37,7 @@ class Uniform:
 class TrialOptions:
     """What `monte_carlo` is asked for, checked as far as it can be without the plant.
 
-    Parameters
-    ----------
-    loop : LoopOptions
-        How a trial runs; its disturbance, noise, delay and parameters may be `Uniform`.
-    trials : int
-        Number of trials.
-    initial : Ball or Box, optional
-        Where initial states are drawn from. Default: the domain.
-    tolerance : float, optional
-        Another radius for a target that is a ball [state units].
-    within : float
-        Time in which to arrive [s]; None is the whole duration.
-    hold : float
-        Time at the end to stay [s].
-    confidence : float
-        Of the interval of the success rate.
+    The fields are its arguments; those of a closed loop are in `loop`.
 
     Raises
     ------
@@ -69,15 +54,12 @@ class TrialOptions:
     confidence: float = 0.95
 
     def __post_init__(self) -> None:
-        def keep(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        keep("trials", whole_number("trials", self.trials, least=1, most=MOST_TRIALS))
-        keep("confidence", check_confidence(self.confidence))
+        keep(self, trials=whole_number("trials", self.trials, least=1, most=MOST_TRIALS))
+        keep(self, confidence=check_confidence(self.confidence))
         duration = self.loop.duration
         within = duration if self.within is None else self.within
-        keep("within", finite_number("within", within, above=0.0))
-        keep("hold", finite_number("hold", self.hold, least=0.0))
+        keep(self, within=finite_number("within", within, above=0.0))
+        keep(self, hold=finite_number("hold", self.hold, least=0.0))
         for name in ("hold", "within"):
             time = getattr(self, name)
             if time > duration:
@@ -88,22 +70,9 @@ class TrialOptions:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What T trials draw.
+    """What trials draw; the fields are those of `capsyn.verification.monte_carlo.MonteCarlo`."""
 
-    Parameters
-    ----------
-    states : (T, n)
-        Initial states [state units].
-    parameters : mapping of name to (T,)
-        Parameters of the plant.
-    delays : (T,)
-        Input delays [s].
-    disturbances, noises : (T, n)
-        What is added to the rates [state units / s], and standard deviations of the measurement
-        noise [state units].
-    """
-
-    states: np.ndarray
+    initial: np.ndarray
     parameters: Mapping[str, np.ndarray]
     delays: np.ndarray
     disturbances: np.ndarray
