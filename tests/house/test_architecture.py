@@ -25,7 +25,7 @@ modelling: domain alphabet settings targets grid problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
-cells: affine_leaves boxes cell_tree split_tree faces masks packing
+cells: affine_leaves boxes masks cell_tree split_tree faces packing
 policies: lookup guarantee colors picture file policy single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points limits propositions split_axes affine_fit growing_cells plan
