@@ -23,7 +23,7 @@ from capsyn.errors import CapsynWarning, ProblemError, SynthesisError
 from capsyn.execution import checkpoint
 from capsyn.execution.answers import Packed, digest
 from capsyn.execution.checkpoint import Checkpoint
-from capsyn.subdivision import propositions
+from capsyn.subdivision import limits as limits_of_runs
 
 HERE = Path(__file__).parents[1] / "support" / "processes"
 PROBLEM = problems.get("cart-pendulum")
@@ -118,11 +118,11 @@ LIMITS = [
 @pytest.fixture
 def small_blocks(monkeypatch):
     """Blocks of few cells, and what makes a policy under limits and some free memory."""
-    monkeypatch.setattr(propositions, "ROOM", 100)
-    monkeypatch.setattr(propositions, "TIMED_BYTES", 45_000)
+    monkeypatch.setattr(limits_of_runs, "ROOM", 100)
+    monkeypatch.setattr(limits_of_runs, "TIMED_BYTES", 45_000)
 
     def run(free=2**29, **limits):
-        monkeypatch.setattr(propositions, "available_memory", lambda: free)
+        monkeypatch.setattr(limits_of_runs, "available_memory", lambda: free)
         return capsyn.synthesize(PROBLEM, max_level=6, threads=1, **limits)
 
     return run

@@ -28,7 +28,7 @@ problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double
 cells: affine_leaves boxes masks cell_tree split_tree faces packing
 policies: lookup guarantee colors picture file policy single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
-subdivision: cell_points limits propositions split_axes affine_fit growing_cells plan
+subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
 automata: rectangles regions face_rates switching automaton
 simulation: plant options kernel closed_loop policy_loop trial_job experiment simulate

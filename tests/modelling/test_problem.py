@@ -265,7 +265,7 @@ def test_casadis_numpy_mode_is_put_back(mode, dynamics):
 
 
 def test_max_level_that_does_not_fit_is_found_before_any_work(monkeypatch):
-    monkeypatch.setattr("capsyn.subdivision.propositions.available_memory", lambda: 10**7)
+    monkeypatch.setattr("capsyn.subdivision.limits.available_memory", lambda: 10**7)
     made = problem(max_level=20)  # the grid alone is possible; only a synthesis needs memory
     with pytest.raises(ProblemError, match=r"^`max_level` 20 .* max_level <= \d fits"):
         subdivide(lambda x: x / 0, made.domain, 2, max_level=made.max_level)

@@ -35,7 +35,7 @@ def in_blocks(parents):
     """Let so many parents make a block."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("capsyn.subdivision.constant.block_bytes", lambda *rest: 1)
-        patch.setattr("capsyn.subdivision.propositions.block_room", lambda limits: parents)
+        patch.setattr("capsyn.subdivision.limits.block_room", lambda limits: parents)
         yield
 
 

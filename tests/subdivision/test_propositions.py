@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from capsyn import Box, subdivide
 from capsyn.errors import ProblemError
 from capsyn.modelling.grid import Grid
+from capsyn.subdivision import limits as budgets
 from capsyn.subdivision import propositions as props
 from capsyn.subdivision.cell_points import CellPoints
 from capsyn.subdivision.limits import Limits
@@ -109,16 +110,16 @@ def test_level_for_precision_refuses_what_is_no_precision(precision):
 def test_blocks_do_not_follow_some_free_megabytes(monkeypatch):
     rooms = set()
     for free in (1_400_000_000, 1_499_000_000, 1_500_000_000, 1_600_000_000):
-        monkeypatch.setattr(props, "available_memory", lambda free=free: free)
-        rooms.add(props.block_room(Limits()))
+        monkeypatch.setattr(budgets, "available_memory", lambda free=free: free)
+        rooms.add(budgets.block_room(Limits()))
     assert rooms == {2**28}
-    assert props.block_room(Limits(max_memory=10**7)) == 10**7 // props.ROOM
+    assert budgets.block_room(Limits(max_memory=10**7)) == 10**7 // budgets.ROOM
 
 
 def test_blocks_stay_as_they_were_while_there_is_memory_for_them():
     def parents(room, limit, taken=0):
         limits = Limits(memory_limit=limit, room=room)
-        return props.block_parents(limits, 1000, 100, 10, taken)
+        return budgets.block_parents(limits, 1000, 100, 10, taken)
 
     assert parents(None, 40_000) == 100  # a quarter of the memory
     assert parents(4_000, 40_000) == 40 and parents(4_000, 40_000, 39_000) == 40
@@ -131,43 +132,43 @@ def test_blocks_stay_as_they_were_while_there_is_memory_for_them():
 @pytest.mark.parametrize("max_solves", [None, 10**6])
 def test_too_large_max_level_says_how_much_and_what_would_fit(monkeypatch, max_solves):
     free = 20_000_000
-    monkeypatch.setattr(props, "available_memory", lambda: free)
-    room = props.block_room(Limits())
+    monkeypatch.setattr(budgets, "available_memory", lambda: free)
+    room = budgets.block_room(Limits())
     assert free // 8 < room <= free // 4
-    need = [props.worst_case_memory(PAPER.at(k), CENTER, 1, max_solves, room) for k in range(8)]
+    need = [budgets.worst_case_memory(PAPER.at(k), CENTER, 1, max_solves, room) for k in range(8)]
     fits = max(k for k in range(8) if need[k] <= free)
     assert fits < 7 and need == sorted(need)
     with pytest.raises(ProblemError) as caught:
-        props.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves))
+        budgets.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves))
     message = str(caught.value)
     assert "\n" not in message and message.startswith(f"`max_level` {fits + 1} ")
     assert f"{need[fits + 1] / 1e9:.3g} GB" in message and "0.02 GB is available" in message
     assert f"max_level <= {fits} fits" in message and "or `max_memory`" in message
-    props.check_memory(PAPER.at(fits), CENTER, 1, Limits(max_solves))
-    props.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves, memory_limit=need[-1]))
-    props.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves, max_memory=free))
+    budgets.check_memory(PAPER.at(fits), CENTER, 1, Limits(max_solves))
+    budgets.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves, memory_limit=need[-1]))
+    budgets.check_memory(PAPER.at(fits + 1), CENTER, 1, Limits(max_solves, max_memory=free))
     with pytest.raises(ProblemError, match=r"0\.001 GB is allowed by `memory_limit`"):
-        props.check_memory(PAPER.at(fits), CENTER, 1, Limits(max_solves, memory_limit=10**6))
+        budgets.check_memory(PAPER.at(fits), CENTER, 1, Limits(max_solves, memory_limit=10**6))
 
 
 def test_solves_that_are_said_to_fit_do(monkeypatch):
-    monkeypatch.setattr(props, "available_memory", lambda: 10**7)
+    monkeypatch.setattr(budgets, "available_memory", lambda: 10**7)
     for affine in (False, True):
         with pytest.raises(ProblemError, match="with `max_solves`") as caught:
-            props.check_memory(PAPER.at(9), CENTER, 1, Limits(memory_limit=4 * 10**8), affine)
+            budgets.check_memory(PAPER.at(9), CENTER, 1, Limits(memory_limit=4 * 10**8), affine)
         found = re.search(r"at most ([\d,]+)\)", str(caught.value))
         most = int(found[1].replace(",", ""))
         limits = Limits(most, memory_limit=4 * 10**8)
-        props.check_memory(PAPER.at(9), CENTER, 1, limits, affine)
+        budgets.check_memory(PAPER.at(9), CENTER, 1, limits, affine)
         with pytest.raises(ProblemError):
             limits = dataclasses.replace(limits, max_solves=3 * most)
-            props.check_memory(PAPER.at(9), CENTER, 1, limits, affine)
+            budgets.check_memory(PAPER.at(9), CENTER, 1, limits, affine)
 
 
 def test_no_solves_are_advised_that_level_0_exceeds():
     for affine, limit in ((False, 10**4), (True, 300_010_000)):
         with pytest.raises(ProblemError, match="or bound it with `max_memory`$"):
-            props.check_memory(PAPER.at(9), CENTER, 1, Limits(memory_limit=limit), affine)
+            budgets.check_memory(PAPER.at(9), CENTER, 1, Limits(memory_limit=limit), affine)
 
 
 def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
@@ -177,7 +178,7 @@ def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
         calls.append(len(states))
         return np.zeros(len(states), dtype=int)
 
-    monkeypatch.setattr(props, "available_memory", lambda: 10**6)
+    monkeypatch.setattr(budgets, "available_memory", lambda: 10**6)
     with pytest.raises(ProblemError, match=r"`max_level` 9 .* max_level <= 3 fits"):
         subdivide(label, unit_box(2), 2, max_level=9)
     assert not calls
@@ -187,32 +188,32 @@ def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
 
 def test_root_grid_that_does_not_fit_asks_for_fewer_partitions(monkeypatch):
     free = 2**13  # so that a fourth of it is a power of two, as blocks of unknown limits are
-    monkeypatch.setattr(props, "available_memory", lambda: free)
+    monkeypatch.setattr(budgets, "available_memory", lambda: free)
     fits = max(
         k
         for k in range(1, 9)
-        if props.worst_case_memory(Grid((k, k), (2, 2), 0), CENTER, 1, None, free // props.ROOM)
+        if budgets.worst_case_memory(Grid((k, k), (2, 2), 0), CENTER, 1, None, free // budgets.ROOM)
         <= free
     )
     advice = f"use fewer partitions: {fits} per axis fit at level 0"
     for level in (0, 3):
         with pytest.raises(ProblemError, match=advice):
-            props.check_memory(PAPER.at(level), CENTER, 1, Limits())
+            budgets.check_memory(PAPER.at(level), CENTER, 1, Limits())
     with pytest.raises(ProblemError, match=f"`max_memory` must be at least .*{fits} per axis fit"):
-        props.check_memory(PAPER.at(3), CENTER, 1, Limits(max_memory=free))
-    props.check_memory(Grid((fits, fits), (2, 2), 0), CENTER, 1, Limits())
-    monkeypatch.setattr(props, "available_memory", lambda: 100)
+        budgets.check_memory(PAPER.at(3), CENTER, 1, Limits(max_memory=free))
+    budgets.check_memory(Grid((fits, fits), (2, 2), 0), CENTER, 1, Limits())
+    monkeypatch.setattr(budgets, "available_memory", lambda: 100)
     with pytest.raises(ProblemError, match="no root grid fits, or bound it with `max_memory`"):
-        props.check_memory(PAPER.at(3), CENTER, 1, Limits())
+        budgets.check_memory(PAPER.at(3), CENTER, 1, Limits())
 
 
 def test_memory_that_suffices_refuses_nothing(monkeypatch):
-    monkeypatch.setattr(props, "available_memory", lambda: 2**80)
-    props.check_memory(Grid((9,) * 6, (2,) * 6, 20), CENTER, 8, Limits())
+    monkeypatch.setattr(budgets, "available_memory", lambda: 2**160)
+    budgets.check_memory(Grid((9,) * 6, (2,) * 6, 20), CENTER, 8, Limits())
 
 
 def test_available_memory_is_what_the_system_says():
-    free, total = props.available_memory(), psutil.virtual_memory().total
+    free, total = budgets.available_memory(), psutil.virtual_memory().total
     assert type(free) is int and 2**20 < free <= total
 
 
@@ -248,7 +249,7 @@ def test_worst_case_memory_of_rounds(
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert peak < props.worst_case_rounds_memory(
+    assert peak < budgets.worst_case_rounds_memory(
         Grid((partitions,) * n, (2,) * n, level),
         CellPoints.parse(points),
         n_symbols + 1 if leaves == "affine" else 0,
@@ -280,7 +281,7 @@ def test_worst_case_memory_bounds_what_is_taken(n, partitions, level, n_symbols,
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    bound = props.worst_case_memory(
+    bound = budgets.worst_case_memory(
         Grid((partitions,) * n, (2,) * n, level), CellPoints.parse(points), n_symbols
     )
     assert policy.statistics["cells"] > 0.75 * (partitions * 2**level) ** n  # a bad case indeed

@@ -23,7 +23,7 @@ from capsyn.subdivision.cell_blocks import SubdivisionTask
 from capsyn.subdivision.cell_points import FINE
 from capsyn.subdivision.lattice_points import MANY, Question
 from capsyn.subdivision.ledger import QUARTER, Ledger, QuarterRule, Tied
-from capsyn.subdivision.propositions import (
+from capsyn.subdivision.limits import (
     BYTES_PER_ENTRY,
     BYTES_PER_MIXED,
     block_bytes,

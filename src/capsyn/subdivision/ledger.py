@@ -13,7 +13,8 @@ import numpy as np
 from capsyn.cells.masks import several
 from capsyn.subdivision.cell_blocks import ROLES, SubdivisionTask
 from capsyn.subdivision.lattice_points import Question
-from capsyn.subdivision.propositions import too_few_solves, worst_case_solves
+from capsyn.subdivision.limits import too_few_solves
+from capsyn.subdivision.propositions import worst_case_solves
 
 QUARTER = ROLES.index("quarter")
 

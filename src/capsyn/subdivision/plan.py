@@ -13,8 +13,7 @@ from capsyn.modelling.domain import Box
 from capsyn.modelling.grid import Grid
 from capsyn.subdivision.cell_points import FINE, CellPoints
 from capsyn.subdivision.growing_cells import row_grid
-from capsyn.subdivision.limits import Limits
-from capsyn.subdivision.propositions import block_room, check_memory
+from capsyn.subdivision.limits import Limits, block_room, check_memory
 from capsyn.validation import finite_number, one_of, whole_number
 
 LEAVES = ("constant", "affine")

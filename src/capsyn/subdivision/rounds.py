@@ -22,7 +22,7 @@ from capsyn.subdivision.cell_points import FINE
 from capsyn.subdivision.growing_cells import GrowingCells, Rows, SplitCells, row_grid
 from capsyn.subdivision.lattice_points import MANY, Question
 from capsyn.subdivision.ledger import QUARTER, Ledger, QuarterRule
-from capsyn.subdivision.propositions import round_bytes, rounds_memory
+from capsyn.subdivision.limits import round_bytes, rounds_memory
 from capsyn.subdivision.split_axes import SplitAxes
 
 ROUND_POINTS = 2**19
