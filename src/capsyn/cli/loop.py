@@ -185,12 +185,12 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
 
 def _saving(output: str | None) -> Callable[[Any], None]:
     """Return what writes a trajectory to a file, by its ending; nothing for None."""
+    if output is None:
+        return lambda trajectory: None
     from capsyn.execution.files import check_writable
     from capsyn.plots.figure import FORMATS, check_format
     from capsyn.plots.trajectory import save_trajectory_plot
 
-    if output is None:
-        return lambda trajectory: None
     kind = check_format(output, ("csv", "json", *FORMATS), "the output")
     check_writable(output)
     if kind in FORMATS:

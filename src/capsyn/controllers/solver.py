@@ -16,6 +16,15 @@ from capsyn.native.source import LANES, declarations, hand_written, pointer
 from capsyn.programs.builder import bind
 from capsyn.programs.model import Model
 
+TIE = 1e-5
+"""Perturbation of mode insertion gradients, relative to their scales, that makes symbols tie."""
+BLOCK = 2048
+"""States that the NumPy backend handles at once, so that its buffers stay in the CPU's cache."""
+ROUNDING = 64
+"""Units of the last place by which quantities that should vanish may differ from 0."""
+
+Solver = Callable[[np.ndarray, float, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
+
 
 @dataclass(frozen=True)
 class SsacKernel:
@@ -70,15 +79,6 @@ class SsacKernel:
         if self.function(count, pointer(states), horizon, steps, self.rounding, *outputs):
             raise MemoryError(f"no memory for {steps} integration steps")
         return cost, gradients.T, scales.T
-
-
-TIE = 1e-5
-"""Perturbation of mode insertion gradients, relative to their scales, that makes symbols tie."""
-BLOCK = 2048
-"""States that the NumPy backend handles at once, so that its buffers stay in the CPU's cache."""
-ROUNDING = 64
-"""Units of the last place by which quantities that should vanish may differ from 0."""
-Solver = Callable[[np.ndarray, float, int], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
 def bind_default(model: Model, default: np.ndarray) -> Model:

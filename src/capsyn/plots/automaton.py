@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capsyn.automata.automaton import Automaton, Edge
 from capsyn.execution.files import write_text
 from capsyn.plots.figure import FORMATS, check_format, literal, reproducible, save_figure
 from capsyn.policies.colors import symbol_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from capsyn.automata.automaton import Automaton, Edge
 
 GREY = "#999999"
 LINE = "#333333"

@@ -6,12 +6,13 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from capsyn.compression.curve import CurvePoint
 from capsyn.plots.figure import literal, saved_figure
 from capsyn.policies.colors import PALETTE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from capsyn.compression.curve import CurvePoint
 
 MARKERS = {"cells": "s", "exact": "o", "freedom": "^", "linear": "D"}
 

@@ -12,11 +12,12 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.execution.files import atomic_write
-from capsyn.modelling.domain import Box
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from capsyn.modelling.domain import Box
 
 FORMATS = ("png", "pdf", "svg")
 

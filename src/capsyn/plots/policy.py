@@ -11,11 +11,12 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.plots.figure import frame, literal, outline_width, rectangles, saved_figure
 from capsyn.policies.colors import symbol_colors
-from capsyn.policies.policy import Policy
 from capsyn.validation import describe, finite_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from capsyn.policies.policy import Policy
 
 PIXELS = 800
 """Along each axis of a picture of oblique splits."""

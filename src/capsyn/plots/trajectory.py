@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.plots.figure import quantity, saved_figure
 from capsyn.policies.colors import PALETTE
-from capsyn.simulation.simulate import Trajectory
+
+if TYPE_CHECKING:
+    from capsyn.simulation.simulate import Trajectory
 
 
 def plot_trajectory(trajectory: Trajectory, axes: Any) -> Any:
