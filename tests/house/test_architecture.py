@@ -21,7 +21,7 @@ errors validation random_streams statistics version
 
 programs: operations program builder intervals expansion model step_doubling
 native: build compiled source
-modelling: domain alphabet settings targets grid problem transcription
+modelling: domain alphabet settings targets grid time_unit problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter

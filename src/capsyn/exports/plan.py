@@ -11,6 +11,7 @@ from capsyn.compression.compress import tree_of
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, check_outside
 from capsyn.modelling.domain import Box
+from capsyn.modelling.time_unit import to_seconds
 from capsyn.policies.file import content_hash
 from capsyn.policies.policy import DecisionTree, Policy
 from capsyn.validation import describe, finite_array, finite_number, numbers
@@ -42,7 +43,7 @@ class Plan:
     nearest : bool
         Whether a state outside the domain takes the symbol of the nearest cell.
     dwell : float
-        Least time between switches [s]; 0 for none.
+        Least time between switches [time unit of the policy]; 0 for none.
     scale, offset : (n,)
         A state is ``reading * scale + offset``, rounded as written in double precision.
     """
@@ -99,6 +100,11 @@ class Plan:
     def n(self) -> int:
         """Number of states."""
         return self.policy.domain.n
+
+    @property
+    def dwell_s(self) -> float:
+        """Least time between switches [s]; 0 for none."""
+        return to_seconds(self.dwell, self.policy.time_unit)
 
     @property
     def labels(self) -> int:

@@ -18,6 +18,7 @@ from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.grid import Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import check_target
+from capsyn.modelling.time_unit import check_time_unit
 from capsyn.validation import describe, finite_number, keep, one_line
 
 
@@ -30,7 +31,7 @@ class Problem:
     name : str
         Name of the problem.
     dynamics : callable ``(x, u) -> n components``
-        Eq. (1) of the paper [state unit / s]. `x` and `u` are CasADi column vectors; CasADi
+        Eq. (1) of the paper [state unit / time unit]. `x` and `u` are CasADi column vectors; CasADi
         functions and NumPy ufuncs both work on them.
     domain : Box
         States to label.
@@ -39,15 +40,15 @@ class Problem:
     default : (m,) or float
         Control of the prediction [input units]; it need not be a symbol.
     horizon : float
-        Prediction horizon T > 0 [s].
+        Prediction horizon T > 0 [time unit].
     running_cost, terminal_cost : callables ``x -> scalar``, optional
-        Eq. (3) [cost / s] and [cost]; at least one. No factor 1/2 is implied.
+        Eq. (3) [cost / time unit] and [cost]; at least one. No factor 1/2 is implied.
     target : Ball, Box or callable ``x -> true or false``, optional
         What "arrived" means; carried in the policy.
     outside : "error", "nearest" or symbol
         What a state outside the domain gets; carried in the policy.
     min_dwell : float
-        Least time between switches [s]; carried in the policy.
+        Least time between switches [time unit]; carried in the policy.
     settings : SsacSettings
         Options of the controller.
     partitions, refinement : int or (n,)
@@ -56,6 +57,8 @@ class Problem:
         Most times that a cell is split along an axis.
     description : str
         One line for ``capsyn list``.
+    time_unit : "ns", "us", "ms", "s", "min", "h" or "d"
+        What the model counts time in, wherever a time is given or said; carried in the policy.
 
     Raises
     ------
@@ -79,6 +82,7 @@ class Problem:
     refinement: Any = 2
     max_level: int = 4
     description: str = ""
+    time_unit: str = "s"
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
@@ -87,6 +91,7 @@ class Problem:
             raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
         if not isinstance(self.alphabet, Alphabet):
             keep(self, alphabet=Alphabet(self.alphabet))
+        check_time_unit(self.time_unit)
         keep(self, default=self.alphabet.control("default", self.default))
         keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))

@@ -34,9 +34,9 @@ from capsyn.validation import describe, whole_numbers
 Made = TypeVar("Made")
 
 FORMAT = "capsyn-policy"
-VERSION = 5
+VERSION = 6
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
-split along some axes only 5."""
+split along some axes only 5, another unit of time than the second 6."""
 ARRAYS = [
     set(TREE_ARRAYS),
     *({*CELL_ARRAYS, *rows, *splits} for rows in ((), ROW_ARRAYS) for splits in ((), SPLIT_ARRAYS)),
@@ -48,6 +48,8 @@ KEYS = set(
 )
 CELL_KEYS = KEYS | {"partitions", "refinement", "max_level"}
 TREE_KEYS = KEYS | {"counts", "guarantee"}
+RARE_KEYS = {"gaps", "time_unit"}
+"""Keys that are there where they say something else than False, and s."""
 STATISTICS: dict[str, tuple[type, ...]] = {
     "solves": (int,),
     "solves_by_role": (dict,),
@@ -78,7 +80,7 @@ def save(policy: Any, path: str | os.PathLike[str]) -> None:
     content, arrays = content_of(policy), policy.cells.arrays()
     document = {
         "format": FORMAT,
-        "version": _least_version(arrays, policy.gaps),
+        "version": _least_version(arrays, content),
         "policy": content,
         "sha256": digest(arrays, _canonical(content)),
     }
@@ -105,6 +107,7 @@ def content_of(policy: Any) -> dict[str, Any]:
     return {
         **policy.structure(),
         **({"gaps": True} if policy.gaps else {}),
+        **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
         "name": policy.name,
         "domain": policy.domain.to_json(),
         "alphabet": policy.alphabet.to_json(),
@@ -124,9 +127,15 @@ def content_hash(policy: Any) -> str:
     return digest(policy.cells.arrays(), _canonical(content_of(policy)))
 
 
-def _least_version(arrays: dict[str, np.ndarray], gaps: bool) -> int:
-    """Return the first version that has files with such arrays, and with gaps."""
-    needed = {5: "splits" in arrays, 4: gaps, 3: "row_starts" in arrays, 2: "split" in arrays}
+def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> int:
+    """Return the first version that has files with such arrays and content."""
+    needed = {
+        6: "time_unit" in content,
+        5: "splits" in arrays,
+        4: "gaps" in content,
+        3: "row_starts" in arrays,
+        2: "split" in arrays,
+    }
     return next((version for version, news in needed.items() if news), 1)
 
 
@@ -201,9 +210,11 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
     if document["sha256"] != digest(arrays, _canonical(content)):
         raise PolicyFormatError("its content does not match its checksum")
-    gaps, known = "gaps" in content, TREE_KEYS if is_tree else CELL_KEYS
-    if document["version"] < _least_version(arrays, gaps) or (
-        set(content) - {"gaps"} != known or content.get("gaps", True) is not True
+    known = TREE_KEYS if is_tree else CELL_KEYS
+    if document["version"] < _least_version(arrays, content) or (
+        set(content) - RARE_KEYS != known
+        or content.get("gaps", True) is not True
+        or content.get("time_unit") == "s"
     ):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
@@ -219,7 +230,8 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         "model": model,
         "statistics": _statistics(content["statistics"]),
         "evidence": _evidence(document),
-        "gaps": gaps,
+        "gaps": "gaps" in content,
+        "time_unit": content.get("time_unit", "s"),
     }
     if is_tree:
         counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)

@@ -17,6 +17,7 @@ from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import Target, check_target
+from capsyn.modelling.time_unit import check_time_unit
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.lookup import GAP, OUTSIDE, lookup_kernel
 from capsyn.programs.model import Model
@@ -49,11 +50,11 @@ class Policy:
         What a state outside the domain gets: an error, the symbol of the nearest cell, or a safe
         symbol. A state that is not finite gets an error, or the safe symbol.
     min_dwell : float
-        Least time between switches [s], for whoever runs the policy.
+        Least time between switches [time unit], for whoever runs the policy.
     target : Ball, Box or Program, optional
         What "arrived" means; of a program, the states where it is not 0.
     horizon : float, optional
-        Prediction horizon T [s] of the controller that the policy came from.
+        Prediction horizon T [time unit] of the controller that the policy came from.
     settings : SsacSettings, optional
         Its settings.
     model : Model, optional
@@ -68,6 +69,8 @@ class Policy:
     gaps : bool
         Whether cells of the default control are gaps: states there are outside, although in the
         domain, and have no symbol of a nearest cell either.
+    time_unit : str
+        What its times count, see `Problem`.
     """
 
     name: str
@@ -85,6 +88,7 @@ class Policy:
     timings: dict[str, float] = field(default_factory=dict)
     evidence: dict[str, Any] = field(default_factory=dict)
     gaps: bool = False
+    time_unit: str = "s"
 
     _structure: ClassVar[type] = CellTree
 
@@ -93,6 +97,7 @@ class Policy:
             raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
         keep(self, default=self.alphabet.control("default", self.default))
         keep(self, outside=check_outside(self.outside, self.alphabet))
+        check_time_unit(self.time_unit)
         keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
         check_target(self.target, self.domain)
         if not isinstance(self.gaps, bool):

@@ -201,6 +201,7 @@ def problem_policy(label: Label, problem: Problem, **options: Any) -> Policy:
         policy,
         default=problem.default,
         min_dwell=problem.min_dwell,
+        time_unit=problem.time_unit,
         target=transcribe_target(problem),
         model=transcribe(problem),
     )

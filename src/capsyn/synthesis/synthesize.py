@@ -194,6 +194,7 @@ def _described(policy: Policy, problem: Problem, controller: BatchController, se
         outside=problem.outside,
         default=problem.default,
         min_dwell=problem.min_dwell,
+        time_unit=problem.time_unit,
         target=transcribe_target(problem),
         horizon=problem.horizon,
         settings=controller.settings,
