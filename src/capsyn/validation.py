@@ -154,6 +154,12 @@ def distinct(name: str, value: Sequence[str]) -> None:
             raise ProblemError(f"`{name}` must be non-empty and distinct; got {describe(value)}")
 
 
+def true_or_false(name: str, value: Any) -> None:
+    """Raise `ProblemError` unless a value is True or False."""
+    if not isinstance(value, bool):
+        raise ProblemError(f"`{name}` must be True or False; got {describe(value)}")
+
+
 def one_of(name: str, value: Any, choices: Sequence[str]) -> str:
     """Return `value` if it is one of the `choices`."""
     if not isinstance(value, str) or value not in choices:

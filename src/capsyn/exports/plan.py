@@ -107,6 +107,11 @@ class Plan:
         return to_seconds(self.dwell, self.policy.time_unit)
 
     @property
+    def at_once(self) -> tuple[int, ...]:
+        """Statuses whose symbol does not wait for the dwell time."""
+        return (OUTSIDE, NOT_FINITE) if self.policy.outside_at_once else (NOT_FINITE,)
+
+    @property
     def labels(self) -> int:
         """Number of labels, N + 1; the last is the default control."""
         return len(self.policy.alphabet) + 1

@@ -19,7 +19,7 @@ from capsyn.modelling.grid import Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
-from capsyn.validation import describe, finite_number, keep, one_line
+from capsyn.validation import describe, finite_number, keep, one_line, true_or_false
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +59,9 @@ class Problem:
         One line for ``capsyn list``.
     time_unit : "ns", "us", "ms", "s", "min", "h" or "d"
         What the model counts time in, wherever a time is given or said; carried in the policy.
+    outside_at_once : bool
+        Whether the symbol of a state outside the domain does not wait for `min_dwell`, as that of a
+        state that is not finite never does; carried in the policy.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class Problem:
     max_level: int = 4
     description: str = ""
     time_unit: str = "s"
+    outside_at_once: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
@@ -92,6 +96,7 @@ class Problem:
         if not isinstance(self.alphabet, Alphabet):
             keep(self, alphabet=Alphabet(self.alphabet))
         check_time_unit(self.time_unit)
+        true_or_false("outside_at_once", self.outside_at_once)
         keep(self, default=self.alphabet.control("default", self.default))
         keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))

@@ -48,7 +48,7 @@ KEYS = set(
 )
 CELL_KEYS = KEYS | {"partitions", "refinement", "max_level"}
 TREE_KEYS = KEYS | {"counts", "guarantee"}
-RARE_KEYS = {"gaps", "time_unit"}
+RARE_KEYS = {"gaps", "time_unit", "outside_at_once"}
 """Keys that are there where they say something else than False, and s."""
 STATISTICS: dict[str, tuple[type, ...]] = {
     "solves": (int,),
@@ -108,6 +108,7 @@ def content_of(policy: Any) -> dict[str, Any]:
         **policy.structure(),
         **({"gaps": True} if policy.gaps else {}),
         **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
+        **({"outside_at_once": True} if policy.outside_at_once else {}),
         "name": policy.name,
         "domain": policy.domain.to_json(),
         "alphabet": policy.alphabet.to_json(),
@@ -130,7 +131,7 @@ def content_hash(policy: Any) -> str:
 def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> int:
     """Return the first version that has files with such arrays and content."""
     needed = {
-        6: "time_unit" in content,
+        6: "time_unit" in content or "outside_at_once" in content,
         5: "splits" in arrays,
         4: "gaps" in content,
         3: "row_starts" in arrays,
@@ -213,7 +214,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     known = TREE_KEYS if is_tree else CELL_KEYS
     if document["version"] < _least_version(arrays, content) or (
         set(content) - RARE_KEYS != known
-        or content.get("gaps", True) is not True
+        or not all(content.get(key, True) is True for key in ("gaps", "outside_at_once"))
         or content.get("time_unit") == "s"
     ):
         raise PolicyFormatError("its keys are not those of this format version")
@@ -232,6 +233,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         "evidence": _evidence(document),
         "gaps": "gaps" in content,
         "time_unit": content.get("time_unit", "s"),
+        "outside_at_once": "outside_at_once" in content,
     }
     if is_tree:
         counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)

@@ -21,7 +21,14 @@ from capsyn.modelling.time_unit import check_time_unit
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.lookup import GAP, OUTSIDE, lookup_kernel
 from capsyn.programs.model import Model
-from capsyn.validation import describe, finite_number, keep, read_only, state_array
+from capsyn.validation import (
+    describe,
+    finite_number,
+    keep,
+    read_only,
+    state_array,
+    true_or_false,
+)
 
 SAMPLES = 100_000
 """States at which the volumes of symbols are estimated where planes bound them."""
@@ -71,6 +78,9 @@ class Policy:
         domain, and have no symbol of a nearest cell either.
     time_unit : str
         What its times count, see `Problem`.
+    outside_at_once : bool
+        Whether the symbol of a state outside the domain does not wait for `min_dwell`, as that of a
+        state that is not finite never does.
     """
 
     name: str
@@ -89,6 +99,7 @@ class Policy:
     evidence: dict[str, Any] = field(default_factory=dict)
     gaps: bool = False
     time_unit: str = "s"
+    outside_at_once: bool = False
 
     _structure: ClassVar[type] = CellTree
 
@@ -100,8 +111,8 @@ class Policy:
         check_time_unit(self.time_unit)
         keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
         check_target(self.target, self.domain)
-        if not isinstance(self.gaps, bool):
-            raise ProblemError(f"`gaps` must be True or False; got {describe(self.gaps)}")
+        true_or_false("gaps", self.gaps)
+        true_or_false("outside_at_once", self.outside_at_once)
         if self.horizon is not None:
             keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         if self.settings is not None:

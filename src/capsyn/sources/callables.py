@@ -202,6 +202,7 @@ def problem_policy(label: Label, problem: Problem, **options: Any) -> Policy:
         default=problem.default,
         min_dwell=problem.min_dwell,
         time_unit=problem.time_unit,
+        outside_at_once=problem.outside_at_once,
         target=transcribe_target(problem),
         model=transcribe(problem),
     )

@@ -195,6 +195,7 @@ def _described(policy: Policy, problem: Problem, controller: BatchController, se
         default=problem.default,
         min_dwell=problem.min_dwell,
         time_unit=problem.time_unit,
+        outside_at_once=problem.outside_at_once,
         target=transcribe_target(problem),
         horizon=problem.horizon,
         settings=controller.settings,
