@@ -76,11 +76,8 @@ class Policy:
     gaps : bool
         Whether cells of the default control are gaps: states there are outside, although in the
         domain, and have no symbol of a nearest cell either.
-    time_unit : str
-        What its times count, see `Problem`.
-    outside_at_once : bool
-        Whether the symbol of a state outside the domain does not wait for `min_dwell`, as that of a
-        state that is not finite never does.
+    time_unit, outside_at_once
+        See `Problem`.
     """
 
     name: str
