@@ -95,9 +95,14 @@ class Code:
         """Return the comment that a file begins with."""
         return comment([*self.plan.header, f"Target c, {self.style}, {self.arithmetic}: {role}."])
 
+    @property
+    def guards(self) -> bool:
+        """Whether some of the code needs doubles of 53 bits, and the rest does without."""
+        return self.arithmetic == "lattice" and not self.axes
+
     def guarded(self, text: str) -> str:
-        """Return text for compilers whose double has 53 bits, as what follows needs them."""
-        if self.arithmetic != "lattice" or self.axes:
+        """Return text for compilers whose double has 53 bits, if it needs them."""
+        if not self.guards:
             return text
         guard = f"#ifndef {self.prefix.upper()}_NO_DOUBLE /* else only steps can be decided */"
         return f"\n{guard}\n{text}\n#endif\n"

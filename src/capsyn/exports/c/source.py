@@ -20,27 +20,39 @@ def source(code: Code) -> str:
     states = quantiser.text + _decide(code)
     if code.plan.dwell:
         hold = dwell.functions(code)
-        states += _step(code)
+        states += dwell.step(code)
     reads = decision.reads | quantiser.reads | hold.reads
-    if code.arithmetic == "lattice":
+    if code.guards:
         states = code.guarded(states.rstrip("\n"))
     return f"""{code.about("source")}
 #include "{code.prefix}.h"
 
 #include <stdbool.h>
 
-{macros(reads)}{_controls(code)}{decision.text}{hold.text}{states}"""
+{macros(reads)}{_control(code)}{decision.text}{hold.text}{states}"""
 
 
-def _controls(code: Code) -> str:
-    p, upper = code.prefix, code.prefix.upper()
-    entries = [
-        "{" + ", ".join(code.literal(v) for v in row) + "}" for row in code.plan.policy.controls
-    ]
-    return (
-        f"\nconst {code.real} {p}_controls[{upper}_SYMBOLS][{upper}_INPUTS] CAPSYN_ROM = {{\n"
-        f"{rows(entries, 4)}\n}};\n"
-    )
+def _control(code: Code) -> str:
+    """Return the function that gives the control of a symbol, with its table."""
+    plan, m, upper = code.plan, code.plan.policy.alphabet.m, code.prefix.upper()
+    entries = ["{" + ", ".join(code.literal(v) for v in row) + "}" for row in plan.policy.controls]
+    return f"""
+{code.real} {code.prefix}_control(int16_t symbol, uint16_t input)
+{{
+    static const {code.real} controls[{upper}_SYMBOLS][{upper}_INPUTS] CAPSYN_ROM = {{
+{rows(entries)}
+    }};
+    uint16_t row = {plan.safe}u;
+    {code.real} control = {code.literal(0.0)};
+    if ((uint16_t)symbol < {plan.labels}u) {{
+        row = (uint16_t)symbol;
+    }}
+    if (input < {m}u) {{
+        CAPSYN_COPY(control, &controls[row][input]);
+    }}
+    return control;
+}}
+"""
 
 
 def _decision(code: Code) -> Part:
@@ -97,14 +109,3 @@ int16_t {p}_decide(const {code.reading} x[{plan.n}], {p}_status *status)
 }}
 """
 
-
-def _step(code: Code) -> str:
-    p, n = code.prefix, code.plan.n
-    return f"""
-int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,
-    {p}_status *status)
-{{
-    const int16_t symbol = {p}_decide(x, status);
-    return {p}_hold(state, symbol, now);
-}}
-"""

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from capsyn.errors import ProblemError, warn
 from capsyn.exports.c.code import Code
-from capsyn.exports.c.header import cmake, example, header
 from capsyn.exports.c.notes import heavy_tables, remarks
+from capsyn.exports.c.packages import PACKAGES, packaged
 from capsyn.exports.c.readings.counts import READINGS, golden_counts
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
-from capsyn.exports.c.source import source
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Files, Plan
 from capsyn.exports.target import Exported, Target
@@ -47,7 +47,10 @@ class Options:
     name : str, optional
         What files and functions are called, made an identifier. Default: the policy's name.
     tick : float
-        Unit of the time that a dwell time is measured in [s].
+        Unit of the time that a dwell time is measured in [s], whatever the policy's unit of time.
+    package : "cmake" or "arduino"
+        How the files are laid out: header and source with a project of CMake, or an Arduino
+        library, a folder of the export's name for the sketchbook's ``libraries``.
     """
 
     style: str = "table"
@@ -55,38 +58,35 @@ class Options:
     readings: str = "real"
     name: str | None = None
     tick: float = 1e-6
+    package: str = "cmake"
 
 
 def export(plan: Plan, golden: Golden, options: Options) -> Exported:
-    """Return a header, a source, a snippet for CMake and an example."""
+    """Return a header, a source, an example, and what packages them."""
     style, arithmetic, readings = options.style, options.arithmetic, options.readings
     one_of("style", style, list(STYLES))
     one_of("arithmetic", arithmetic, list(ARITHMETICS))
     one_of("readings", readings, list(READINGS))
+    one_of("package", options.package, list(PACKAGES))
     if readings != "real" and arithmetic != "lattice":
         raise ProblemError(f"`readings` {readings} needs `arithmetic` lattice; got {arithmetic}")
     tick = finite_number("tick", options.tick, above=0.0)
     if plan.labels > 1 << 15:
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
     code = Code.of(plan, style, arithmetic, readings, options.name, tick)
-    files = {
-        f"{code.prefix}.h": header(code).encode(),
-        f"{code.prefix}.c": source(code).encode(),
-        "example.c": example(code).encode(),
-        "CMakeLists.txt": cmake(code).encode(),
-    }
     vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
     if code.axes:
         vectors = golden_counts(plan, code.axes, readings)
         if heavy := heavy_tables(code):
             warn(heavy)
-    return Exported(files, code.renamed, remarks(code), code.changed, vectors)
+    return Exported(packaged(code, options.package), code.renamed, remarks(code), code.changed, vectors)
 
 
 def measure(files: Files) -> dict[str, Any]:
     """Return what the code takes, by processor; see `sizes`."""
-    (header,) = (name for name in files if name.endswith(".h"))
-    return {**sizes(files, header.removesuffix(".h"))}
+    code = {Path(name).name: content for name, content in files.items() if name[-2:] in (".h", ".c")}
+    (header,) = (name for name in code if name.endswith(".h"))
+    return {**sizes(code, header.removesuffix(".h"))}
 
 
 TARGET = Target(export, Options, measure=measure)
