@@ -41,7 +41,7 @@ def state_quantiser(code: Code, opening: str) -> Part:
         "    return status;",
     ]
     text = with_called(_functions(code), "\n".join(["", opening, "{", *body, "}", ""]))
-    return Part(text, frozenset() if code.faces is None else frozenset({"FLOAT"}))
+    return Part(text, frozenset({"FLOAT"} if any(map(len, code.faces or ())) else ()))
 
 
 def _bounds(code: Code) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
