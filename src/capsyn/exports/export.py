@@ -133,7 +133,7 @@ def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) ->
     costs = _certificate(plan, exported, name, vars(chosen))
     files = exported.files | {CERTIFICATE: _json(costs)}
     if target.measure is not None:
-        files[MEASURED] = _json(target.measure(exported.files))
+        files[MEASURED] = _json(target.measure(plan, exported.golden or golden, exported, chosen))
     return files
 
 

@@ -45,14 +45,14 @@ class Target:
     """A language that policies are exported to.
 
     ``export(plan, golden, options)`` makes its files; `options` is a frozen dataclass, each with a
-    default. `planes` is whether it takes trees with oblique splits. `measure` gives what is
-    measured of its files here, as plain data; None: nothing.
+    default. `planes` is whether it takes trees with oblique splits. ``measure(plan, golden,
+    exported, options)`` gives what is measured of its files here, as plain data; None: nothing.
     """
 
     export: Callable[[Plan, Golden, Any], Exported]
     options: type = NameOption
     planes: bool = True
-    measure: Callable[[Files], dict[str, Any]] | None = None
+    measure: Callable[[Plan, Golden, Exported, Any], dict[str, Any]] | None = None
 
     @property
     def option_names(self) -> tuple[str, ...]:

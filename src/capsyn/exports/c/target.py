@@ -13,10 +13,11 @@ from capsyn.exports.c.packages import PACKAGES, packaged
 from capsyn.exports.c.readings.counts import READINGS, golden_counts
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
+from capsyn.exports.c.timing.slowest import slowest
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Files, Plan
 from capsyn.exports.target import Exported, Target
-from capsyn.validation import finite_number, one_of
+from capsyn.validation import finite_number, one_of, true_or_false
 
 STYLES = ("table", "nested", "grid")
 ARITHMETICS = ("lattice", "double", "float")
@@ -51,6 +52,9 @@ class Options:
     package : "cmake" or "arduino"
         How the files are laid out: header and source with a project of CMake, or an Arduino
         library, a folder of the export's name for the sketchbook's ``libraries``.
+    cycles : bool
+        Whether ``measured.json`` says how long a decision takes at most, ``worst``: cycles of an
+        AVR and instructions of a Cortex-M3, where their compilers and emulators are installed.
     """
 
     style: str = "table"
@@ -59,6 +63,7 @@ class Options:
     name: str | None = None
     tick: float = 1e-6
     package: str = "cmake"
+    cycles: bool = False
 
 
 def export(plan: Plan, golden: Golden, options: Options) -> Exported:
@@ -70,10 +75,11 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     one_of("package", options.package, list(PACKAGES))
     if readings != "real" and arithmetic != "lattice":
         raise ProblemError(f"`readings` {readings} needs `arithmetic` lattice; got {arithmetic}")
-    tick = finite_number("tick", options.tick, above=0.0)
+    finite_number("tick", options.tick, above=0.0)
+    true_or_false("cycles", options.cycles)
     if plan.labels > 1 << 15:
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
-    code = Code.of(plan, style, arithmetic, readings, options.name, tick)
+    code = _code(plan, options)
     vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
     if code.axes:
         vectors = golden_counts(plan, code.axes, readings)
@@ -82,11 +88,20 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     return Exported(packaged(code, options.package), code.renamed, remarks(code), code.changed, vectors)
 
 
-def measure(files: Files) -> dict[str, Any]:
-    """Return what the code takes, by processor; see `sizes`."""
-    code = {Path(name).name: content for name, content in files.items() if name[-2:] in (".h", ".c")}
-    (header,) = (name for name in code if name.endswith(".h"))
-    return {**sizes(code, header.removesuffix(".h"))}
+def measure(plan: Plan, golden: Golden, exported: Exported, options: Options) -> dict[str, Any]:
+    """Return what the code takes, by processor; see `sizes`, and ``worst``: see `slowest`."""
+    own = (".h", ".c")
+    files = {Path(n).name: text for n, text in exported.files.items() if Path(n).suffix in own}
+    code = _code(plan, options)
+    measured: dict[str, Any] = {**sizes(files, code.prefix)}
+    if options.cycles:
+        measured["worst"] = slowest(code, files, golden)
+    return measured
+
+
+def _code(plan: Plan, options: Options) -> Code:
+    o = options
+    return Code.of(plan, o.style, o.arithmetic, o.readings, o.name, float(o.tick))
 
 
 TARGET = Target(export, Options, measure=measure)
