@@ -41,6 +41,11 @@ class ExportOptions:
         "c: table (smallest), nested, grid (fastest); structured-text: nested, table."
     )
     arithmetic: str | None = option("c: lattice, double, float.")
+    cycles: bool = option(
+        "c: measure how long a decision takes at most, where emulators are installed.",
+        "--cycles",
+        default=False,
+    )
     name: str | None = option("What files and functions are called [default: the policy's name].")
     option: list[str] | None = option(
         "Another option of the target, such as sources_only=yes of fmu; may be repeated.",
@@ -81,6 +86,7 @@ def _own_options(options: ExportOptions) -> dict[str, Any]:
     texts = assignments("--option", options.option or [])
     values: dict[str, Any] = {key.replace("-", "_"): _value(text) for key, text in texts.items()}
     named = {"style": options.style, "arithmetic": options.arithmetic, "name": options.name}
+    values |= {"cycles": True} if options.cycles else {}
     return values | {key: value for key, value in named.items() if value is not None}
 
 
@@ -131,8 +137,21 @@ def print_export(
             lines.append(f"renamed: {', '.join(pairs)}")
         for line in lines:
             typer.echo(f"{figures['target']}: {line}")
-    for processor, sizes in (measured[0] if measured else {}).items():
+    by_processor = dict(measured[0]) if measured else {}
+    worst = by_processor.pop("worst", {})
+    for processor, sizes in by_processor.items():
         words = [f"{k.replace('_', ' ')} {v:,}" for k, v in sizes.items() if k != "compiler"]
         typer.echo(f"c, {processor}, {sizes['compiler']}, bytes: {', '.join(words)}")
+    for processor, found in worst.items():
+        for what, start in (("symbol", "steps"), ("decide", "readings")):
+            if what in found:
+                typer.echo(f"c, {processor}, {_longest(found[what], found['unit'], start)}")
     for name in files:
         typer.echo(f"wrote {name}")
+
+
+def _longest(found: dict[str, Any], unit: str, start: str) -> str:
+    """Return a line on the decision that takes longest."""
+    place = ", ".join(f"{x:.6g}" for x in found["at"])
+    known = "at most" if found["exact"] else f"the longest of {found['of']:,} seen"
+    return f"from {start} to a symbol {found['most']:,} {unit}, {known}, at ({place})"

@@ -73,6 +73,9 @@ def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
         )
     elif mean is not None:
         print_line("", f"{mean:.1f} comparisons on average")
+    if tree["deepest"] is not None:
+        place = ", ".join(f"{x:.6g}" for x in tree["deepest"])
+        print_line("", f"most comparisons of the tree at ({place})")
     print_line("entropy", f"{data['symbol_entropy']:.3f} bits of the symbols by volume")
     if machine is None:
         return

@@ -23,8 +23,9 @@ def complexity(policy: Policy) -> dict[str, Any]:
         ``symbol_entropy``: of the symbols' shares of the volume [bits]. ``table``: of a policy of
         cells, ``bytes`` and ``comparisons``, most that a lookup takes as nested inequalities.
         ``tree``: of a decision tree, or of the exact one of a policy of cells, ``mode``,
-        ``nodes``, ``planes``, ``bytes``, ``comparisons`` (most) and ``mean_comparisons`` (over the
-        volume, None where splits are oblique). ``automaton``: ``regions``, ``boxes`` that tile
+        ``nodes``, ``planes``, ``bytes``, ``comparisons`` (most), ``deepest`` (a state that takes as
+        many, [state units]) and ``mean_comparisons`` (over the volume), both None where splits are
+        oblique. ``automaton``: ``regions``, ``boxes`` that tile
         them, ``partitions`` (connected), ``edges`` and ``possible_edges``, ``switch_rate`` [1/s],
         ``sliding_share`` and ``switching_entropy`` [bits] (None without a model, see
         `switching_entropy`). None where splits are oblique or leaves affine.
@@ -39,6 +40,7 @@ def complexity(policy: Policy) -> dict[str, Any]:
             "planes": len(tree.cells.planes),
             "bytes": packed_bytes(tree.cells),
             "comparisons": tree.depth,
+            "deepest": _state(tree, deepest_steps(tree)),
             "mean_comparisons": mean_depth(tree),
         },
         "automaton": None if policy.has_planes else _automaton(policy),
@@ -84,6 +86,24 @@ def mean_depth(tree: DecisionTree) -> float | None:
     boxes = tree.cells.boxes()
     volumes = boxes.volumes()
     return float((tree.cells.depths[boxes.places] * volumes).sum() / volumes.sum())
+
+
+def deepest_steps(tree: DecisionTree) -> list[int] | None:
+    """Return lattice steps that a lookup compares most for; None where splits are oblique."""
+    if tree.cells.has_planes:
+        return None
+    boxes = tree.cells.boxes()
+    steps: list[int] = boxes.lower[tree.cells.depths[boxes.places].argmax()].tolist()
+    return steps
+
+
+def _state(tree: DecisionTree, steps: list[int] | None) -> list[float] | None:
+    """Return the state in the middle of lattice steps."""
+    if steps is None:
+        return None
+    share = (np.array(steps) + 0.5) / tree.cells.counts
+    state: list[float] = (tree.domain.lower + share * tree.domain.widths).tolist()
+    return state
 
 
 def _automaton(policy: Policy) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from capsyn.cells.packing import packed_bytes
-from capsyn.compression.complexity import mean_depth
+from capsyn.compression.complexity import deepest_steps, mean_depth
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import Files, Plan
@@ -142,8 +142,8 @@ def _certificate(
 ) -> dict[str, Any]:
     """Return what a decision takes at most, as plain data.
 
-    ``comparisons`` is exact, from the tree; the mean is over the volume, and None where splits are
-    oblique. ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
+    ``comparisons`` is exact, from the tree: most of them, lattice steps ``at`` which there are so
+    many, and the mean over the volume; the last two are None where splits are oblique. ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
     ``changed_by_rounding`` is the share of random states whose symbol is another as the target
     rounds them; None where it rounds to the policy's own lattice, which changes none.
     """
@@ -155,7 +155,11 @@ def _certificate(
         "policy": plan.policy.name,
         "sha256": content_hash(plan.policy),
         "nodes": tree.node_count,
-        "comparisons": {"most": tree.depth, "mean": mean_depth(tree)},
+        "comparisons": {
+            "most": tree.depth,
+            "at": deepest_steps(tree),
+            "mean": mean_depth(tree),
+        },
         "planes": len(tree.cells.planes),
         "lattice": list(tree.cells.counts),
         "tree_bytes": packed_bytes(tree.cells),

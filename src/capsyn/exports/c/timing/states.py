@@ -5,7 +5,8 @@ time whatever they compare, so that a state of each leaf has them all, and steps
 go the way of the nearest. A grid's decision has no path, but a branch for where a step lies on each
 axis and a shift for the place of a label in its byte. Where a tree has oblique splits, steps
 beyond the lattice take a branch on each axis before it, and leaves have no boxes to take a state
-from: random states then reach most leaves and branches, and nobody knows that none is missed.
+from: then every step of a small lattice is looked at, or random ones of a larger, of which nobody
+knows that they miss no leaf or branch.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from capsyn.random_streams import stream
 MOST = 20_000
 """States that are tried at most: of a tree with more leaves those of the deepest."""
 SAMPLES = 1 << 18
-"""Random states, and the most of a grid that are looked at one by one."""
+"""Random states of a lattice, and the most of its states that are looked at one by one."""
 TIMING = 11
 """Purpose of the random states."""
 
@@ -32,9 +33,9 @@ def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
         boxes = tree.boxes()
         order = np.argsort(-tree.depths[boxes.places], kind="stable")
         return boxes.lower[order][:MOST], len(order) <= MOST
-    every = style == "grid" and math.prod(c + 1 for c in tree.counts) <= SAMPLES
+    every = math.prod(c + 2 for c in tree.counts) <= SAMPLES
     if every:
-        steps = np.stack(np.indices(counts + 1), axis=-1).reshape(-1, tree.n)
+        steps = np.stack(np.indices(counts + 2), axis=-1).reshape(-1, tree.n) - 1
     else:
         steps = stream(0, TIMING).integers(-1, counts + 1, size=(SAMPLES, tree.n))
     branches = (steps > 0).astype(np.int64) + (steps >= counts)
