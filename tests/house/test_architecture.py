@@ -41,8 +41,8 @@ compression: optimal induction freedom surface plane_tree oblique coarsening aff
 plots: figure policy trajectory automaton curve
 exports: plan constants golden target identifiers text crossings
 exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
-    readings.counts code readings.places readings.quantiser notes dwell header source sizes
-    target
+    readings.counts code readings.places readings.quantiser notes dwell header source packages
+    sizes timing.programs timing.emulators timing.states timing.slowest target
 exports.structured_text: lines block functions source target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target

@@ -41,8 +41,15 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "iverilog": ("the test bench of exported Verilog", "any other simulator runs it"),
     "clang": ("tests of kernels and exported C", "these tests are skipped"),
     "cppcheck": ("tests of exported C against MISRA C:2012", "these tests are skipped"),
-    "qemu-system-arm": ("tests of exported C on a Cortex-M3", "these tests are skipped"),
-    "simavr": ("tests of exported C on an ATmega328P", "these tests are skipped"),
+    "qemu-system-arm": (
+        "how long exported C takes on a Cortex-M3, and its tests",
+        "measured.json has no such figures, tests are skipped",
+    ),
+    "simavr": (
+        "how long exported C takes on AVR, and its tests",
+        "measured.json has no such figures, tests are skipped",
+    ),
+    "cmake": ("tests of exported CMake projects", "these tests are skipped"),
     "verilator": ("tests of exported Verilog", "these tests are skipped"),
     "yosys": ("tests of exported Verilog", "these tests are skipped"),
     "node": ("tests of exported JavaScript and of the explorer", "these tests are skipped"),

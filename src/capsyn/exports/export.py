@@ -143,7 +143,8 @@ def _certificate(
     """Return what a decision takes at most, as plain data.
 
     ``comparisons`` is exact, from the tree: most of them, lattice steps ``at`` which there are so
-    many, and the mean over the volume; the last two are None where splits are oblique. ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
+    many, and the mean over the volume; the last two are None where splits are oblique.
+    ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
     ``changed_by_rounding`` is the share of random states whose symbol is another as the target
     rounds them; None where it rounds to the policy's own lattice, which changes none.
     """

@@ -179,7 +179,9 @@ def test_cmake(tmp_path, way):
     export(policy("cart-pendulum"), "c", source)
     found, more = "find_package(cart_pendulum CONFIG REQUIRED)", []
     if way == "installed":
-        call(["cmake", "-S", str(source), "-B", "made", f"-DCMAKE_INSTALL_PREFIX={prefix}"], tmp_path)
+        call(
+            ["cmake", "-S", str(source), "-B", "made", f"-DCMAKE_INSTALL_PREFIX={prefix}"], tmp_path
+        )
         call(["cmake", "--build", "made"], tmp_path)
         call(["cmake", "--install", "made"], tmp_path)
         shutil.rmtree(source)

@@ -1,5 +1,6 @@
 """How long decisions take on emulated processors: exact counts, and no state takes longer."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -38,7 +39,7 @@ def test_times_are_those_that_a_hand_counts(name):
     need_tools(name)
     text, time = LOOPS[name]
     body = " ".join(f'"{line}\\n"' for line in text.split("\n"))
-    source = f'#include "k.h"\n__attribute__((naked)) int16_t k_symbol(const int16_t *z)\n'
+    source = '#include "k.h"\n__attribute__((naked)) int16_t k_symbol(const int16_t *z)\n'
     source += f"{{ __asm__ volatile({body}); }}\n"
     header = "#include <stdint.h>\nint16_t k_symbol(const int16_t *z);\n"
     own = {"k.h": header.encode(), "k.c": source.encode()}
@@ -140,6 +141,17 @@ def test_processors_without_tools_are_left_out(monkeypatch, tmp_path):
     assert slowest.slowest(options, code.files, golden_of("cart-pendulum")) == {}
     with pytest.raises(ProblemError, match="`cycles` must be True or False; got 3"):
         export(policy("cart-pendulum"), "c", tmp_path, cycles=3)
+
+
+def test_inputs_that_do_not_fit_go_in_several_programs():
+    need_tools("avr")
+    written = files(plan_of("cart-pendulum"), None, style="nested")
+    steps = states.longest_steps(plan_of("cart-pendulum").tree.cells, "nested")[0]
+    steps = np.roll(steps[:50], 25, axis=0)
+    call = (written, "cart_pendulum", "symbol", "int16_t", steps)
+    small = dataclasses.replace(MACHINES["avr"], room=72)
+    found = longest(MACHINES["avr"], *call)
+    assert longest(small, *call) == found and found.row > 18
 
 
 def test_a_program_that_cannot_be_built_is_left_out():

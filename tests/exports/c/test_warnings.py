@@ -62,7 +62,9 @@ def few_plans():
 def sources_of(chosen, directory):
     """Write the sources of plans by all options, and return their names."""
     sources = []
-    every = ((p, s, r) for p in chosen for s in STYLES[: 3 if p.tree.depth else 1] for r in READINGS)
+    every = (
+        (p, s, r) for p in chosen for s in STYLES[: 3 if p.tree.depth else 1] for r in READINGS
+    )
     for plan, style, readings in every:
         name = f"p{len(sources)}"
         if "readings" in readings and (plan.scale == 1).all():

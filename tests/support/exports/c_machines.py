@@ -194,7 +194,9 @@ class Library:
         names = {"p": p, "n": n, "real": real}
         names["z"] = self.integer.__name__ + "_t"
         self.plan, self.control = files.plan, np.dtype(_control_type(files)).type
-        text = ENTRY + CONTROL + LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
+        text = (
+            ENTRY + CONTROL + LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
+        )
         write(files, directory, **{"entry.c": text.format(**names)})
         flags = ["-std=c99", *options, *WARNINGS, "-shared", "-fPIC"]
         call([compiler, *flags, f"{p}.c", "entry.c", "-o", "library.so"], directory)
@@ -269,7 +271,9 @@ def _vectors(files, golden, asked, rom, count):
         "statuses": ", ".join(map(str, golden.statuses[:count].tolist())),
     }
     plan, real = files.plan, _control_type(files)
-    values = [[_literal(v, "f" * (real == "float")) for v in u] for u in plan.policy.controls.tolist()]
+    values = [
+        [_literal(v, "f" * (real == "float")) for v in u] for u in plan.policy.controls.tolist()
+    ]
     controls = ", ".join("{" + ", ".join(row) + "}" for row in values)
     text |= {"control": real, "controls": controls, "m": plan.policy.alphabet.m}
     text |= {"symbols": plan.labels, "safe": plan.safe, "p": p}

@@ -108,4 +108,3 @@ def _no_double(code: Code) -> str:
 #endif
 #endif
 """
-

@@ -38,12 +38,14 @@ add_library({p} STATIC {p}.c)
 add_library({p}::{p} ALIAS {p})
 set_target_properties({p} PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON)
 target_include_directories({p} PUBLIC
-    $<BUILD_INTERFACE:${{CMAKE_CURRENT_SOURCE_DIR}}> $<INSTALL_INTERFACE:${{CMAKE_INSTALL_INCLUDEDIR}}>)
+    $<BUILD_INTERFACE:${{CMAKE_CURRENT_SOURCE_DIR}}>
+    $<INSTALL_INTERFACE:${{CMAKE_INSTALL_INCLUDEDIR}}>)
 # what a program does not use is left out by -Wl,--gc-sections
 target_compile_options({p} PRIVATE -ffunction-sections -fdata-sections)
 # find_package({p} CONFIG) of other projects finds what is installed
 install(TARGETS {p} EXPORT {p}
-    ARCHIVE DESTINATION ${{CMAKE_INSTALL_LIBDIR}} INCLUDES DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
+    ARCHIVE DESTINATION ${{CMAKE_INSTALL_LIBDIR}}
+    INCLUDES DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
 install(FILES {p}.h DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
 install(EXPORT {p} FILE {p}Config.cmake NAMESPACE {p}::
     DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/cmake/{p})
@@ -128,7 +130,9 @@ def _sketch(code: Code) -> str:
         clock = {1e-6: "micros()", 1e-3: "millis()"}.get(code.tick, "ticks")
         globals_ = f"\nstatic {p}_state state;\n"
         if clock == "ticks":
-            globals_ += f"static uint32_t ticks = 0; /* yours: advance it every {code.tick!r} s */\n"
+            globals_ += (
+                f"static uint32_t ticks = 0; /* yours: advance it every {code.tick!r} s */\n"
+            )
         init = f"    {p}_init(&state);\n"
         asked = f"{p}_step(&state, x, {clock}, &status)"
         lattice = f"{p}_hold(&state, {lattice}, {clock})"

@@ -108,4 +108,3 @@ int16_t {p}_decide(const {code.reading} x[{plan.n}], {p}_status *status)
     return symbol;
 }}
 """
-

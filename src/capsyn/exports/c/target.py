@@ -15,7 +15,7 @@ from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
 from capsyn.exports.c.timing.slowest import slowest
 from capsyn.exports.golden import Golden
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import Plan
 from capsyn.exports.target import Exported, Target
 from capsyn.validation import finite_number, one_of, true_or_false
 
@@ -85,7 +85,9 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         vectors = golden_counts(plan, code.axes, readings)
         if heavy := heavy_tables(code):
             warn(heavy)
-    return Exported(packaged(code, options.package), code.renamed, remarks(code), code.changed, vectors)
+    return Exported(
+        packaged(code, options.package), code.renamed, remarks(code), code.changed, vectors
+    )
 
 
 def measure(plan: Plan, golden: Golden, exported: Exported, options: Options) -> dict[str, Any]:

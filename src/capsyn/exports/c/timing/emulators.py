@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,7 +28,7 @@ class Machine:
 
     chip: str
     unit: str
-    parts: dict[str, str | int]
+    parts: Mapping[str, str]
     compiler: tuple[str, ...]
     link: tuple[str, ...]
     emulator: tuple[str, ...]
@@ -94,7 +94,7 @@ def longest(
     """
     most = None
     size = {"int16_t": 2, "int32_t": 4, "float": 4, "double": 8}[kind]
-    batch = machine.room // (size * given.shape[1])
+    batch = min(machine.room // (size * given.shape[1]), 1 << 15)
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         for file in (f"{prefix}.h", f"{prefix}.c"):

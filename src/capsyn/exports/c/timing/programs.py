@@ -6,6 +6,8 @@ return: an empty function, called the same way, gives what is measured besides.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 _MAIN = """
 #include "{prefix}.h"
 
@@ -83,7 +85,7 @@ const uint16_t cycles = (uint16_t)(TCNT1 - fine);
     "rom": "PROGMEM",
     "init": "UCSR0B = 1 << TXEN0;\n    TCCR3B = 5;\n    TCCR1B = 1;",
     "load": "memcpy_P(x, given + {n} * i, sizeof x);",
-    "call": 8,  # call and ret
+    "call": "8",  # call and ret
     "done": "cli();\n    sleep_mode();\n    for (;;) {}",
 }
 """Of an AVR: cycles."""
@@ -137,7 +139,7 @@ const uint32_t ticks = begin - *(volatile uint32_t *)0x40000004;
     *(volatile uint32_t *)0x40000004 = 0xffffffffu;
     *(volatile uint32_t *)0x40000000 = 1u;""",
     "load": "for (int k = 0; k < {n}; ++k) {{ x[k] = given[{n}u * i + (uint32_t)k]; }}",
-    "call": 2,  # bl and bx
+    "call": "2",  # bl and bx
     "done": "return 0;",
 }
 """Of a Cortex-M3 of QEMU's board mps2-an385, at ``-icount shift=7``: instructions."""
@@ -154,19 +156,19 @@ SECTIONS {
 
 
 def program(
-    parts: dict[str, str | int], prefix: str, asked: str, kind: str, rows: list[list[str]]
+    parts: Mapping[str, str], prefix: str, asked: str, kind: str, rows: Sequence[Sequence[str]]
 ) -> str:
     """Return a program for a processor.
 
     Parameters
     ----------
-    parts : dict
+    parts : mapping
         `AVR` or `CORTEX_M3`.
     prefix, asked : str
         The function is ``<prefix>_<asked>``; "decide" takes a status besides.
     kind : str
         Type of its inputs.
-    rows : list
+    rows : sequence
         Literals of the inputs of each call.
     """
     n, decides = len(rows[0]), asked == "decide"

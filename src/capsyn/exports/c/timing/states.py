@@ -35,9 +35,13 @@ def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
         return boxes.lower[order][:MOST], len(order) <= MOST
     every = math.prod(c + 2 for c in tree.counts) <= SAMPLES
     if every:
-        steps = np.stack(np.indices(counts + 2), axis=-1).reshape(-1, tree.n) - 1
+        steps = (
+            np.stack(np.indices([count + 2 for count in tree.counts]), axis=-1).reshape(-1, tree.n)
+            - 1
+        )
     else:
         steps = stream(0, TIMING).integers(-1, counts + 1, size=(SAMPLES, tree.n))
+    steps = steps[np.argsort(((steps < 0) | (steps >= counts)).any(axis=1), kind="stable")]
     branches = (steps > 0).astype(np.int64) + (steps >= counts)
     within = np.clip(steps, 0, counts - 1)
     if style == "grid":
@@ -45,6 +49,7 @@ def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
     else:
         place = tree.find(within)
     _, first = np.unique(np.column_stack([place, branches]), axis=0, return_index=True)
+    first.sort()  # those in the lattice first
     steps, place = steps[first], place[first]
     if style != "grid":
         steps = steps[np.argsort(-tree.depths[place], kind="stable")]
