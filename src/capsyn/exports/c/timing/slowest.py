@@ -36,10 +36,10 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
     dict
         Of each processor ``on`` (chip or board), ``unit`` (cycles or instructions), ``compiler``,
         ``emulator``, and ``symbol``, from lattice steps, and ``decide``, from readings, where the
-        code has them there: ``most``, the time of the call, with the return; ``at``, the steps or readings of
-        it; ``symbol``, what it gives; ``of``, how many were tried; ``exact``, whether none can
-        take longer. From readings that is never known, since the time of arithmetic that a library
-        does depends on the numbers.
+        code has them there: ``most``, the time of the call, with the return; ``at``, its steps or
+        readings; ``symbol``, what it gives; ``of``, how many were tried; ``exact``, whether none
+        can take longer. From readings that is never known, since the time of arithmetic that a
+        library does depends on the numbers.
     """
     asked = list(_asked(code, golden))
     found: dict[str, Any] = {}
@@ -49,8 +49,7 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
         times = {}
         for function, kind, given, exact in asked:
             most = longest(machine, files, code.prefix, function, kind, given)
-            wrong = most is None or not _right(code, function, given[most.row], most.symbol)
-            if most is not None and not wrong:
+            if most is not None and _right(code, function, given[most.row], most.symbol):
                 times[function] = {
                     "most": most.time,
                     "at": given[most.row].tolist(),
@@ -66,10 +65,12 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
 
 
 def _right(code: Code, function: str, at: np.ndarray, symbol: int) -> bool:
-    """Return whether a symbol of lattice steps is the tree's, as where all tables are in reach."""
+    """Return whether a symbol of steps is the tree's, as it is if no table is out of reach."""
     tree = code.plan.tree.cells
-    within = np.clip(at, 0, np.array(tree.counts) - 1) if function == "symbol" else None
-    return within is None or int(tree.labels(within[None])[0]) == symbol
+    if function != "symbol":
+        return True
+    within = np.clip(at[None], 0, np.array(tree.counts) - 1)
+    return int(tree.labels(within)[0]) == symbol
 
 
 def _asked(code: Code, golden: Golden) -> Iterator[tuple[str, str, np.ndarray, bool]]:

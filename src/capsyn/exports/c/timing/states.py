@@ -35,10 +35,7 @@ def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
         return boxes.lower[order][:MOST], len(order) <= MOST
     every = math.prod(c + 2 for c in tree.counts) <= SAMPLES
     if every:
-        steps = (
-            np.stack(np.indices([count + 2 for count in tree.counts]), axis=-1).reshape(-1, tree.n)
-            - 1
-        )
+        steps = np.indices([count + 2 for count in tree.counts]).reshape(tree.n, -1).T - 1
     else:
         steps = stream(0, TIMING).integers(-1, counts + 1, size=(SAMPLES, tree.n))
     steps = steps[np.argsort(((steps < 0) | (steps >= counts)).any(axis=1), kind="stable")]
