@@ -40,9 +40,9 @@ compression: optimal induction freedom surface plane_tree oblique coarsening aff
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
 exports: plan constants golden target identifiers text crossings
-exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
-    readings.counts code readings.places readings.quantiser notes dwell header source sizes
-    target
+exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
+    styles.grid readings.single readings.lines readings.counts code readings.places
+    readings.quantiser notes dwell header source sizes target
 exports.structured_text: lines block functions source target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
