@@ -47,7 +47,7 @@ exports.structured_text: lines block functions source target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
-exports.fmu: description target
+exports.fmu: description build target
 exports: python_module dot export
 explorer: policy_data program_javascript expression formulas facts page_data explore
 paper: cases figures pendulum tanks reproduction
