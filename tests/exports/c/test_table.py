@@ -11,6 +11,7 @@ from capsyn.cells.split_tree import LEAF, depth_first
 from capsyn.exports.c.sizes import sizes
 from capsyn.exports.c.styles import mirrors as c_mirrors
 from capsyn.exports.c.styles import stream as c_stream
+from capsyn.exports.c.styles import table as c_table
 from capsyn.exports.c.styles.diagram import Diagram, ordered
 from capsyn.exports.plan import OK
 from support.exports.c_machines import (
@@ -235,6 +236,45 @@ def test_a_symmetry_of_some_axes_together():
     assert found == {(0,): (0, 1), (1,): (1, 0)}
     tree = reflected(some, (0, 1), (1, 0), 1)
     assert [mirror.axes for mirror in c_mirrors.mirrors(tree)] == [(0, 1)]
+
+
+def test_mirrors_that_share_an_axis(tmp_path, monkeypatch):
+    # found are first those of axes 0 and 1, then that of 1 and 2: what is left is not on its pivot
+    counts, turned = (16, 14, 12), (1, 0, 2)
+    some = random_split_tree(counts, labels=3, depth=8, seed=5)
+    tree = reflected(reflected(some, (0, 2), turned, 0), (1, 2), (0, 1, 2), 1)
+    found = {mirror.axes: (mirror.pivot, mirror.turned) for mirror in c_mirrors.mirrors(tree)}
+    assert found == {(0, 2): (0, turned), (1, 2): (1, (0, 1, 2))}
+    monkeypatch.setattr(c_stream, "MIRRORED_AXIS", 0)
+    monkeypatch.setattr(c_stream, "TURNED_LABELS", 0)
+    written = made(plan_of_nodes(counts, tree.split, tree.threshold, label_count=3))
+    assert len(written.written["mirrors"]) == 2
+    steps = np.concatenate([steps_of(tree), steps_of(tree) * 3 - 12])
+    library = Library(written.files, tmp_path, 3, "gcc", UNDEFINED)
+    last = np.array(counts) - 1
+    assert np.array_equal(library.look(steps), tree.labels(np.clip(steps, 0, last)))
+
+
+@pytest.mark.parametrize("case", ["above a skip", "wider than a node"])
+def test_references(tmp_path, monkeypatch, case):
+    tree, skips = stairs((8, 8, 8), 12), 0
+    if case == "above a skip":  # a subtree of two nodes first deep down, then below the root
+        part = ([2, -1, 2, -1, -1], [3, 0, 5, 1, 0])
+        other = ([2, -1, 2, -1, -1], [3, 1, 5, 0, 1])
+        split = [0, 1, *part[0], 1, *other[0], *part[0], *part[0]]
+        threshold = [4, 2, *part[1], 4, *other[1], *part[1], *part[1]]
+        tree, skips = plan_of_nodes((8, 8, 8), split, threshold).tree.cells, 2
+    plan = plan_of_nodes(tree.counts, tree.split, tree.threshold)
+    diagram = ordered(tree).written(skips)
+    form = c_stream.layout(diagram, skips)
+    places = diagram.tree.depths[diagram.target >= 0]
+    assert len(places) and (places < skips).any() == (case == "above a skip")
+    assert (1 + form.label + form.reference > form.node + form.skip) == (skips == 0)
+    written = c_stream.Stream((), diagram, form, c_stream.encode(diagram, form))
+    monkeypatch.setattr(c_table, "stream", lambda tree: written)
+    steps = np.stack(np.indices(tree.counts), axis=-1).reshape(-1, 3)
+    library = Library(files(plan, None), tmp_path, 3, "gcc", UNDEFINED)
+    assert np.array_equal(library.look(steps), tree.labels(steps))
 
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a", "cart-pole"])

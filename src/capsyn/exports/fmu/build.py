@@ -108,7 +108,7 @@ def _by_zig(zig: str, folder: Path, name: str, target: str, chosen: str) -> None
         (folder / "library.def").write_text(LIBRARY)
         make = [zig, "dlltool", "-m", "i386:x86-64", "-d", "library.def", "-l", "library.a"]
         objects = ["code.o", "entry.o"]
-        link = ["-nostdlib", "-shared", "-s", "-Wl,--build-id=none", *objects, "library.a"]
+        link = ["-nostdlib", "-shared", "-s", *objects, "library.a"]
         _run(make, folder, environment)
         for file, code in zip((f"{name}.c", "entry.c"), objects):
             _run([*compile_, *WINDOWS, *PLAIN, "-c", file, "-o", code], folder, environment)
