@@ -242,9 +242,9 @@ def test_mirrors_that_share_an_axis(tmp_path, monkeypatch):
     # found are first those of axes 0 and 1, then that of 1 and 2: what is left is not on its pivot
     counts, turned = (16, 14, 12), (1, 0, 2)
     some = random_split_tree(counts, labels=3, depth=8, seed=5)
-    tree = reflected(reflected(some, (0, 2), turned, 0), (1, 2), (0, 1, 2), 1)
+    tree = reflected(reflected(some, (0, 2), (0, 1, 2), 0), (1, 2), turned, 1)
     found = {mirror.axes: (mirror.pivot, mirror.turned) for mirror in c_mirrors.mirrors(tree)}
-    assert found == {(0, 2): (0, turned), (1, 2): (1, (0, 1, 2))}
+    assert found == {(0, 2): (0, (0, 1, 2)), (1, 2): (1, turned)}
     monkeypatch.setattr(c_stream, "MIRRORED_AXIS", 0)
     monkeypatch.setattr(c_stream, "TURNED_LABELS", 0)
     written = made(plan_of_nodes(counts, tree.split, tree.threshold, label_count=3))
