@@ -40,14 +40,15 @@ compression: optimal induction freedom surface plane_tree oblique coarsening aff
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
 exports: plan constants golden target identifiers text crossings
-exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
-    readings.counts code readings.places readings.quantiser notes dwell header source packages
-    sizes timing.programs timing.emulators timing.states timing.slowest target
+exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
+    styles.grid readings.single readings.lines readings.counts code readings.places
+    readings.quantiser notes dwell header source packages sizes timing.programs timing.emulators
+    timing.states timing.slowest target
 exports.structured_text: lines block functions source target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
-exports.fmu: description target
+exports.fmu: description build target
 exports: python_module dot export
 explorer: policy_data program_javascript expression formulas facts page_data explore
 paper: cases figures pendulum tanks reproduction

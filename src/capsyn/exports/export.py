@@ -146,9 +146,11 @@ def _certificate(
     many, and the mean over the volume; the last two are None where splits are oblique.
     ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
     ``changed_by_rounding`` is the share of random states whose symbol is another as the target
-    rounds them; None where it rounds to the policy's own lattice, which changes none.
+    rounds them; None where it rounds to the policy's own lattice, which changes none. ``written``
+    is there where the target writes the tree in another form, see `Exported`.
     """
     tree = plan.tree
+    written = {} if exported.written is None else {"written": dict(exported.written)}
     return {
         "header": list(plan.header),
         "target": target,
@@ -164,6 +166,7 @@ def _certificate(
         "planes": len(tree.cells.planes),
         "lattice": list(tree.cells.counts),
         "tree_bytes": packed_bytes(tree.cells),
+        **written,
         "files": {
             name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
             for name, content in sorted(exported.files.items())

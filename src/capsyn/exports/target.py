@@ -18,6 +18,7 @@ class Exported:
     the share of random states in the domain whose symbol is another than the policy's, as numbers
     are rounded for the target; None: no state at all, since the target rounds to the policy's own
     lattice. `golden` are vectors of readings as the target holds them; None: those of the plan.
+    `written` says how the tree is written where that is not as it is, as plain data.
     """
 
     files: Files
@@ -25,6 +26,7 @@ class Exported:
     notes: tuple[str, ...] = ()
     changed: float | None = None
     golden: Golden | None = None
+    written: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)

@@ -55,16 +55,19 @@ def run(tmp_path):
         unit.freeInstance()
 
 
-def decisions(unit, readings):
-    """Return symbols and statuses (K, 2) of readings (K, n)."""
-    references = list(range(readings.shape[1]))
-    found = []
+def decisions(unit, plan, readings):
+    """Return symbols and statuses (K, 2) and control vectors (K, m) of readings (K, n)."""
+    references = list(range(plan.n))
+    outputs = [plan.n + i for i in range(plan.policy.alphabet.m)]
+    found, controls = [], []
     for k, row in enumerate(readings.tolist()):
         unit.setReal(references, row)
         found.append(unit.getInteger([0, 1]))
+        controls.append(unit.getReal(outputs))
         unit.doStep(float(k), 1.0)
         assert unit.getInteger([0, 1]) == found[-1]
-    return np.array(found)
+        assert unit.getReal(outputs) == controls[-1]
+    return np.array(found), np.array(controls)
 
 
 def assert_equal(start, policy, **options):
@@ -72,9 +75,10 @@ def assert_equal(start, policy, **options):
     golden = golden_vectors(plan)
     far = np.random.default_rng(1).normal(size=(60, plan.n)) * 10.0 ** np.arange(0, 300, 5)[:, None]
     expected = decide(plan, np.concatenate([golden.readings, far]))
-    found = decisions(start(policy, **options), expected.readings)
+    found, controls = decisions(start(policy, **options), plan, expected.readings)
     np.testing.assert_array_equal(found[:, 1], expected.statuses)
     np.testing.assert_array_equal(found[:, 0], expected.labels)
+    np.testing.assert_array_equal(controls, plan.policy.controls[expected.labels])
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -223,6 +227,13 @@ def test_without_a_compiler_there_are_sources_and_that_is_said(tmp_path, monkeyp
         assert archive.namelist() == ["modelDescription.xml", f"sources/{path.stem}.c"]
         description = ElementTree.fromstring(archive.read("modelDescription.xml"))
     assert description.find(".//SourceFiles/File").get("name") == f"{path.stem}.c"
+
+
+def test_zig_builds_where_there_is_no_compiler(run, monkeypatch):
+    pytest.importorskip("ziglang")
+    policy = built_in("cart-pendulum")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert_equal(functools.partial(run, platforms="linux64"), policy)
 
 
 def test_a_failing_compiler_leaves_what_was_there(tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ import json
 import math
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,8 +26,25 @@ const [file, ...vectors] = process.argv.slice(2);
 const made = await import(file);
 const special = { nan: NaN, inf: Infinity, "-inf": -Infinity };
 const found = JSON.parse(readFileSync(vectors[0], "utf8"))
-  .map(row => made.decide(row.map(v => v in special ? special[v] : Number(v))));
+  .map(row => row.map(v => v in special ? special[v] : Number(v)))
+  .map(x => [...made.decide(x), made.control(x)]);
 console.log(JSON.stringify(found));
+"""
+MICROPYTHON = Path(__file__).parents[3] / "node_modules" / "@micropython"
+RUN_MICROPYTHON = """
+import { readFileSync } from "node:fs";
+const [interpreter, file, vectors] = process.argv.slice(2);
+const { loadMicroPython } = await import(interpreter);
+const python = await loadMicroPython({ heapsize: 32 << 20, stdout: line => console.log(line) });
+python.FS.writeFile("/made.py", readFileSync(file));
+python.FS.writeFile("/vectors.json", readFileSync(vectors));
+python.runPython(`
+import json, sys
+sys.path.append("/")
+import made
+rows = [[float(v) for v in row] for row in json.load(open("/vectors.json"))]
+print(json.dumps([made.decide(x) + (made.control(x),) for x in rows]))
+`);
 """
 
 
@@ -61,25 +79,39 @@ def module(path):
 
 def by_python(policy, directory, readings, **options):
     made = module(made_by(policy, "python", directory, **options))
-    return [made.decide(row) for row in readings.tolist()]
+    return [(*made.decide(row), made.control(row)) for row in readings.tolist()]
 
 
-def by_javascript(policy, directory, readings, **options):
+def by_node(directory, readings, program, *arguments):
+    """Return what a program for Node prints, given files and one of readings."""
     if not NODE:
         pytest.skip("needs node: apt-get install nodejs")
-    path = made_by(policy, "javascript", directory, **options)
-    (directory / "run.mjs").write_text(RUN)
+    (directory / "run.mjs").write_text(program)
     rows = [[repr(v) for v in row] for row in readings.tolist()]
     (directory / "vectors.json").write_text(json.dumps(rows))
-    command = [NODE, directory / "run.mjs", path, directory / "vectors.json"]
+    command = [NODE, directory / "run.mjs", *arguments, directory / "vectors.json"]
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
 
 
+def by_javascript(policy, directory, readings, **options):
+    path = made_by(policy, "javascript", directory, **options)
+    return by_node(directory, readings, RUN, path)
+
+
+def by_micropython(policy, directory, readings, **options):
+    interpreter = MICROPYTHON / "micropython-webassembly-pyscript" / "micropython.mjs"
+    if not interpreter.exists():
+        pytest.skip("needs MicroPython for Node: npm ci")
+    path = made_by(policy, "python", directory, **options)
+    return by_node(directory, readings, RUN_MICROPYTHON, interpreter, path)
+
+
 def by_json(policy, directory, readings, **options):
     data = json.loads(made_by(policy, "json", directory, **options).read_text())
-    return [read(data, row) for row in readings.tolist()]
+    found = [read(data, row) for row in readings.tolist()]
+    return [(*pair, data["symbols"][pair[0]]["control"]) for pair in found]
 
 
 def read(data, reading):
@@ -113,7 +145,12 @@ def read(data, reading):
     return tree["threshold"][i], status
 
 
-RUNNERS = {"python": by_python, "javascript": by_javascript, "json": by_json}
+RUNNERS = {
+    "python": by_python,
+    "micropython": by_micropython,
+    "javascript": by_javascript,
+    "json": by_json,
+}
 
 
 def assert_equal(to, policy, directory, **options):
@@ -124,6 +161,7 @@ def assert_equal(to, policy, directory, **options):
     far = rng.normal(size=(60, plan.n)) * 10.0 ** rng.integers(0, 300, size=(60, 1))
     readings = np.concatenate([golden.readings, far])
     expected = decide(plan, readings)
-    found = np.array(RUNNERS[to](policy, directory, readings, **options))
-    np.testing.assert_array_equal(found[:, 1], expected.statuses)
-    np.testing.assert_array_equal(found[:, 0], expected.labels)
+    symbols, statuses, controls = zip(*RUNNERS[to](policy, directory, readings, **options))
+    np.testing.assert_array_equal(statuses, expected.statuses)
+    np.testing.assert_array_equal(symbols, expected.labels)
+    np.testing.assert_array_equal(np.array(controls), policy.controls[expected.labels])

@@ -13,6 +13,7 @@ from capsyn.exports.c.packages import PACKAGES, packaged
 from capsyn.exports.c.readings.counts import READINGS, golden_counts
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
+from capsyn.exports.c.styles.stream import stream
 from capsyn.exports.c.timing.slowest import slowest
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Plan
@@ -31,7 +32,9 @@ class Options:
     ----------
     style : "table", "nested" or "grid"
         A stream of bits (smallest), nested conditions, or a dense table of labels (fastest; up to
-        65,536 cells).
+        65,536 cells). The stream is that of the tree or of an ordered decision diagram, which has
+        equal subtrees once; of one half where the symbols of the other follow by reflection:
+        whatever takes fewest bytes.
     arithmetic : "lattice", "double" or "float"
         What a decision is made on: lattice steps, which a function gives for states in double
         precision; states in double precision; or in single precision.
@@ -85,9 +88,9 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         vectors = golden_counts(plan, code.axes, readings)
         if heavy := heavy_tables(code):
             warn(heavy)
-    return Exported(
-        packaged(code, options.package), code.renamed, remarks(code), code.changed, vectors
-    )
+    written = stream(code.tree).figures if code.style == "table" else None
+    files = packaged(code, options.package)
+    return Exported(files, code.renamed, remarks(code), code.changed, vectors, written)
 
 
 def measure(plan: Plan, golden: Golden, exported: Exported, options: Options) -> dict[str, Any]:

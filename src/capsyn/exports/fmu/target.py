@@ -1,4 +1,4 @@
-"""Target ``fmu``: an FMI 2.0 co-simulation unit with its C source and a binary of this platform.
+"""Target ``fmu``: an FMI 2.0 co-simulation unit with its C source and binaries of platforms.
 
 Inputs are readings of the states, outputs the control vector, the symbol and the status. A step
 decides from the inputs at its begin and holds the control over it; inputs that are set afterwards
@@ -10,22 +10,20 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
-import subprocess
 import sys
-import tempfile
 import textwrap
 import uuid
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from capsyn.errors import KernelBuildError, ProblemError, warn
 from capsyn.exports.c.language import KEYWORDS
+from capsyn.exports.fmu.build import ENDINGS, build, own_platform
 from capsyn.exports.fmu.description import description, variable_names
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, renamed
@@ -35,10 +33,6 @@ from capsyn.native.build import find_compiler
 from capsyn.policies.file import content_hash
 from capsyn.validation import describe
 from capsyn.version import __version__
-
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
-BUILD_SECONDS = 120
-"""Longest that the compiler may take."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +46,14 @@ class Options:
     sources_only : bool
         Whether to leave out the binary; the unit then runs where its importer can build sources.
         So it is, with a warning, where there is no compiler or no name for the platform.
+    platforms : "host", "all", or one or more of "linux64", "win64", "darwin64"
+        Platforms of the binaries. Those of others than this one are made by the package ziglang
+        (``pip install ziglang``); that of ``darwin64`` is then for both kinds of Macs.
     """
 
     name: str | None = None
     sources_only: bool = False
+    platforms: str | Sequence[str] = "host"
 
 
 def export(plan: Plan, golden: Golden, options: Options) -> Exported:
@@ -64,12 +62,13 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         raise ProblemError(
             f"`sources_only` must be true or false; got {describe(options.sources_only)}"
         )
+    platforms = _platforms(options)
     name = file_name(options.name, plan.policy.name, KEYWORDS)
     guid = "{" + _guid(plan) + "}"
     source = _source(plan, guid)
     content = {"modelDescription.xml": description(plan, name, guid), f"sources/{name}.c": source}
     if not options.sources_only:
-        content |= _binary(name, source)
+        content |= build(name, source, platforms) if platforms else _of_host(name, source)
     names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
     return Exported({f"{name}.fmu": _zip(content)}, renamed(names, variable_names(plan)))
 
@@ -97,33 +96,37 @@ def _zip(content: dict[str, bytes]) -> bytes:
     return buffer.getvalue()
 
 
-def _binary(name: str, source: bytes) -> Files:
-    """Return the shared library of this platform by its place; nothing where it cannot be built."""
-    ending = {"linux": "so", "darwin": "dylib"}.get(sys.platform)
-    if ending is None or platform.machine() not in ("x86_64", "AMD64"):
+def _platforms(options: Options) -> tuple[str, ...]:
+    """Return the platforms that are asked for by name; none for this one, whichever it is."""
+    given = options.platforms
+    if isinstance(given, str):
+        given = {"host": (), "all": tuple(ENDINGS)}.get(given, (given,))
+        known = all(name in ENDINGS for name in given)
+    else:
+        known = isinstance(given, Sequence) and len(given) > 0
+        known = known and all(isinstance(name, str) and name in ENDINGS for name in given)
+    if not known:
+        raise ProblemError(
+            f"`platforms` must be host, all, or one or more of {', '.join(ENDINGS)}; "
+            f"got {describe(options.platforms)}"
+        )
+    if given and options.sources_only:
+        raise ProblemError("`platforms` and `sources_only` exclude each other; got both")
+    return tuple(name for name in ENDINGS if name in given)
+
+
+def _of_host(name: str, source: bytes) -> Files:
+    """Return the library of this platform by its place; nothing where it cannot be built."""
+    own = own_platform()
+    if own is None:
         _warn(f"FMI 2.0 has no name for {sys.platform} {platform.machine()}")
         return {}
     try:
-        command = find_compiler().command
+        find_compiler()
     except KernelBuildError as error:
         _warn(str(error))
         return {}
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory, f"{name}.c")
-        path.write_bytes(source)
-        # names without a directory: the place leaves no trace in the library
-        run = [*command, *FLAGS, path.name, "-o", f"{name}.{ending}", "-lm"]
-        try:
-            subprocess.run(
-                run, cwd=directory, check=True, capture_output=True, timeout=BUILD_SECONDS
-            )
-        except subprocess.SubprocessError as error:
-            output = (getattr(error, "stderr", None) or b"").decode(errors="replace")
-            raise KernelBuildError(
-                f"the compiler failed on the source of the FMU: {output.strip() or error}", run
-            ) from None
-        data = path.with_suffix(f".{ending}").read_bytes()
-    return {f"binaries/{sys.platform}64/{name}.{ending}": data}
+    return build(name, source, [own])
 
 
 def _warn(reason: str) -> None:

@@ -2,7 +2,8 @@
 
 The time of a tree's decision is that of the path through it: comparisons of integers take the same
 time whatever they compare, so that a state of each leaf has them all, and steps beyond the lattice
-go the way of the nearest. A grid's decision has no path, but a branch for where a step lies on each
+go the way of the nearest. A table that is a diagram has the paths of the tree that it stands for;
+of one that is half of a tree, reflections of steps have paths of their own. A grid's decision has no path, but a branch for where a step lies on each
 axis and a shift for the place of a label in its byte. Where a tree has oblique splits, steps
 beyond the lattice take a branch on each axis before it, and leaves have no boxes to take a state
 from: then every step of a small lattice is looked at, or random ones of a larger, of which nobody
@@ -16,7 +17,9 @@ import math
 import numpy as np
 
 from capsyn.cells.split_tree import SplitTree
-from capsyn.random_streams import stream
+from capsyn.exports.c.styles.mirrors import Mirror
+from capsyn.exports.c.styles.stream import stream
+from capsyn.random_streams import stream as random_stream
 
 MOST = 20_000
 """States that are tried at most: of a tree with more leaves those of the deepest."""
@@ -30,14 +33,25 @@ def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
     """Return lattice steps (K, n), the deepest leaves first, and whether none takes longer."""
     counts = np.array(tree.counts)
     if style != "grid" and not tree.has_planes:
+        mirrors: tuple[Mirror, ...] = ()
+        every = True
+        if style == "table":
+            written = stream(tree)
+            unfolded = written.diagram.unfolded(MOST)
+            every = unfolded is not None
+            mirrors, tree = written.mirrors, unfolded or tree
         boxes = tree.boxes()
         order = np.argsort(-tree.depths[boxes.places], kind="stable")
-        return boxes.lower[order][:MOST], len(order) <= MOST
+        steps = boxes.lower[order]
+        for mirror in mirrors:
+            flipped = np.where(np.isin(np.arange(tree.n), mirror.axes), counts - 1 - steps, steps)
+            steps = np.stack([steps, flipped], axis=1).reshape(-1, tree.n)
+        return steps[:MOST], every and len(steps) <= MOST
     every = math.prod(c + 2 for c in tree.counts) <= SAMPLES
     if every:
         steps = np.indices([count + 2 for count in tree.counts]).reshape(tree.n, -1).T - 1
     else:
-        steps = stream(0, TIMING).integers(-1, counts + 1, size=(SAMPLES, tree.n))
+        steps = random_stream(0, TIMING).integers(-1, counts + 1, size=(SAMPLES, tree.n))
     steps = steps[np.argsort(((steps < 0) | (steps >= counts)).any(axis=1), kind="stable")]
     branches = (steps > 0).astype(np.int64) + (steps >= counts)
     within = np.clip(steps, 0, counts - 1)
