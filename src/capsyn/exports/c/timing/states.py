@@ -3,11 +3,11 @@
 The time of a tree's decision is that of the path through it: comparisons of integers take the same
 time whatever they compare, so that a state of each leaf has them all, and steps beyond the lattice
 go the way of the nearest. A table that is a diagram has the paths of the tree that it stands for;
-of one that is half of a tree, reflections of steps have paths of their own. A grid's decision has no path, but a branch for where a step lies on each
-axis and a shift for the place of a label in its byte. Where a tree has oblique splits, steps
-beyond the lattice take a branch on each axis before it, and leaves have no boxes to take a state
-from: then every step of a small lattice is looked at, or random ones of a larger, of which nobody
-knows that they miss no leaf or branch.
+of one that is half of a tree, reflections of steps have paths of their own. A grid's decision has
+no path, but a branch for where a step lies on each axis and a shift for the place of a label in its
+byte. Where a tree has oblique splits, steps beyond the lattice take a branch on each axis before
+it, and leaves have no boxes to take a state from: then every step of a small lattice is looked at,
+or random ones of a larger, of which nobody knows that they miss no leaf or branch.
 """
 
 from __future__ import annotations
