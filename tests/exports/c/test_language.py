@@ -35,7 +35,7 @@ def test_names(tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    "stdint stdbool float math string stdio Stdint limits test Test ALL install help clean example"
+    "stdint stdbool float math string stdio Stdint limits test Test ALL install help clean example Arduino"
     " double".split(),
 )
 def test_names_that_others_have(tmp_path, name):
