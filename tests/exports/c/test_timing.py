@@ -16,6 +16,7 @@ from capsyn.exports.export import export
 from capsyn.exports.golden import decide
 from support.exports.c_machines import need
 from support.exports.c_plans import STYLES, files, golden_of, made, plan_of, policy
+from support.processes.command_line import capsyn, error_of
 
 LOOPS = {
     "avr": (
@@ -133,6 +134,19 @@ def test_times_from_readings(options):
     else:
         (expected,) = decide_single(plan, at).labels
     assert found["decide"]["symbol"] == expected
+
+
+def test_the_command_says_how_long_a_decision_takes(tmp_path):
+    need_tools("avr")
+    need_tools("cortex-m3")
+    policy("cart-pendulum").save(tmp_path / "p.cap")
+    where = ["-o", tmp_path / "made", "--style", "nested"]
+    out, _ = capsyn("export", tmp_path / "p.cap", "--to", "c", "--cycles", *where)
+    worst = json.loads((tmp_path / "made" / "measured.json").read_text())["worst"]
+    assert f"c, avr, from steps to a symbol {worst['avr']['symbol']['most']} cycles, at most" in out
+    assert "c, cortex-m3, from readings to a symbol" in out and "longest of 1,200 seen, at (" in out
+    told = error_of("export", tmp_path / "p.cap", "--to", "json", "--cycles", *where[:2])
+    assert "`cycles` is no option of target json, which has name" in told
 
 
 def test_processors_without_tools_are_left_out(monkeypatch, tmp_path):
