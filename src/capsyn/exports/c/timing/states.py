@@ -18,8 +18,6 @@ import numpy as np
 from capsyn.cells.split_tree import SplitTree
 from capsyn.random_streams import stream
 
-PATHS = ("table", "nested")
-"""Styles whose decision takes the time of its path."""
 MOST = 20_000
 """States that are tried at most: of a tree with more leaves those of the deepest."""
 SAMPLES = 1 << 18
@@ -31,7 +29,7 @@ TIMING = 11
 def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
     """Return lattice steps (K, n), the deepest leaves first, and whether none takes longer."""
     counts = np.array(tree.counts)
-    if style in PATHS and not tree.has_planes:
+    if style != "grid" and not tree.has_planes:
         boxes = tree.boxes()
         order = np.argsort(-tree.depths[boxes.places], kind="stable")
         return boxes.lower[order][:MOST], len(order) <= MOST
@@ -52,5 +50,4 @@ def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
     steps, place = steps[first], place[first]
     if style != "grid":
         steps = steps[np.argsort(-tree.depths[place], kind="stable")]
-    known = style in PATHS or style == "grid"
-    return steps[:MOST], known and every and len(steps) <= MOST
+    return steps[:MOST], every and len(steps) <= MOST
