@@ -35,19 +35,38 @@ def need_tools(name):
     need(MACHINES[name].compiler[0], MACHINES[name].emulator[0])
 
 
+STRAIGHT = (
+    "movw r30, r24\n lpm r18, Z\n mul r18, r18\n clr r1\n push r18\n pop r18\n rcall 2f\n rjmp 3f\n"
+    " 2: ret\n 3: lds r18, 256\n sbrc r1, 0\n nop\n adiw r30, 1\n sts 256, r18\n ret"
+)
+"""Other instructions of an AVR: of program memory, products, the stack, calls, skips."""
+
+
 @pytest.mark.parametrize("name", MACHINES)
 def test_times_are_those_that_a_hand_counts(name):
     need_tools(name)
     text, time = LOOPS[name]
-    body = " ".join(f'"{line}\\n"' for line in text.split("\n"))
-    source = '#include "k.h"\n__attribute__((naked)) int16_t k_symbol(const int16_t *z)\n'
-    source += f"{{ __asm__ volatile({body}); }}\n"
-    header = "#include <stdint.h>\nint16_t k_symbol(const int16_t *z);\n"
-    own = {"k.h": header.encode(), "k.c": source.encode()}
+    own = written_by_hand(text)
     for turns in ([1], [2, 1], [100, 101], [7, 30000, 5]):
         given = np.array(turns)[:, None]
         found = longest(MACHINES[name], own, "k", "symbol", "int16_t", given)
         assert (found.time, found.row) == (time(max(turns)), int(np.argmax(turns)))
+
+
+def test_times_are_those_of_the_data_sheet():
+    need_tools("avr")
+    own, given = written_by_hand(STRAIGHT), np.ones((1, 1), dtype=int)
+    found = longest(MACHINES["avr"], own, "k", "symbol", "int16_t", given)
+    assert found.time == 4 + 1 + 3 + 2 + 1 + 2 + 2 + 3 + 4 + 2 + 2 + 2 + 2 + 2 + 4
+
+
+def written_by_hand(text):
+    """Return files whose function is written in assembly language."""
+    body = " ".join(f'"{line}\\n"' for line in text.split("\n"))
+    source = '#include "k.h"\n__attribute__((naked)) int16_t k_symbol(const int16_t *z)\n'
+    source += f"{{ __asm__ volatile({body}); }}\n"
+    header = "#include <stdint.h>\nint16_t k_symbol(const int16_t *z);\n"
+    return {"k.h": header.encode(), "k.c": source.encode()}
 
 
 @pytest.mark.parametrize("name", MACHINES)
