@@ -34,6 +34,7 @@ ADVISORY = ("misra-c2012-2.4", "misra-c2012-8.7")
         ("linear", "nested", "lattice", 0.1),
         ("freedom", "nested", "float", 0.0),
         ("small", "grid", "lattice", 0.0),
+        ("same", "nested", "lattice", 0.1),
     ],
 )
 def test_misra(tmp_path, mode, style, arithmetic, dwell):
@@ -42,6 +43,12 @@ def test_misra(tmp_path, mode, style, arithmetic, dwell):
         plan = random_plan(8, depth=3, oblique=0.5 * (mode == "linear"))
         assert (mode == "linear") == (len(plan.tree.cells.planes) > 1)
     plan = dataclasses.replace(plan, dwell=dwell)
+    if mode == "same":  # the default control is a symbol's, and nothing waits outside
+        source = dataclasses.replace(
+            random_plan(8, depth=3).policy, default=np.array([5.0]), outside=0, outside_at_once=True
+        )
+        plan = Plan.of(source, dwell=dwell)
+        assert plan.same_control
     assert_misra(files(plan, None, style=style, arithmetic=arithmetic), tmp_path, arithmetic)
 
 

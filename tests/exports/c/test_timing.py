@@ -16,6 +16,7 @@ from capsyn.exports.export import export
 from capsyn.exports.golden import decide
 from support.exports.c_machines import need
 from support.exports.c_plans import STYLES, files, golden_of, made, plan_of, policy
+from support.processes.command_line import capsyn, error_of
 
 LOOPS = {
     "avr": (
@@ -34,19 +35,38 @@ def need_tools(name):
     need(MACHINES[name].compiler[0], MACHINES[name].emulator[0])
 
 
+STRAIGHT = (
+    "movw r30, r24\n lpm r18, Z\n mul r18, r18\n clr r1\n push r18\n pop r18\n rcall 2f\n rjmp 3f\n"
+    " 2: ret\n 3: lds r18, 256\n sbrc r1, 0\n nop\n adiw r30, 1\n sts 256, r18\n ret"
+)
+"""Other instructions of an AVR: of program memory, products, the stack, calls, skips."""
+
+
 @pytest.mark.parametrize("name", MACHINES)
 def test_times_are_those_that_a_hand_counts(name):
     need_tools(name)
     text, time = LOOPS[name]
-    body = " ".join(f'"{line}\\n"' for line in text.split("\n"))
-    source = '#include "k.h"\n__attribute__((naked)) int16_t k_symbol(const int16_t *z)\n'
-    source += f"{{ __asm__ volatile({body}); }}\n"
-    header = "#include <stdint.h>\nint16_t k_symbol(const int16_t *z);\n"
-    own = {"k.h": header.encode(), "k.c": source.encode()}
+    own = written_by_hand(text)
     for turns in ([1], [2, 1], [100, 101], [7, 30000, 5]):
         given = np.array(turns)[:, None]
         found = longest(MACHINES[name], own, "k", "symbol", "int16_t", given)
         assert (found.time, found.row) == (time(max(turns)), int(np.argmax(turns)))
+
+
+def test_times_are_those_of_the_data_sheet():
+    need_tools("avr")
+    own, given = written_by_hand(STRAIGHT), np.ones((1, 1), dtype=int)
+    found = longest(MACHINES["avr"], own, "k", "symbol", "int16_t", given)
+    assert found.time == 4 + 1 + 3 + 2 + 1 + 2 + 2 + 3 + 4 + 2 + 2 + 2 + 2 + 2 + 4
+
+
+def written_by_hand(text):
+    """Return files whose function is written in assembly language."""
+    body = " ".join(f'"{line}\\n"' for line in text.split("\n"))
+    source = '#include "k.h"\n__attribute__((naked)) int16_t k_symbol(const int16_t *z)\n'
+    source += f"{{ __asm__ volatile({body}); }}\n"
+    header = "#include <stdint.h>\nint16_t k_symbol(const int16_t *z);\n"
+    return {"k.h": header.encode(), "k.c": source.encode()}
 
 
 @pytest.mark.parametrize("name", MACHINES)
@@ -89,6 +109,8 @@ def test_what_is_not_known_to_be_the_longest(monkeypatch):
     steps, exact = states.longest_steps(tree, "table")
     assert not exact and len(steps) == 100
     assert tree.depths[tree.find(steps)].min() >= np.median(tree.depths[tree.split == LEAF])
+    another = dataclasses.replace(_code(plan_of("cart-pendulum"), Options()), style="another")
+    assert not next(slowest._asked(another, golden_of("cart-pendulum")))[3]
     monkeypatch.setattr(states, "SAMPLES", 1000)
     assert not states.longest_steps(plan_of("cart-pendulum", "linear").tree.cells, "table")[1]
 
@@ -132,6 +154,19 @@ def test_times_from_readings(options):
     else:
         (expected,) = decide_single(plan, at).labels
     assert found["decide"]["symbol"] == expected
+
+
+def test_the_command_says_how_long_a_decision_takes(tmp_path):
+    need_tools("avr")
+    need_tools("cortex-m3")
+    policy("cart-pendulum").save(tmp_path / "p.cap")
+    where = ["-o", tmp_path / "made", "--style", "nested"]
+    out, _ = capsyn("export", tmp_path / "p.cap", "--to", "c", "--cycles", *where)
+    worst = json.loads((tmp_path / "made" / "measured.json").read_text())["worst"]
+    assert f"c, avr, from steps to a symbol {worst['avr']['symbol']['most']} cycles, at most" in out
+    assert "c, cortex-m3, from readings to a symbol" in out and "longest of 1,200 seen, at (" in out
+    told = error_of("export", tmp_path / "p.cap", "--to", "json", "--cycles", *where[:2])
+    assert "`cycles` is no option of target json, which has name" in told
 
 
 def test_processors_without_tools_are_left_out(monkeypatch, tmp_path):

@@ -18,6 +18,9 @@ from capsyn.exports.plan import NOT_FINITE, Files
 SEEN = 1000
 """Golden vectors, and states of the deepest leaves, at which decisions from readings are timed."""
 
+KNOWN = ("table", "nested", "grid")
+"""Styles of which is known what their time depends on."""
+
 
 def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
     """Return the longest decisions, by processor; those whose tools are missing are left out.
@@ -78,7 +81,7 @@ def _asked(code: Code, golden: Golden) -> Iterator[tuple[str, str, np.ndarray, b
     plan, tree = code.plan, code.plan.tree.cells
     steps, exact = longest_steps(tree, code.style)
     if code.arithmetic == "lattice":
-        yield "symbol", code.integer, steps, exact
+        yield "symbol", code.integer, steps, exact and code.style in KNOWN
     domain = plan.policy.domain
     within = np.clip(steps[:SEEN], 0, np.array(tree.counts) - 1)
     states = domain.lower + (within + 0.5) / tree.counts * domain.widths
