@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import ProblemError, warn
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.header import cmake, example, header
@@ -13,12 +14,16 @@ from capsyn.exports.c.readings.counts import READINGS, golden_counts
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
 from capsyn.exports.c.source import source
+from capsyn.exports.c.styles.cells import cells_bytes
+from capsyn.exports.c.styles.table import table_bytes
 from capsyn.exports.golden import Golden
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import Files, Plan, tree_within
 from capsyn.exports.target import Exported, Target
 from capsyn.validation import finite_number, one_of
 
-STYLES = ("table", "nested", "grid")
+STYLES = ("table", "nested", "grid", "cells")
+BYTES_A_NODE = 3
+"""Fewer bytes than a node of a tree with oblique splits takes in style table."""
 ARITHMETICS = ("lattice", "double", "float")
 
 
@@ -28,9 +33,10 @@ class Options:
 
     Parameters
     ----------
-    style : "table", "nested" or "grid"
-        A stream of bits (smallest), nested conditions, or a dense table of labels (fastest; up to
-        65,536 cells).
+    style : "table", "nested", "grid" or "cells", optional
+        The tree as a stream of bits (smallest), as nested conditions, or as a dense table of labels
+        (fastest; up to 65,536 cells); or the cells of the policy as they are, with the rows of
+        affine leaves. Default: table, but cells for affine leaves where these take fewer bytes.
     arithmetic : "lattice", "double" or "float"
         What a decision is made on: lattice steps, which a function gives for states in double
         precision; states in double precision; or in single precision.
@@ -50,7 +56,7 @@ class Options:
         Unit of the time that a dwell time is measured in [s].
     """
 
-    style: str = "table"
+    style: str | None = None
     arithmetic: str = "lattice"
     readings: str = "real"
     name: str | None = None
@@ -59,8 +65,9 @@ class Options:
 
 def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     """Return a header, a source, a snippet for CMake and an example."""
-    style, arithmetic, readings = options.style, options.arithmetic, options.readings
-    one_of("style", style, list(STYLES))
+    arithmetic, readings = options.arithmetic, options.readings
+    style = _style(plan, options.style)
+    plan = plan.written(style == "cells")
     one_of("arithmetic", arithmetic, list(ARITHMETICS))
     one_of("readings", readings, list(READINGS))
     if readings != "real" and arithmetic != "lattice":
@@ -80,7 +87,25 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         vectors = golden_counts(plan, code.axes, readings)
         if heavy := heavy_tables(code):
             warn(heavy)
-    return Exported(files, code.renamed, remarks(code), code.changed, vectors)
+    return Exported(
+        files, code.renamed, remarks(code), code.changed, vectors, plan, {"style": style}
+    )
+
+
+def _style(plan: Plan, style: str | None) -> str:
+    """Return the style that is asked for, or that of the fewest bytes."""
+    cells = plan.policy.cells
+    if style is not None:
+        one_of("style", style, list(STYLES))
+        if style == "cells" and not isinstance(cells, CellTree):
+            raise ProblemError(f"`style` cells is for policies of cells; got {plan.policy!r}")
+        return style
+    if isinstance(cells, CellTree) and cells.affine is not None:
+        size = cells_bytes(cells)
+        tree = tree_within(plan.policy, size // BYTES_A_NODE)
+        if tree is None or table_bytes(tree.cells) > size:
+            return "cells"
+    return "table"
 
 
 def measure(files: Files) -> dict[str, Any]:

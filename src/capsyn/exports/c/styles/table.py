@@ -105,6 +105,13 @@ def layout(tree: SplitTree, skips: int, skip: int = 0) -> Layout:
         skip += 1
 
 
+def table_bytes(tree: SplitTree) -> int:
+    """Return the bytes of the tables of a tree; those of planes have 32-bit entries at most."""
+    form = layout(tree, best_skips(tree))
+    most = int(np.abs(tree.planes).max(initial=0))
+    return len(encode(tree, form)) + len(form.cuts) * ((2 if most < 1 << 15 else 4) * tree.n + 4)
+
+
 def encode(tree: SplitTree, form: Layout) -> bytes:
     """Return the stream of bits, padded so that windows never read beyond it."""
     at = value = 0
