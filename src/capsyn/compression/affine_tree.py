@@ -10,7 +10,7 @@ from capsyn.cells.affine_leaves import AffineLeaves
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 
-MAX_NODES = 20_000_000
+MAX_NODES = 5_000_000
 """Most nodes of a tree."""
 
 

@@ -163,7 +163,8 @@ def cells_style(cells: CellTree, prefix: str, opening: str, public: bool) -> Par
     const {leaf} leaf = ({leaf})(-1 - {prefix}_leaf(z));
     int16_t symbol = (int16_t)leaf;
     if (leaf >= {cells.affine.first}) {{
-        symbol = {prefix}_largest(z, ({_index(tables)})(leaf - {cells.affine.first}));
+        const {leaf} number = ({leaf})(leaf - {cells.affine.first});
+        symbol = {prefix}_largest(z, ({_index(tables)})number);
     }}
     return symbol;
 }}
