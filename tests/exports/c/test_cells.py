@@ -94,7 +94,7 @@ def test_the_largest_rows_do_not_overflow(rows, tmp_path):
 
 
 def test_rows_whose_differences_are_wide_are_all_kept(tmp_path):
-    rows = [(0, 0, [32767, 0]), (1, 9, [-32767, 0]), (2, 5, [0, 0])]
+    rows = [(0, -2_090_000, [32767, 0]), (1, -9, [-32767, 0]), (2, -40_000, [0, 0])]  # all below 0
     policy = policy_of_rows(rows, (64, 32), copies=2)
     tables = style_cells.Tables.of(policy.cells, "p")
     assert len(tables.rows["symbols"].values) == 3  # of two equal leaves

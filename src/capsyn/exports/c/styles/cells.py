@@ -161,7 +161,7 @@ def cells_style(cells: CellTree, prefix: str, opening: str, public: bool) -> Par
 {inner}
 {{
     const {leaf} leaf = ({leaf})(-1 - {prefix}_leaf(z));
-    int16_t symbol = (int16_t)leaf;
+    int16_t symbol = {"leaf" if leaf == "int16_t" else "(int16_t)leaf"};
     if (leaf >= {cells.affine.first}) {{
         const {leaf} number = ({leaf})(leaf - {cells.affine.first});
         symbol = {prefix}_largest(z, ({_index(tables)})number);
@@ -197,8 +197,8 @@ def _leaf(cells: CellTree, tables: Tables, prefix: str) -> str:
         declared.append(f"    {unsigned} rest{i} = ({unsigned})z[{i}];")
         declared.append(f"    {unsigned} size{i} = {size}u;")
         if parts > 1:
-            before = f"(at * {parts}u) + " if i else ""
-            body.append(f"    at = ({at})({before}(rest{i} / {size}u));")
+            place = f"rest{i} / {size}u"
+            body.append(f"    at = ({at})({f'(at * {parts}u) + ({place})' if i else place});")
             body.append(f"    rest{i} %= {size}u;")
     axes, down = "", [line for i in range(cells.n) for line in _child(cells, i, unsigned, at)]
     if cells.splits is not None:
