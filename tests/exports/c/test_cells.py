@@ -103,6 +103,13 @@ def test_rows_whose_differences_are_wide_are_all_kept(tmp_path):
     assert_every_step(Plan.of(policy), tmp_path)
 
 
+def test_steps_of_32_bits(tmp_path):
+    rows = [(0, 70_000, [1, -2]), (1, 0, [2, -1]), (2, 90_000, [0, 0])]
+    plan = Plan.of(policy_of_rows(rows, (1 << 17, 1 << 16), copies=2))
+    assert b"const int32_t z[2]" in files(plan, None, style="cells")["rows.h"]
+    assert_every_step(plan, tmp_path)
+
+
 def test_narrow_entries(tmp_path):
     rows = [(0, 0, [0, 0]), (1, 5, [-3, 1])]
     policy = policy_of_rows(rows, (8, 8))
