@@ -8,9 +8,10 @@ import pytest
 
 from capsyn import Box, compress, problems, subdivide, synthesize
 from capsyn.cells.packing import packed_bytes, smallest_type
+from capsyn.compression import complexity as sizes
 from capsyn.compression.complexity import complexity, entropy, switching_entropy
 from capsyn.errors import CapsynWarning
-from support.trees import random_policy, random_tree
+from support.trees import random_affine_policy, random_policy, random_tree
 
 
 def test_entropies():
@@ -95,6 +96,13 @@ def test_oblique_splits_have_no_boxes():
     assert found["tree"]["planes"] > 0 and found["tree"]["mean_comparisons"] is None
     assert found["tree"]["deepest"] is None
     assert found["automaton"] is None and 0.9 < found["symbol_entropy"] <= 1
+
+
+def test_a_tree_that_is_too_large_is_left_out(monkeypatch):
+    policy = random_affine_policy(3)
+    found = complexity(policy)
+    monkeypatch.setattr(sizes, "MOST_NODES", found["tree"]["nodes"] - 2)
+    assert complexity(policy) == found | {"tree": None}
 
 
 def test_one_cell():

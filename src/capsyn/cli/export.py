@@ -38,7 +38,8 @@ class ExportOptions:
     )
     offset: str | None = option("See --scale [0].", metavar="O[,O..]")
     style: str | None = option(
-        "c: table (smallest), nested, grid (fastest); structured-text: nested, table."
+        "c: table (smallest), nested, grid (fastest), cells; structured-text: nested, table, cells "
+        "[default: cells for affine leaves, else the first]."
     )
     arithmetic: str | None = option("c: lattice, double, float.")
     cycles: bool = option(
@@ -114,18 +115,31 @@ def _value(text: str) -> Any:
     return [_value(part) for part in text.split(",")] if "," in text else text
 
 
+def _costs(figures: dict[str, Any]) -> str:
+    """Return what a decision costs, in a line."""
+    if "cells" in figures:
+        rows, levels = figures["rows_evaluated"], figures["levels"]
+        return (
+            f"{figures['cells']:,} cells with {figures['rows']:,} rows; {levels['most']} levels "
+            f"and {rows['most']} rows at most, {levels['mean']:.1f} and {rows['mean']:.1f} on "
+            f"average; "
+            f"cells of {figures['cells_bytes']:,} bytes"
+        )
+    compared = figures["comparisons"]
+    mean = "" if compared["mean"] is None else f", {compared['mean']:.1f} on average"
+    return (
+        f"{figures['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
+        f"{figures['tree_bytes']:,} bytes"
+    )
+
+
 def print_export(
     files: list[str], certificates: list[dict[str, Any]], measured: list[dict[str, Any]]
 ) -> None:
     """Print what a decision costs, and which files were written."""
-    tree = certificates[0]
-    compared = tree["comparisons"]
-    mean = "" if compared["mean"] is None else f", {compared['mean']:.1f} on average"
-    typer.echo(
-        f"{tree['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
-        f"{tree['tree_bytes']:,} bytes"
-    )
-    typer.echo(tree["guarantee"])
+    for line in dict.fromkeys(map(_costs, certificates)):
+        typer.echo(line)
+    typer.echo(certificates[0]["guarantee"])
     for figures in certificates:
         changed, lines = figures["changed_by_rounding"], list(figures["notes"])
         if changed is None:

@@ -61,16 +61,10 @@ def print_agreement(data: dict[str, Any], headline: str) -> None:
 def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
     """Print what `capsyn.compression.complexity.complexity` returns."""
     table, tree, machine = data["table"], data["tree"], data["automaton"]
-    planes = f" and {tree['planes']:,} oblique splits" if tree["planes"] else ""
-    mean = tree["mean_comparisons"]
-    average = "" if mean is None else f", {mean:.1f} on average"
+    mean = tree and tree["mean_comparisons"]
     if from_cells:
         print_line("", f"{table['comparisons']} comparisons at most")
-        print_line(
-            "exact tree",
-            f"{tree['nodes']:,} nodes{planes}, {tree['bytes']:,} bytes packed, "
-            f"{tree['comparisons']} comparisons at most{average}",
-        )
+        print_line("exact tree", _exact_tree(tree))
     elif mean is not None:
         print_line("", f"{mean:.1f} comparisons on average")
     if tree["deepest"] is not None:
@@ -91,6 +85,19 @@ def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
             f"second from evenly spread states; sliding on {machine['sliding_share']:.1%} of the "
             f"switching surface; {machine['switching_entropy']:.3f} bits a switch",
         )
+
+
+def _exact_tree(tree: dict[str, Any] | None) -> str:
+    """Return what is told of the exact tree of cells."""
+    if tree is None:
+        return "too large: an export to c and most targets writes the cells"
+    planes = f" and {tree['planes']:,} oblique splits" if tree["planes"] else ""
+    mean = tree["mean_comparisons"]
+    average = "" if mean is None else f", {mean:.1f} on average"
+    return (
+        f"{tree['nodes']:,} nodes{planes}, {tree['bytes']:,} bytes packed, "
+        f"{tree['comparisons']} comparisons at most{average}"
+    )
 
 
 def print_automaton(data: dict[str, Any]) -> None:

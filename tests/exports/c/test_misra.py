@@ -19,6 +19,7 @@ from support.exports.c_plans import (
     plan_of,
     random_plan,
 )
+from support.trees import random_affine_policy, random_policy
 
 ADVISORY = ("misra-c2012-2.4", "misra-c2012-8.7")
 """Deviations that the header names."""
@@ -35,6 +36,9 @@ ADVISORY = ("misra-c2012-2.4", "misra-c2012-8.7")
         ("freedom", "nested", "float", 0.0),
         ("small", "grid", "lattice", 0.0),
         ("same", "nested", "lattice", 0.1),
+        ("plain cells", "cells", "double", 0.0),
+        ("rows", "cells", "lattice", 0.1),
+        ("rows of some axes", "cells", "lattice", 0.0),
     ],
 )
 def test_misra(tmp_path, mode, style, arithmetic, dwell):
@@ -42,6 +46,10 @@ def test_misra(tmp_path, mode, style, arithmetic, dwell):
     if mode in ("small", "linear"):  # whose conditions do not follow from others
         plan = random_plan(8, depth=3, oblique=0.5 * (mode == "linear"))
         assert (mode == "linear") == (len(plan.tree.cells.planes) > 1)
+    if style == "cells":
+        policy = random_affine_policy(3, some_axes=mode != "rows")
+        policy = random_policy(3) if mode == "plain cells" else policy
+        plan = Plan.of(dataclasses.replace(policy, name="cart-pendulum"))
     plan = dataclasses.replace(plan, dwell=dwell)
     if mode == "same":  # the default control is a symbol's, and nothing waits outside
         source = dataclasses.replace(

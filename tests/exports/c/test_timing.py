@@ -124,7 +124,9 @@ def test_an_export_says_how_long_a_decision_takes(tmp_path):
     assert worst["avr"]["unit"] == "cycles" and worst["cortex-m3"]["unit"] == "instructions"
     assert "decide" not in worst["avr"]  # whose doubles are floats
     for found in worst.values():
-        assert found["symbol"]["exact"] and found["symbol"]["of"] == 440  # 220 paths and their mirrors
+        assert (
+            found["symbol"]["exact"] and found["symbol"]["of"] == 440
+        )  # 220 paths and their mirrors
         assert found["symbol"]["most"] > 1000
     seen = worst["cortex-m3"]["decide"]
     assert not seen["exact"] and seen["most"] > worst["cortex-m3"]["symbol"]["most"]

@@ -18,7 +18,7 @@ from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
 from support.exports.policies import PROBLEMS, built_in, oblique, small
 from support.processes.command_line import capsyn
-from support.trees import random_policy
+from support.trees import random_affine_policy, random_policy
 
 fmpy = pytest.importorskip("fmpy")
 
@@ -96,6 +96,13 @@ def test_oblique_splits_readings_and_other_dimensions(run):
     assert_equal(run, oblique())
     assert_equal(run, random_policy(0, periodic=True))
     assert_equal(run, random_policy(7, periodic=True), scale=-0.0375, offset=100)
+
+
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_affine_leaves(some_axes, run):
+    assert_equal(run, random_affine_policy(3, True, 1, some_axes), scale=-0.0375, offset=0.1)
+    policy = dataclasses.replace(random_affine_policy(6, True, 2, some_axes), gaps=True)
+    assert_equal(run, policy, safe=1)
 
 
 def quoted():

@@ -116,7 +116,7 @@ def by_json(policy, directory, readings, **options):
 
 def read(data, reading):
     """Return (symbol, status) as the texts of a JSON file say."""
-    axes, tree = data["states"], data["tree"]
+    axes = data["states"]
     x = [v * axis["scale"] + axis["offset"] for v, axis in zip(reading, axes)]
     if not all(map(math.isfinite, x)):
         return data["outside"]["safe"], 2
@@ -134,15 +134,46 @@ def read(data, reading):
         z.append(max(after - 1, 0))
     if status == 1 and data["outside"]["rule"] != "nearest":
         return data["outside"]["safe"], 1
+    label = walked(data["tree"], z) if "tree" in data else gone_down(data, z)
+    if label == data["outside"].get("gap"):
+        return data["outside"]["safe"], 1
+    return label, status
+
+
+def walked(tree, z):
+    """Return the label of lattice steps as the texts say of a tree."""
     i = 0
     while tree["split"][i] != -1:
         s = tree["split"][i]
         plane = None if s < len(z) else tree["planes"][s - len(z)]
         v = z[s] if plane is None else sum(a * b for a, b in zip(plane, z))
         i = tree["second"][i] if v >= tree["threshold"][i] else i + 1
-    if tree["threshold"][i] == data["outside"].get("gap"):
-        return data["outside"]["safe"], 1
-    return tree["threshold"][i], status
+    return tree["threshold"][i]
+
+
+def gone_down(data, z):
+    """Return the label of lattice steps as the texts say of cells."""
+    cells, n = data["cells"], len(z)
+    size, i = list(cells["root_sizes"]), 0
+    for j in range(n):
+        i = i * cells["partitions"][j] + z[j] // size[j]
+    while cells["entries"][i] >= 0:
+        c = 0
+        for j, parts in enumerate(cells["refinement"]):
+            if not cells["splits"] or cells["splits"][i] & 2**j:
+                size[j] //= parts
+                c = c * parts + z[j] // size[j] % parts
+        i = cells["entries"][i] + c
+    leaf = -1 - cells["entries"][i]
+    if leaf <= data["default"]:
+        return leaf
+    a = leaf - data["default"] - 1
+    rows = range(cells["row_starts"][a], cells["row_starts"][a + 1])
+    slopes = cells["row_slopes"]
+    values = [
+        cells["row_constants"][r] + sum(slopes[r * n + j] * z[j] for j in range(n)) for r in rows
+    ]
+    return cells["row_symbols"][rows[values.index(max(values))]]
 
 
 RUNNERS = {

@@ -248,6 +248,9 @@ class Unit:
         if _text(called) == "dint_to_lreal":
             inner = self._value(_named(arguments)[0])
             return lambda values: float(_converted("DINT", inner(values)))
+        if _text(called) == "int_to_dint":
+            inner = self._value(_named(arguments)[0])
+            return lambda values: _converted("INT", inner(values))
         if _text(called) == "dint_to_int":
             inner = self._value(_named(arguments)[0])
             return lambda values: _converted("INT", inner(values))

@@ -35,6 +35,7 @@ BYTES_IN_LINE = 22
 """Entries of a table of bytes in a line."""
 ENTRIES = {
     "BYTE": "pgm_read_byte(place)",
+    "INT8": "((int8_t)pgm_read_byte(place))",
     "INT16": "((int16_t)pgm_read_word(place))",
     "INT32": "((int32_t)pgm_read_dword(place))",
     "FLOAT": "pgm_read_float(place)",

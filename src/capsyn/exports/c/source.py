@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.c import dwell
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import Part, macros, rows
 from capsyn.exports.c.readings.places import counts_quantiser
 from capsyn.exports.c.readings.quantiser import state_quantiser
+from capsyn.exports.c.styles.cells import cells_style
 from capsyn.exports.c.styles.grid import grid
 from capsyn.exports.c.styles.nested import nearest, nested
 from capsyn.exports.c.styles.table import table
@@ -61,6 +63,8 @@ def _decision(code: Code) -> Part:
     argument = f"const {code.real} x[{n}]" if code.direct else f"const {code.integer} z[{n}]"
     static = "" if code.arithmetic == "lattice" else "static "
     opening = f"{static}int16_t {p}_symbol({argument})"
+    if isinstance(code.tree, CellTree):
+        return cells_style(code.tree, p, opening, public=not static)
     if code.style == "grid":
         return grid(code.tree, p, opening)
     public, planes = opening, not static and len(code.tree.planes)

@@ -21,8 +21,12 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.packing import smallest_type
+from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import KernelBuildError, ProblemError, warn
 from capsyn.exports.c.language import KEYWORDS
+from capsyn.exports.constants import cell_tables
 from capsyn.exports.fmu.build import ENDINGS, build, own_platform
 from capsyn.exports.fmu.description import description, variable_names
 from capsyn.exports.golden import Golden
@@ -135,9 +139,7 @@ def _warn(reason: str) -> None:
 
 def _source(plan: Plan, guid: str) -> bytes:
     """Return the C source: what the policy is, as constants and tables, then what it does."""
-    policy, tree = plan.policy, plan.tree.cells
-    domain = policy.domain
-    planes = tree.planes if len(tree.planes) else np.zeros((1, domain.n), dtype=np.int32)
+    policy, domain = plan.policy, plan.policy.domain
     lines = [f"/* {line.replace('*/', '* /').replace('/*', '/ *')} */" for line in plan.header]
     lines += [
         "#include <stdint.h>",
@@ -155,16 +157,42 @@ def _source(plan: Plan, guid: str) -> bytes:
         _table("int", "PERIODIC[STATES]", [int(p) for p in domain.periodic]),
         _table("double", "SCALE[STATES]", plan.scale.tolist()),
         _table("double", "OFFSET[STATES]", plan.offset.tolist()),
-        _table("int32_t", "COUNTS[STATES]", tree.counts),
+        _table("int32_t", "COUNTS[STATES]", plan.counts),
         _table("double", f"CONTROL[{plan.labels}][CONTROLS]", policy.controls.tolist()),
-        _table("int32_t", f"SPLIT[{tree.node_count}]", tree.split.tolist()),
-        _table("int32_t", f"THRESHOLD[{tree.node_count}]", tree.threshold.tolist()),
-        _table("int32_t", f"SECOND[{tree.node_count}]", tree.second.tolist()),
-        _table("int32_t", f"PLANES[{len(planes)}][STATES]", planes.tolist()),
+        *_arrays(plan),
         "",
     ]
     body = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
     return ("\n".join(lines) + "\n" + body).encode()
+
+
+def _arrays(plan: Plan) -> list[str]:
+    """Return what lookups need of the cells or the tree, as they are written."""
+    cells = plan.cells
+    return _nodes(cells) if isinstance(cells, SplitTree) else _cells(cells, plan.default)
+
+
+def _nodes(tree: SplitTree) -> list[str]:
+    planes = tree.planes if len(tree.planes) else np.zeros((1, tree.n), dtype=np.int32)
+    return [
+        _table("int32_t", f"SPLIT[{tree.node_count}]", tree.split.tolist()),
+        _table("int32_t", f"THRESHOLD[{tree.node_count}]", tree.threshold.tolist()),
+        _table("int32_t", f"SECOND[{tree.node_count}]", tree.second.tolist()),
+        _table("int32_t", f"PLANES[{len(planes)}][STATES]", planes.tolist()),
+    ]
+
+
+def _cells(cells: CellTree, default: int) -> list[str]:
+    none = np.zeros(1, dtype=np.int32)
+    tables = ((name, array if len(array) else none) for name, array, _ in cell_tables(cells))
+    return [
+        f"#define CELLS {1 if cells.splits is None else 2}",
+        f"#define DEFAULT {default}",
+        *(
+            _table(f"{smallest_type(array)}_t", f"{name}[{len(array)}]", array.tolist())
+            for name, array in tables
+        ),
+    ]
 
 
 def _table(kind: str, name: str, values: Sequence[Any]) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from capsyn.exports.identifiers import identifiers, renamed, wanted_name
 from capsyn.exports.plan import Plan
+from capsyn.exports.structured_text import cells as cells_text
 from capsyn.exports.structured_text.lines import KEYWORDS
 
 LONGEST_NAME = 32
@@ -20,7 +21,8 @@ TABLES = ("splits", "thresholds", "seconds", "planes")
 class Block:
     """A function block that decides, with its name and those of its variables.
 
-    `table` is whether a loop walks through the tree as arrays, else IF statements in functions.
+    `table` is whether loops walk through the tree, or the cells, as arrays, else IF statements in
+    functions.
     `readings` (n) become `states` (n) and these `steps` (n) by the functions that it `calls`.
     `renamed` are names that are no identifiers, and what they became.
     """
@@ -42,12 +44,14 @@ class Block:
         (block,) = identifiers([wanted[:LONGEST_NAME]], KEYWORDS, fold=True)
         n, calls = plan.n, {part: f"{block}_{part}" for part in ("wrap", "step", "tree")}
         steps = [f"z{i}" for i in range(n)]
-        trees = (f"{calls['tree']}{k}" for k in range(1, plan.tree.node_count))
+        trees = [*cells_text.LOCAL, *cells_text.TABLES]
+        if not plan.as_cells:
+            trees = [f"{calls['tree']}{k}" for k in range(1, plan.tree.node_count)]
         kept = {*KEYWORDS, *FIXED, *LOCAL, *TABLES, *steps, block, *calls.values(), *trees}
         names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
         chosen = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
         states = identifiers([f"state_{i}" for i in range(n)], {*kept, *chosen}, fold=True)
         new_names = renamed([wanted, *names], [block, *chosen])
         readings, controls = chosen[:n], chosen[n:]
-        table = style == "table"
+        table = style != "nested"
         return Block(plan, table, block, readings, states, steps, controls, calls, new_names)

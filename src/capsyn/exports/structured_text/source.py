@@ -6,8 +6,10 @@ import textwrap
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, with_unit
 from capsyn.exports.structured_text.block import TABLES, Block
+from capsyn.exports.structured_text.cells import cell_arrays, cell_variables, cell_walk
 from capsyn.exports.structured_text.lines import condition, declared, real
 from capsyn.exports.text import WIDTH, broken
 
@@ -40,10 +42,12 @@ def declarations(block: Block) -> list[str]:
         lines += ["VAR CONSTANT", *_tables(block), "END_VAR"]
     lines.append("VAR")
     lines += [f"    {state} : LREAL;" for state in block.states]
-    if block.table:
+    if isinstance(plan.cells, CellTree):
+        lines += cell_variables(plan.cells)
+    elif block.table:
         lines.append(f"    z : ARRAY[0..{plan.n - 1}] OF DINT;")
         lines += [f"    {text} : DINT;" for text in ("node", "axis", "value")]
-        if len(plan.tree.cells.planes):
+        if plan.cells.has_planes:
             lines.append("    i : DINT;")
     else:
         lines += [f"    {step} : DINT;" for step in block.steps]
@@ -59,14 +63,17 @@ def _raw(block: Block) -> list[bool]:
 
 
 def _arrays(block: Block) -> dict[str, np.ndarray]:
-    tree = block.plan.tree.cells
+    tree = block.plan.cells
+    if isinstance(tree, CellTree):
+        return cell_arrays(tree)
     arrays = [tree.split, tree.threshold, tree.second]
     return dict(zip(TABLES, arrays + [tree.planes.ravel()] * bool(len(tree.planes))))
 
 
 def notes(block: Block) -> tuple[str, ...]:
     """Return what a user must be told."""
-    wide = [name for name, values in _arrays(block).items() if _wide(values)] * block.table
+    arrays = _arrays(block) if block.table else {}
+    wide = [name for name, values in arrays.items() if _wide(values)]
     return (f"tables of 32-bit numbers (DINT): {', '.join(wide)}",) if wide else ()
 
 
@@ -122,7 +129,7 @@ def body(block: Block) -> list[str]:
 
 
 def _decision(block: Block) -> list[str]:
-    domain, tree, lines = block.plan.policy.domain, block.plan.tree.cells, []
+    domain, tree, lines = block.plan.policy.domain, block.plan.cells, []
     for i, (state, count) in enumerate(zip(block.states, tree.counts)):
         box = f"low := {real(domain.lower[i])}, high := {real(domain.upper[i])}"
         if domain.periodic[i]:
@@ -133,6 +140,8 @@ def _decision(block: Block) -> list[str]:
     if not block.table:
         call = f"wanted := {block.calls['tree']}({', '.join(block.steps)});"
         return [*lines, *broken(call, WIDTH - 8), *_gap(block)]
+    if isinstance(tree, CellTree):
+        return [*lines, *cell_walk(tree), *_gap(block)]
     lines += ["node := 0;", "axis := splits[0];", "WHILE axis >= 0 DO"]
     if len(tree.planes):
         lines += [f"    IF axis < {tree.n} THEN", "        value := z[axis];", "    ELSE"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from capsyn.cells.cell_tree import CellTree
+from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Plan
 from capsyn.exports.structured_text.block import Block
@@ -20,13 +22,15 @@ class Options:
 
     Parameters
     ----------
-    style : "nested" or "table"
-        The tree as IF statements in functions, or as arrays that a loop walks through.
+    style : "nested", "table" or "cells", optional
+        The tree as IF statements in functions, or as arrays that a loop walks through; or the
+        cells of the policy, with the rows of affine leaves. Default: cells of affine leaves, else
+        nested.
     name : str, optional
         Name of the block. Default: that of the policy.
     """
 
-    style: str = "nested"
+    style: str | None = None
     name: str | None = None
 
 
@@ -37,10 +41,15 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     outside, 2 not finite) and the controls. With a minimum dwell time there is one more input
     ``cycle``, the seconds since the call before.
     """
-    one_of("style", options.style, ["nested", "table"])
-    block = Block.of(plan, options.style, options.name)
+    style = options.style or ("cells" if plan.as_cells else "nested")
+    one_of("style", style, ["nested", "table", "cells"])
+    if style == "cells" and not isinstance(plan.policy.cells, CellTree):
+        raise ProblemError(f"`style` cells is for policies of cells; got {plan.policy!r}")
+    plan = plan.written(style == "cells")
+    block = Block.of(plan, style, options.name)
     text = "\n".join(_lines(block)) + "\n"
-    return Exported({f"{block.name}.st": text.encode("ascii")}, block.renamed, notes(block))
+    files = {f"{block.name}.st": text.encode("ascii")}
+    return Exported(files, block.renamed, notes(block), plan=plan, chosen={"style": style})
 
 
 def _lines(block: Block) -> list[str]:

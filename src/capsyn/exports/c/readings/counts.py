@@ -116,7 +116,7 @@ def limit_of(readings: str) -> int:
 
 
 def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
-    domain, steps = plan.policy.domain, plan.tree.cells.counts[i]
+    domain, steps = plan.policy.domain, plan.counts[i]
     scale, offset = float(plan.scale[i]), float(plan.offset[i])
     lower, upper, name = float(domain.lower[i]), float(domain.upper[i]), domain.names[i]
     falling = scale < 0

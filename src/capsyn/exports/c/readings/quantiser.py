@@ -111,7 +111,7 @@ def _outside(code: Code, i: int) -> Iterator[str]:
 
 def _place(code: Code, i: int) -> Iterator[str]:
     """Yield what gives the place of a finite state on an axis."""
-    domain, count = code.plan.policy.domain, code.plan.tree.cells.counts[i]
+    domain, count = code.plan.policy.domain, code.plan.counts[i]
     lower, upper, _ = _bounds(code)
     single = code.real == "float"
     width = float(upper[i]) - float(lower[i]) if single else float(domain.widths[i])

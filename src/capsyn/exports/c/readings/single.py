@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
 from capsyn.exports.c.language import round_up
@@ -21,7 +22,7 @@ MOST_FACES = 16_000
 """Most faces in tables of floats: 64 kB are what 16 bits can point at."""
 
 
-def check_single_precision(plan: Plan, tree: SplitTree) -> None:
+def check_single_precision(plan: Plan, tree: CellTree | SplitTree) -> None:
     """Raise `ProblemError` where single precision does not hold what the plan is made of."""
     domain = plan.policy.domain
     parts = {"`scale`": plan.scale, "`offset`": plan.offset, "controls": plan.policy.controls}
@@ -53,28 +54,32 @@ def check_single_precision(plan: Plan, tree: SplitTree) -> None:
             )
 
 
-def ranked(tree: SplitTree, domain: Box) -> tuple[SplitTree, list[np.ndarray]]:
+def ranked(
+    tree: CellTree | SplitTree, domain: Box
+) -> tuple[CellTree | SplitTree, list[np.ndarray]]:
     """Return a tree over those faces alone that it compares with, and the faces of each axis.
 
-    A tree with oblique splits is the same, with all faces, up to `MOST_FACES`.
+    Cells and a tree with oblique splits are the same, with all faces, up to `MOST_FACES`.
     """
-    total = sum(tree.counts) - tree.n
-    if len(tree.planes) and total > MOST_FACES:
-        raise ProblemError(
-            f"`arithmetic` float tabulates all {total:,} faces of a tree with oblique splits; more "
-            f"than {MOST_FACES:,} are too many: take lattice, with readings int16 where there are "
-            "no doubles"
-        )
-    numbers = [np.arange(1, count) for count in tree.counts]
-    threshold = tree.threshold.copy()
-    if not len(tree.planes):
-        for i in range(tree.n):
-            at = tree.split == i
-            numbers[i], rank = np.unique(tree.threshold[at], return_inverse=True)
-            threshold[at] = rank.ravel() + 1
+    if isinstance(tree, CellTree) or tree.has_planes:
+        total = sum(tree.counts) - tree.n
+        if total > MOST_FACES:
+            what = "cells" if isinstance(tree, CellTree) else "a tree with oblique splits"
+            raise ProblemError(
+                f"`arithmetic` float tabulates all {total:,} faces of {what}; more than "
+                f"{MOST_FACES:,} are too many: take lattice, with readings int16 where there are "
+                "no doubles"
+            )
+        return tree, [domain.faces(i, np.arange(1, c), c) for i, c in enumerate(tree.counts)]
+    numbers, threshold = [], tree.threshold.copy()
+    for i in range(tree.n):
+        at = tree.split == i
+        faces, rank = np.unique(tree.threshold[at], return_inverse=True)
+        numbers.append(faces)
+        threshold[at] = rank.ravel() + 1
     counts = tuple(len(k) + 1 for k in numbers)
-    faces = [domain.faces(i, k, tree.counts[i]) for i, k in enumerate(numbers)]
-    return SplitTree(counts, tree.split, threshold, tree.second, tree.planes), faces
+    places = [domain.faces(i, k, tree.counts[i]) for i, k in enumerate(numbers)]
+    return SplitTree(counts, tree.split, threshold, tree.second, tree.planes), places
 
 
 def decide_single(plan: Plan, readings: np.ndarray) -> Golden:

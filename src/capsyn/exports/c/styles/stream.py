@@ -196,6 +196,14 @@ def stream(tree: SplitTree) -> Stream:
     return found
 
 
+def table_bytes(tree: SplitTree) -> int:
+    """Return the bytes of the tables of a tree; those of planes have 32-bit entries at most."""
+    written = stream(tree)
+    most = int(np.abs(tree.planes).max(initial=0))
+    plane = (2 if most < 1 << 15 else 4) * tree.n + 4
+    return len(written.data) + len(written.form.cuts) * plane
+
+
 def _size(stream: Stream) -> int:
     return len(stream.data) + stream.code
 
