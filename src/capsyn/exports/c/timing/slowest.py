@@ -7,18 +7,19 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.readings.counts import limit_of
 from capsyn.exports.c.sizes import version_of
 from capsyn.exports.c.timing.emulators import MACHINES, longest
-from capsyn.exports.c.timing.states import longest_steps
+from capsyn.exports.c.timing.states import longest_steps, longest_steps_of_cells
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import NOT_FINITE, Files
 
 SEEN = 1000
 """Golden vectors, and states of the deepest leaves, at which decisions from readings are timed."""
 
-KNOWN = ("table", "nested", "grid")
+KNOWN = ("table", "nested", "grid", "cells")
 """Styles of which is known what their time depends on."""
 
 
@@ -69,7 +70,7 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
 
 def _right(code: Code, function: str, at: np.ndarray, symbol: int) -> bool:
     """Return whether a symbol of steps is the tree's, as it is if no table is out of reach."""
-    tree = code.plan.tree.cells
+    tree = code.plan.cells
     if function != "symbol":
         return True
     within = np.clip(at[None], 0, np.array(tree.counts) - 1)
@@ -78,8 +79,11 @@ def _right(code: Code, function: str, at: np.ndarray, symbol: int) -> bool:
 
 def _asked(code: Code, golden: Golden) -> Iterator[tuple[str, str, np.ndarray, bool]]:
     """Yield what is called: the function, the type of its inputs, these, and whether they do."""
-    plan, tree = code.plan, code.plan.tree.cells
-    steps, exact = longest_steps(tree, code.style)
+    plan, tree = code.plan, code.plan.cells
+    if isinstance(tree, CellTree):
+        steps, exact = longest_steps_of_cells(tree)
+    else:
+        steps, exact = longest_steps(tree, code.style)
     if code.arithmetic == "lattice":
         yield "symbol", code.integer, steps, exact and code.style in KNOWN
     domain = plan.policy.domain
