@@ -45,6 +45,12 @@ def test_misra(tmp_path, mode, style, arithmetic, dwell):
     assert_misra(files(plan, None, style=style, arithmetic=arithmetic), tmp_path, arithmetic)
 
 
+def test_misra_of_mirrors_and_references(tmp_path):
+    written = files(plan_of("cart-pole"), None)
+    assert b"_half(y)" in written["cart_pole.c"] and b"references" in written["cart_pole.c"]
+    assert_misra(written, tmp_path)
+
+
 @pytest.mark.parametrize("name", [name for name in FINE if name != "decimal"])
 def test_misra_of_lines(tmp_path, name):
     plan = Plan.of(random_plan(8192, depth=3).policy, scale=FINE[name][0], offset=FINE[name][1])

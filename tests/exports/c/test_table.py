@@ -9,6 +9,7 @@ import pytest
 
 from capsyn.cells.split_tree import LEAF, depth_first
 from capsyn.exports.c.sizes import sizes
+from capsyn.exports.c.styles import diagram as c_diagram
 from capsyn.exports.c.styles import mirrors as c_mirrors
 from capsyn.exports.c.styles import stream as c_stream
 from capsyn.exports.c.styles import table as c_table
@@ -164,6 +165,20 @@ def test_nodes_read_of_a_diagram_are_reached():
         assert reads == diagram.nodes_read(skips)
         seen += diagram.references
     assert seen
+
+
+def test_lines_of_the_same_key_are_told_apart(monkeypatch):
+    tree = stairs((6, 6, 6), 8)
+    expected = ordered(tree)
+    monkeypatch.setattr(c_diagram, "_factors", lambda count: np.ones(count, dtype=np.uint64))
+    found = ordered(tree)
+    assert len(found.rows) == len(expected.rows)
+    steps = np.stack(np.indices(tree.counts), axis=-1).reshape(-1, 3)
+    diagram = found.written(0)
+    form = c_stream.layout(diagram, 0)
+    written = c_stream.Stream((), diagram, form, c_stream.encode(diagram, form))
+    labels = [read(written, z)[0] for z in steps.tolist()]
+    assert np.array_equal(labels, tree.labels(steps))
 
 
 def test_equal_subtrees_are_written_once():
