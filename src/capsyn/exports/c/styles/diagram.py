@@ -11,7 +11,7 @@ import numpy as np
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.modelling.grid import grid_places
 
-MOST_CELLS = 1 << 18
+MOST_CELLS = 1 << 21
 """Largest grid of thresholds of which a diagram is made."""
 
 
@@ -175,7 +175,7 @@ class _Level:
         """Return the level of one of the axes of a grid."""
         turned = np.moveaxis(grid, axes.index(axis), -1)
         flat = turned.reshape(-1, turned.shape[-1])
-        lines, place = np.unique(flat, axis=0, return_inverse=True)
+        lines, place = _unlike(flat)
         return _Level(axis, lines, place.reshape(turned.shape[:-1]))
 
     @property
@@ -187,6 +187,21 @@ class _Level:
     def size(self) -> int:
         """About how many nodes the level takes: comparisons, and references to its lines."""
         return len(self.lines) + int(np.count_nonzero(self.changes))
+
+
+def _unlike(lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lines (M, k) that differ, and the place (B,) of each of lines (B, k) in them."""
+    keys = lines.astype(np.uint64) @ _factors(lines.shape[1])
+    _, first, place = np.unique(keys, return_index=True, return_inverse=True)
+    if not np.array_equal(lines[first[place]], lines):  # unlike lines have the same key
+        unlike, place = np.unique(lines, axis=0, return_inverse=True)
+        return unlike, place.reshape(-1)
+    return lines[first], place
+
+
+def _factors(count: int) -> np.ndarray:
+    """Return random factors of sums modulo ``2 ** 64`` by which lines are told apart."""
+    return np.random.default_rng(0).integers(1 << 64, size=count, dtype=np.uint64)
 
 
 def _levels(labels: np.ndarray, last: int) -> list[_Level]:
