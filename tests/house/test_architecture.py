@@ -39,11 +39,12 @@ integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target identifiers text crossings
+exports: plan constants golden target identifiers text crossings ranks
 exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
     readings.counts code readings.places readings.quantiser notes dwell header source sizes
     target
-exports.structured_text: lines block functions source target
+exports.structured_text: words lines pou block cuts functions steps hold source siemens plcopen
+    target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
