@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from capsyn import Alphabet, Box, Policy
+from capsyn import Alphabet, Box, Policy, simulate
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import decide
 from capsyn.exports.plan import NOT_FINITE, Plan
-from support.exports.policies import mixed
+from support.exports.policies import built_in, mixed
 from support.trees import random_tree
 
 pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
@@ -111,3 +111,28 @@ def test_counts_are_always_finite():
     plan = Plan.of(mixed(), dwell=0.3, scale=[6.5 / 4096, 0.001], offset=[0, 0.1])
     text = source(plan, readings="INT").decode()
     assert "status = 2" not in text and "status := 2" not in text
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("dwell", [0.01, 0.05, 0.1])
+def test_blocks_hold_as_simulations_do(dwell, dialect):
+    policy = built_in("cart-pendulum")
+    run = simulate(policy, x0=[0.5, 0.3], duration=4.0, rate=100.0, min_dwell=dwell)
+    call = program(Plan.of(policy, dwell=dwell), dialect=dialect).instance()
+    found = [call(*state, 10)["symbol"] for state in run.states[: len(run.symbols)].tolist()]
+    np.testing.assert_array_equal(found, run.symbols)
+    assert len(set(found)) > 1
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_time_neither_runs_back_nor_over(dialect):
+    plan = Plan.of(line_policy(), dwell=2_000_000)
+    states = plan.policy.domain.sample(100)
+    labels = decide(plan, states).labels
+    pair = [states[labels == k][0, 0] for k in (0, 1)]
+    call = program(plan, dialect=dialect).instance()
+    far = 2**31 - 1
+    symbols = [call(pair[0], far)["symbol"]]
+    symbols += [call(pair[1], time)["symbol"] for time in (0, -far, -far, 1_999_999_999, 1, far)]
+    assert symbols == [0, 0, 0, 0, 0, 1, 1]
+    assert call(pair[0], far)["symbol"] == 0

@@ -77,6 +77,8 @@ def test_single_precision_counts_the_states_that_it_moves():
     readings = exported.golden.readings
     np.testing.assert_array_equal(readings, readings.astype(np.float32))
     assert TARGET.files(plan, golden_vectors(plan)).changed is None
+    for style in STYLES:
+        check(plan, style=style, real="REAL")
 
 
 def one_cell(labels=2, **fields):
