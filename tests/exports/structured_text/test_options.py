@@ -142,6 +142,7 @@ def test_splits_are_told_in_states(make):
 def test_units_stand_beside_bounds():
     text = source(Plan.of(mixed())).decode()
     assert "(* angle >= 1.21875 rad *)\n    IF z0 >= 3 THEN" in text
+    assert "(* about -angle >= -4.062 rad *)\n" in text  # a step is 0.40625 rad
     assert re.search(r"\(\* about angle - 2.438 \* rate >= \S+ rad \*\)\nIF 2 \* z0 - 3", text)
     assert "Split 2 from 1 on: about angle" in source(Plan.of(mixed()), style="table").decode()
 
@@ -184,7 +185,7 @@ def test_xml_has_the_same_units(style):
     files = TARGET.files(plan, golden_vectors(plan), style=style).files
     assert set(files) == {"mixed.st", "mixed.xml"}
     project = XmlParser().from_bytes(files["mixed.xml"], plcopen.Project)
-    text = []
+    text, bodies = [], []
     for pou in project.types.pous.pou:
         word = {"function": "FUNCTION", "functionBlock": "FUNCTION_BLOCK"}[pou.pou_type.value]
         result = pou.interface.return_type
@@ -192,7 +193,9 @@ def test_xml_has_the_same_units(style):
         body = pou.body[0].st.w3_org_1999_xhtml_element
         assert body.qname == "{http://www.w3.org/1999/xhtml}p"
         text += [*body.text.splitlines(), f"END_{word}"]
-        assert f"\n{body.text}\nEND_{word}\n" in files["mixed.st"].decode()
+        bodies.append(body.text)
+    units = re.findall(r"^FUNCTION.*?^END_FUNCTION", files["mixed.st"].decode(), re.M | re.S)
+    assert bodies == [re.split(r"END_VAR\n(?!VAR)", unit)[1][:-13] for unit in units]
     made, told = Program("\n".join(text).encode()), Program(files["mixed.st"])
     assert made.interface() == told.interface() and list(made.units) == list(told.units)
     for name, unit in made.units.items():

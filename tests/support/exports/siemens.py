@@ -80,7 +80,7 @@ def _statements(body: str, variables: set[str], single: bool) -> str:
         if found["name"]:
             formal = bool(depth and found["given"])
             known = found["name"] in (variables if found["mark"] else WORDS)
-            if not (known or (formal and not found["mark"])):
+            if found["mark"] if formal else not known:
                 raise NoScl(text)
             text = text.removeprefix("#")
         elif found["number"]:

@@ -500,26 +500,33 @@ def errors(node: Any) -> list[str]:
 
 def source(plan, **options):
     """Return the text of an export, in its dialect."""
-    (text,) = (
-        content
-        for name, content in target.files(plan, golden_vectors(plan), **options).files.items()
-        if not name.endswith(".xml")
-    )
+    return _text_of(target.files(plan, golden_vectors(plan), **options))
+
+
+def _text_of(exported):
+    (text,) = (text for name, text in exported.files.items() if not name.endswith(".xml"))
     return text
 
 
 def program(plan, **options):
     """Return the strictly compiled text of an export; of Siemens SCL what it is in IEC 61131-3."""
-    text = source(plan, **options)
+    return _compiled(source(plan, **options), options)
+
+
+def _compiled(text, options):
     assert max(map(len, text.decode("ascii").splitlines())) < 100
     return Program(to_iec(text) if options.get("dialect") == "siemens" else text)
 
 
 def check(plan, golden=None, **options):
-    """Compare symbols, statuses and controls with golden vectors; return how many there were."""
-    exported = target.files(plan, golden_vectors(plan), **options)
-    golden = exported.golden or golden_vectors(plan) if golden is None else golden
-    made = program(plan, **options)
+    """Compare symbols, statuses and controls with golden vectors.
+
+    Return how many there were, and which symbols.
+    """
+    vectors = golden_vectors(plan)
+    exported = target.files(plan, vectors, **options)
+    golden = exported.golden or vectors if golden is None else golden
+    made = _compiled(_text_of(exported), options)
     real, reading = options.get("real", "LREAL"), options.get("readings", "real")
     inputs = plan.policy.alphabet.inputs
     kinds = [kind for _, kind in made.interface()]
