@@ -1,10 +1,14 @@
 """The strict compiler: it takes every export, and refuses what edition 2 does not have."""
 
+import dataclasses
 import itertools
 
+import numpy as np
 import pytest
 
+from capsyn.cells.split_tree import SplitTree
 from capsyn.exports.plan import Plan
+from capsyn.exports.structured_text.words import KEYWORDS
 from support.exports.policies import mixed
 
 pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
@@ -13,7 +17,7 @@ pytest.importorskip(
 )
 from support.exports.mutants import CONVERSION, mutants, unmarked  # noqa: E402
 from support.exports.siemens import NoScl, to_iec  # noqa: E402
-from support.exports.structured_text import Program, Refused, source  # noqa: E402
+from support.exports.structured_text import RESERVED, Program, Refused, source  # noqa: E402
 
 COUNTED = {"scale": [6.5 / 4096, -0.001], "offset": [0, 0.1]}
 MATRIX = list(itertools.product(("nested", "table"), ("LREAL", "REAL"), ("real", "INT", "DINT")))
@@ -38,11 +42,33 @@ def test_every_single_error_is_refused(style, real, readings):
     assert count > 350
 
 
-def test_every_kind_of_error_occurs():
+def test_tables_of_dint_are_converted_back():
+    cells = mixed().cells
+    threshold = np.where(cells.split == 0, 40_000, cells.threshold).astype(np.int32)
+    cells = SplitTree((1 << 17, 8), cells.split, threshold, cells.second, cells.planes)
+    text = source(Plan.of(dataclasses.replace(mixed(), cells=cells)), style="table")
+    Program(text)
+    found = [what for what, wrong in mutants(text) if "_TO_" in what and not refused(wrong)]
+    assert not found and text.count(b"DINT_TO_INT(thresholds[node])") == 1
+
+
+def refused(text):
+    try:
+        Program(text)
+    except (Refused, OverflowError):
+        return True
+    return False
+
+
+def test_every_conversion_occurs():
     texts = [text_of(*row).decode() for row in MATRIX]
     used = {found[0] for text in texts for found in CONVERSION.finditer(text)}
-    assert used == {"INT_TO_DINT", "DINT_TO_LREAL"}  # DINT_TO_INT: where tables are of DINT
+    assert used == {"INT_TO_DINT", "DINT_TO_LREAL"}
     assert not [text for text in texts if "CONSTANT" in text or "ELSIF" in text]
+
+
+def test_names_that_are_refused_are_never_given():
+    assert RESERVED <= KEYWORDS
 
 
 @pytest.mark.parametrize("style", ["nested", "table"])
@@ -54,6 +80,10 @@ def test_unmarked_names_are_no_scl(style):
         with pytest.raises((NoScl, Refused, ValueError)):
             Program(to_iec(wrong))
     assert count > 100
+    for found in CONVERSION.finditer(text.decode()):
+        wrong = text[: found.start()] + text[found.end() :]
+        with pytest.raises((NoScl, Refused)):
+            Program(to_iec(wrong))
 
 
 BLOCK = """\

@@ -59,10 +59,11 @@ def _inputs(block: Block) -> list[Variable]:
 
 def _outputs(block: Block) -> list[Variable]:
     plan, alphabet = block.plan, block.plan.policy.alphabet
+    lost = "" if block.axes else ", 2 not finite"
     controls = zip(block.controls, map(with_unit, alphabet.inputs, alphabet.units))
     return [
         Variable("symbol", "INT", f"0 to {plan.default}, see the head of the file"),
-        Variable("status", "INT", "0 in the domain, 1 outside, 2 not finite"),
+        Variable("status", "INT", f"0 in the domain, 1 outside{lost}"),
         *(Variable(name, block.real, about) for name, about in controls),
     ]
 
