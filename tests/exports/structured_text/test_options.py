@@ -44,10 +44,10 @@ def test_every_option_gives_every_symbol_and_control(row):
 
 
 @pytest.mark.parametrize("readings", ["real", "INT", "DINT"])
-@pytest.mark.parametrize("grid", [1, 3, 5, 7])
+@pytest.mark.parametrize("grid", [1, 3, 7])
 def test_random_policies_in_single_precision_and_of_counts(grid, readings):
     policy = random_policy(grid, periodic=True, seed=grid)
-    for style, dialect in itertools.product(STYLES, DIALECTS):
+    for style, dialect in zip(STYLES, DIALECTS):
         plan = Plan.of(policy, **({} if readings == "real" else counted(policy)))
         real = "REAL" if readings == "real" else "LREAL"
         check(plan, style=style, dialect=dialect, real=real, readings=readings)

@@ -28,10 +28,7 @@ def to_iec(text: bytes) -> bytes:
     made: list[str] = []
     while lines:
         line = lines.pop(0)
-        if not line or line.startswith("(*"):
-            made.append(line)
-        else:
-            made += _unit(line, lines)
+        made += _unit(line, lines) if line else [line]
     return ("\n".join(made) + "\n").encode()
 
 

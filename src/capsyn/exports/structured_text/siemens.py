@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 from capsyn.exports.structured_text.lines import comment
 from capsyn.exports.structured_text.pou import Pou, section
@@ -25,13 +25,15 @@ TOKENS = re.compile(
 )
 
 
-def scl(pou: Pou, functions: Collection[str], real: str) -> list[str]:
-    """Return a unit; `functions` are the names of all, `real` the type of numbers."""
+def scl(pou: Pou, functions: Collection[str], real: str, header: Iterable[str]) -> list[str]:
+    """Return a unit; `functions` are the names of all, `real` the type of numbers.
+
+    Remarks, with those of a header, stand among the statements, where every version reads them.
+    """
     inner = "VAR_TEMP" if pou.result else "VAR"
     result = f" : {NAMES[pou.result]}" if pou.result else ""
     lines = _statements(pou, functions, real).splitlines()
     return [
-        *comment(pou.about),
         f'{pou.word} "{pou.name}"{result}',
         "{ S7_Optimized_Access := 'TRUE' }",
         "VERSION : 0.1",
@@ -39,6 +41,8 @@ def scl(pou: Pou, functions: Collection[str], real: str) -> list[str]:
         *section("VAR_OUTPUT", pou.outputs, NAMES),
         *section(inner, pou.inner, NAMES),
         "BEGIN",
+        *comment(header),
+        *comment(pou.about),
         *(part for line in lines for part in ([line] if len(line) <= WIDTH else broken(line))),
         f"END_{pou.word}",
     ]

@@ -139,10 +139,11 @@ def _files(block: Block, options: Options, header: list[str]) -> Files:
     siemens = options.dialect == "siemens"
     units = [*functions(block), block_unit(block, siemens)]
     names = [unit.name for unit in units]
-    lines = list(comment(header))
+    lines: list[str] = [] if siemens else list(comment(header))
     for unit in units:
-        lines += ["", *(scl(unit, names, block.real) if siemens else text(unit))]
-    source = ("\n".join(lines) + "\n").encode("ascii")
+        own = [] if unit.result else header
+        lines += ["", *(scl(unit, names, block.real, own) if siemens else text(unit))]
+    source = ("\n".join(lines).lstrip() + "\n").encode("ascii")
     if siemens:
         return {f"{block.name}.scl": source}
     return {f"{block.name}.st": source, f"{block.name}.xml": project(block.name, header, units)}

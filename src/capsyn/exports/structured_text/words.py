@@ -17,7 +17,7 @@ LANGUAGE = """
     if implements ini initial_step interface internal interval label ldate ldt ltime ltod method mod
     namespace non_retain not null of on or override persistent pointer priority private program
     property protected public pvoid r_edge read_only read_write ref ref_to reference region repeat
-    resource retain return set single step string# struct super task then this time_of_day to
+    resource retain return set single step struct super task then this time_of_day to
     transition true type union until using uxint var var_access var_config var_external var_global
     var_in_out var_input var_inst var_output var_stat var_temp void wchar while with xint xor xword
 """.split()
@@ -37,5 +37,6 @@ LIBRARY = """
 """.split()
 """Functions and function blocks that compilers bring along."""
 CONVERSIONS = [f"{a}_to_{b}" for a in TYPES for b in TYPES if a != b]
+"""Functions from each type to each other."""
 KEYWORDS = frozenset(TYPES + LANGUAGE + LISTS + LIBRARY + CONVERSIONS)
 """All of them, in small letters: capital and small letters are the same."""
