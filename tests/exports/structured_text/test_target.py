@@ -91,6 +91,8 @@ def test_deep_trees_are_cut_into_functions():
     exported = TARGET.files(plan, golden_vectors(plan), style="table")
     assert exported.notes == ("tables of 32-bit numbers (DINT): thresholds",)
     assert b"wanted := DINT_TO_INT(thresholds[node]);" in exported.files["deep.st"]
+    count = source(plan).count(b"END_FUNCTION\n")
+    assert count == 1 + -(-depth // NESTING)  # lattice steps, and a chain as few as can be
     depths = np.cumsum(
         [
             line.strip().startswith("IF ") - (line.strip() == "END_IF;")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from capsyn.cells.split_tree import LEAF
+from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.exports.structured_text.block import Block
 from capsyn.exports.structured_text.cuts import cut
 from capsyn.exports.structured_text.lines import comment
@@ -119,14 +119,14 @@ def called(block: Block, name: str) -> str:
 
 def tree_functions(block: Block) -> list[Pou]:
     """Return the functions of the nested style, each after those that it calls."""
-    tree = block.tree
+    tree, cuts = block.tree, cut_off(block.tree)
     roots, made, waiting = {0: block.calls["tree"]}, [], [0]
 
     def emit(node: int, depth: int, into: str) -> Iterable[str]:
         indent = 4 * depth * " "
         if tree.split[node] == LEAF:
             yield f"{indent}{into} := {tree.threshold[node]};"
-        elif depth == NESTING:
+        elif node in cuts and depth:
             roots[node] = f"{block.calls['tree']}{len(roots)}"
             waiting.append(node)
             yield from broken(f"{indent}{into} := {called(block, roots[node])};")
@@ -144,6 +144,22 @@ def tree_functions(block: Block) -> list[Pou]:
         name = roots[node]
         made.append(Pou(name, "INT", (), inputs, (), (), tuple(emit(node, 0, name))))
     return made[::-1]
+
+
+def cut_off(tree: SplitTree) -> set[int]:
+    """Return the nodes whose subtrees are functions of their own, as few as can be.
+
+    From the leaves on, a subtree is cut off where it is `NESTING` high and its parent is higher.
+    """
+    heights, cuts = [0] * tree.node_count, set()
+    for node in range(tree.node_count - 1, -1, -1):
+        if tree.split[node] == LEAF:
+            continue
+        children = (node + 1, int(tree.second[node]))
+        full = [child for child in children if heights[child] == NESTING]
+        cuts.update(full)
+        heights[node] = 1 + max(0 if child in full else heights[child] for child in children)
+    return cuts
 
 
 def _compared(block: Block, node: int) -> str:
