@@ -9,6 +9,7 @@ import pytest
 
 from capsyn import Alphabet, Box, Policy
 from capsyn.errors import ProblemError
+from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.export import export
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
@@ -53,12 +54,26 @@ def test_random_policies_in_single_precision_and_of_counts(grid, readings):
         check(plan, style=style, dialect=dialect, real=real, readings=readings)
 
 
+def test_states_many_turns_away_in_single_precision():
+    policy = random_policy(1, periodic=True)
+    rng = np.random.default_rng(1)
+    far = policy.domain.sample(200, 1) * 10.0 ** rng.uniform(0, 40, (200, policy.domain.n))
+    plan = Plan.of(policy)
+    golden = decide_single(plan, far)
+    assert set(golden.statuses) == {0, 2}  # some are infinite as REAL
+    for style in STYLES:
+        check(plan, golden, style=style, real="REAL")
+
+
 def test_turns_that_are_no_power_of_two():
     policy = random_policy(3, periodic=True)
     scale = policy.domain.widths / [1000, 3000]
     for readings in ("INT", "DINT"):
         check(Plan.of(policy, scale=scale, offset=[0.1, 0.2]), readings=readings)
         check(Plan.of(policy, scale=-scale, offset=[0.1, 0.2]), readings=readings)
+    text = source(Plan.of(policy, scale=scale), readings="INT", style="table").decode()
+    assert "(* A turn of 'x2' is 3000 counts; others are brought into one. *)" in text
+    assert "Target structured-text: table, numbers LREAL, readings INT, dialect iec." in text
 
 
 def test_nearest_and_scaled_in_single_precision():

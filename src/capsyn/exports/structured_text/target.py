@@ -81,7 +81,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         changed, vectors = share_changed(plan), decide_single(plan, golden.readings)
     elif block.axes:
         vectors = golden_counts(plan, block.axes, options.readings)
-    files = _files(block, options, _header(block, changed))
+    files = _files(block, options, _header(block, options, changed))
     return Exported(files, block.renamed, notes(block), changed, vectors)
 
 
@@ -125,8 +125,15 @@ def _check_tables(block: Block) -> None:
             )
 
 
-def _header(block: Block, changed: float | None) -> list[str]:
+def _header(block: Block, options: Options, changed: float | None) -> list[str]:
     lines = [*block.plan.header]
+    lines.append(
+        f"Target structured-text: {options.style}, numbers {options.real}, readings "
+        f"{options.readings}, dialect {options.dialect}."
+    )
+    for name, axis in zip(block.plan.policy.domain.names, block.axes):
+        if axis.turn:
+            lines.append(f"A turn of '{name}' is {axis.turn} counts; others are brought into one.")
     if changed is not None:
         lines.append(
             "Single precision (REAL): the symbol is the policy's at the REAL state. Rounding "
