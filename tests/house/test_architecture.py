@@ -39,12 +39,13 @@ integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target certificate identifiers text crossings
+exports: plan constants golden target certificate identifiers text crossings ranks
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
     styles.grid styles.cells readings.single readings.lines readings.counts code readings.places
     readings.quantiser notes dwell header source packages sizes timing.programs timing.emulators
     timing.states timing.slowest target
-exports.structured_text: lines cells block functions source target
+exports.structured_text: words lines pou cells block cuts functions steps hold source siemens
+    plcopen target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target

@@ -67,6 +67,7 @@ EXTRAS: dict[str, tuple[str, str, str]] = {
     "lief": ("dev", "tests of the FMU's binaries for other platforms", "exporting it"),
     "jsonschema": ("dev", "tests of exported JSON", "exporting it"),
     "tree-sitter-iec61131-3-st": ("dev", "tests of Structured Text", "exporting it"),
+    "plcopen": ("dev", "tests of PLCopen XML", "exporting it"),
     "playwright": ("dev", "tests of the explorer's page", "making it"),
     "nbclient": ("dev", "tests of the notebooks", "reading and running them"),
     "sphinx": ("docs", "`make docs`", "all else"),

@@ -1,6 +1,7 @@
 """Policies to export, and what runs their exports."""
 
 import bisect
+import dataclasses
 import functools
 import importlib.util
 import json
@@ -12,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capsyn import Box, compress, problems, subdivide, synthesize
+from capsyn import Alphabet, Box, compress, problems, subdivide, synthesize
+from capsyn.cells.split_tree import SplitTree
 from capsyn.exports.export import export
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
@@ -58,6 +60,23 @@ def oblique():
     box = Box([0, -1], [6.5, 1], periodic=[True, False])
     policy = subdivide(lambda x: (x[:, 1] > 0.3 * x[:, 0] - 0.9).astype(int), box, 2, max_level=4)
     return compress(policy, "linear", agreement=0.9, states=5000)
+
+
+@functools.cache
+def mixed(gaps=False):
+    """Return a tree of a face, planes and a periodic axis; its last symbol is like the default."""
+    split = np.array([2, 0, -1, -1, 1, 3, -1, -1, -1])
+    threshold = np.array([1, 3, 0, 1, 5, -9, 2, 1, 3])
+    second = np.array([4, 3, 2, 3, 8, 7, 6, 7, 8])
+    planes = np.array([[2, -3], [-1, 0]])
+    arrays = (a.astype(np.int32) for a in (split, threshold, second, planes))
+    cells = SplitTree((16, 8), *arrays)
+    box = Box([0, -1], [6.5, 1], ["angle", "rate"], ["rad", "rad/s"], [True, False])
+    alphabet = Alphabet([[-1.5, 2], [0.1, 0.7], [0, 1 / 3]], inputs=["left", "right"])
+    made = compress(random_policy(3))
+    return dataclasses.replace(
+        made, name="mixed", domain=box, alphabet=alphabet, default=np.array([0, 1 / 3]), cells=cells
+    )
 
 
 @functools.cache

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from capsyn.cells.affine_leaves import LARGEST_SUM
 from capsyn.cells.cell_tree import CellTree
+from capsyn.exports.structured_text.pou import Variable, element
 
 LEAST = -LARGEST_SUM - 1
 """Less than any row comes to."""
-LOCAL = ("parts", "rest", "size", "child", "digit", "entry", "axes", "last", "most", "row")
+PLACES = ("within", "size")
+"""Arrays of a number for each axis: the place in a cell, and its edge lengths."""
+LOCAL = (*PLACES, "child", "digit", "entry", "axes", "most", "row")
 TABLES = ("entries", "splits", "starts", "symbols", "constants", "slopes")
 
 
@@ -26,41 +29,32 @@ def cell_arrays(cells: CellTree) -> dict[str, np.ndarray]:
     return arrays
 
 
-def cell_variables(cells: CellTree) -> list[str]:
-    """Return declarations of what the loops use."""
-    lines = [f"    {name} : ARRAY[0..{cells.n - 1}] OF DINT;" for name in ("z", "rest", "size")]
+def cell_numbers(cells: CellTree) -> list[str]:
+    """Return the names of the whole numbers that the loops use."""
     numbers = ["node", "child", "digit", "entry"]
     numbers += ["axes"] * (cells.splits is not None)
-    numbers += ["last", "most", "row", "value", "i"] * (cells.affine is not None)
-    return lines + [f"    {name} : DINT;" for name in numbers]
+    return numbers + ["last", "most", "row", "value", "i"] * (cells.affine is not None)
 
 
-def cell_walk(cells: CellTree) -> list[str]:
+def cell_walk(cells: CellTree, arrays: Mapping[str, Variable]) -> list[str]:
     """Return the statements that make ``wanted`` the label of lattice steps ``z``."""
     lines = ["node := 0;"]
     for i, (size, parts) in enumerate(zip(cells.sizes(0).tolist(), cells.partitions)):
         lines += [
             f"size[{i}] := {size};",
             f"digit := z[{i}] / {size};",
-            f"rest[{i}] := z[{i}] - digit * {size};",
+            f"within[{i}] := z[{i}] - digit * {size};",
             f"node := node * {parts} + digit;",
         ]
-    entry = f"entry := {_read(cells, 'entries', 'node')};"
+    entry = f"entry := {element(arrays['entries'], 'node')};"
     lines += [entry, "WHILE entry >= 0 DO", "    child := 0;"]
     if cells.splits is not None:
-        lines.append(f"    axes := {_read(cells, 'splits', 'node')};")
+        lines.append(f"    axes := {element(arrays['splits'], 'node')};")
     lines += [f"    {line}" for i in range(cells.n) for line in _child(cells, i)]
     lines += ["    node := entry + child;", f"    {entry}", "END_WHILE;", "entry := -1 - entry;"]
     if cells.affine is None:
         return [*lines, "wanted := DINT_TO_INT(entry);"]
-    return lines + _largest(cells, cells.affine.first)
-
-
-def _read(cells: CellTree, name: str, place: str) -> str:
-    """Return an entry of an array, which is of INT where all fit, as DINT."""
-    entry, values = f"{name}[{place}]", cell_arrays(cells)[name]
-    short = np.abs(values.astype(np.int64)).max() < 1 << 15
-    return f"INT_TO_DINT({entry})" if short else entry
+    return lines + _largest(arrays, cells.n, cells.affine.first)
 
 
 def _child(cells: CellTree, i: int) -> Iterator[str]:
@@ -68,15 +62,15 @@ def _child(cells: CellTree, i: int) -> Iterator[str]:
     parts = cells.refinement[i]
     lines = [
         f"size[{i}] := size[{i}] / {parts};",
-        f"digit := rest[{i}] / size[{i}];",
-        f"rest[{i}] := rest[{i}] - digit * size[{i}];",
+        f"digit := within[{i}] / size[{i}];",
+        f"within[{i}] := within[{i}] - digit * size[{i}];",
         f"child := child * {parts} + digit;",
     ]
     if cells.splits is None:
         yield from lines
     else:  # the lowest bit, and the others
         yield "digit := axes / 2;"
-        yield "IF axes - 2 * digit = 1 THEN"
+        yield "IF (axes - 2 * digit) = 1 THEN"
         yield "    axes := digit;"
         yield from (f"    {line}" for line in lines)
         yield "ELSE"
@@ -84,20 +78,19 @@ def _child(cells: CellTree, i: int) -> Iterator[str]:
         yield "END_IF;"
 
 
-def _largest(cells: CellTree, first: int) -> list[str]:
+def _largest(arrays: Mapping[str, Variable], n: int, first: int) -> list[str]:
     """Return the statements that give the symbol of a leaf."""
-    n = cells.n
-    slope = _read(cells, "slopes", f"row * {n} + i")
+    slope = element(arrays["slopes"], f"row * {n} + i")
     return f"""\
 IF entry < {first} THEN
     wanted := DINT_TO_INT(entry);
 ELSE
     (* the symbol of the largest row, of equals the first *)
-    row := {_read(cells, "starts", f"entry - {first}")};
-    last := {_read(cells, "starts", f"entry - {first - 1}")};
+    row := {element(arrays["starts"], f"entry - {first}")};
+    last := {element(arrays["starts"], f"entry - {first - 1}")};
     most := {LEAST};
     WHILE row < last DO
-        value := {_read(cells, "constants", "row")};
+        value := {element(arrays["constants"], "row")};
         FOR i := 0 TO {n - 1} DO
             value := value + {slope} * z[i];
         END_FOR;
