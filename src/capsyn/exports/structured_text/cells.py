@@ -11,7 +11,7 @@ from capsyn.cells.cell_tree import CellTree
 
 LEAST = -LARGEST_SUM - 1
 """Less than any row comes to."""
-LOCAL = ("parts", "rest", "size", "child", "digit", "entry", "axes", "last", "most", "row")
+LOCAL = ("rest", "size", "child", "digit", "entry", "axes", "last", "most", "row")
 TABLES = ("entries", "splits", "starts", "symbols", "constants", "slopes")
 
 
