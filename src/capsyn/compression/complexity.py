@@ -25,9 +25,9 @@ def complexity(policy: Policy) -> dict[str, Any]:
         ``tree``: of a decision tree, or of the exact one of a policy of cells, ``mode``,
         ``nodes``, ``planes``, ``bytes``, ``comparisons`` (most) and ``mean_comparisons`` (over the
         volume, None where splits are oblique). ``automaton``: ``regions``, ``boxes`` that tile
-        them, ``partitions`` (connected), ``edges`` and ``possible_edges``, ``switch_rate`` [1/s],
-        ``sliding_share`` and ``switching_entropy`` [bits] (None without a model, see
-        `switching_entropy`). None where splits are oblique or leaves affine.
+        them, ``partitions`` (connected), ``edges`` and ``possible_edges``, ``switch_rate``
+        [1 / time unit], ``sliding_share`` and ``switching_entropy`` [bits] (None without a model,
+        see `switching_entropy`). None where splits are oblique or leaves affine.
     """
     tree = tree_of(policy)
     return {
@@ -55,7 +55,7 @@ def switching_entropy(rates: np.ndarray) -> float:
     """Return how uncertain the next symbol is at a switch [bits]; 0 where there are none.
 
     It is the entropy of the next symbol given the present one, averaged over the switches, whose
-    rates (V, V) [1/s] are from a symbol (row) to another.
+    rates (V, V) [1 / time unit] are from a symbol (row) to another.
     """
     out = rates.sum(axis=1)
     total = out.sum()

@@ -20,10 +20,13 @@ class Command:
     """What a controller wants over the sample that begins, for B trials, in P pieces."""
 
     controls: np.ndarray  # (B, P, m): control of each piece [input units]
-    ends: np.ndarray  # (B, P): when it ends [s from the sample], ascending; the last at infinity
+    ends: (
+        np.ndarray
+    )  # (B, P): when it ends [time unit from the sample], ascending; the last at infinity
     symbols: np.ndarray  # (B,): symbol of the first piece; -1 for the default, `NONE` for none
     ended: np.ndarray  # (B,): `TIME` (0) or why the trial ends
     outside: np.ndarray  # (B,): whether the measured state was outside the domain
+    at_once: np.ndarray  # (B,): whether the first piece does not wait for the dwell time
 
 
 def hold(controls: np.ndarray, symbols: np.ndarray | None = None) -> Command:
@@ -34,6 +37,7 @@ def hold(controls: np.ndarray, symbols: np.ndarray | None = None) -> Command:
         np.full((count, 1), np.inf),
         np.full(count, NONE) if symbols is None else symbols,
         np.full(count, TIME),
+        np.zeros(count, dtype=bool),
         np.zeros(count, dtype=bool),
     )
 

@@ -71,7 +71,7 @@ def control(state):
 
 
 class Controller:
-    """The policy with a least time between switches, MIN_DWELL by default [s]."""
+    """The policy with a least time between switches, MIN_DWELL by default [time unit]."""
 
     def __init__(self, min_dwell=MIN_DWELL):
         self.min_dwell = float(min_dwell)
@@ -83,16 +83,17 @@ class Controller:
         self.since = 0.0
 
     def step(self, state, time):
-        """Return (symbol, status) at a time [s]; a control is held for MIN_DWELL before another.
+        """Return (symbol, status) at a time [time unit]; a control is held before another is taken.
 
-        Times do not decrease; a millionth of the dwell time is allowed for their rounding.
+        Times do not decrease; a millionth of the dwell time is allowed for their rounding. The
+        symbol of a state whose status is in AT_ONCE does not wait, and is held anew.
         """
         symbol, status = decide(state)
         if self.symbol is None:
             self.symbol, self.since = symbol, time
         elif CONTROLS[symbol] == CONTROLS[self.symbol]:
             self.symbol = symbol
-        elif time - self.since >= self.min_dwell * (1 - 1e-6):
+        elif status in AT_ONCE or time - self.since >= self.min_dwell * (1 - 1e-6):
             self.symbol, self.since = symbol, time
         return self.symbol, status
 
@@ -112,7 +113,8 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
         whole = isinstance(value, (list, tuple))
         lines.append(_tuple(constant, value) if whole else f"{constant} = {value!r}")
     file = f"{file_name(options.name, plan.policy.name, KEYWORDS)}.py"
-    return Exported({file: ("\n".join(lines) + CODE).encode()})
+    code = CODE.replace("[time unit]", f"[{plan.policy.time_unit}]")
+    return Exported({file: ("\n".join(lines) + code).encode()})
 
 
 def _tuple(name: str, values: Sequence[Any]) -> str:

@@ -31,7 +31,8 @@ def run_policy(
     """Run trials under a policy, in place, compiled where there is a compiler."""
     kernel = compiled(lambda: simulation_kernel(plant, loop, trials), backend, "simulating")
     if kernel is None:
-        run(policy_decide(policy, outside), plant, loop, trials, noise, record)
+        decide = policy_decide(policy, outside, loop.outside_at_once)
+        run(decide, plant, loop, trials, noise, record)
     else:
         _run_compiled(kernel, policy, outside, loop, trials, noise, record, threads)
 
@@ -42,8 +43,8 @@ def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> Simulatio
     return SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue)
 
 
-def policy_decide(policy: Policy, outside: Outside) -> Decide:
-    """Return the decision of a policy under an out-of-domain rule."""
+def policy_decide(policy: Policy, outside: Outside, outside_at_once: bool) -> Decide:
+    """Return the decision of a policy under an out-of-domain rule; see `Loop`."""
 
     def decide(time: float, measured: np.ndarray) -> Command:
         finite = np.isfinite(measured).all(axis=1)
@@ -57,7 +58,10 @@ def policy_decide(policy: Policy, outside: Outside) -> Decide:
             ended[lost] = LEFT_DOMAIN
             ended[~finite] = NOT_FINITE
         return dataclasses.replace(
-            hold(policy.controls[symbols], symbols), ended=ended, outside=out
+            hold(policy.controls[symbols], symbols),
+            ended=ended,
+            outside=out,
+            at_once=~finite | (out & outside_at_once),
         )
 
     return decide
@@ -80,7 +84,7 @@ def _run_compiled(
     error = outside == "error"
     arguments = LoopArguments(
         loop.period, loop.substeps, loop.dwell, loop.samples, error, rule, loop.stop_at_target,
-        symbols, table.ctypes.data, symbols if policy.gaps else -1, tree,
+        symbols, loop.outside_at_once, table.ctypes.data, symbols if policy.gaps else -1, tree,
     )  # fmt: skip
 
     def part(bounds: tuple[int, int]) -> None:
