@@ -154,8 +154,7 @@ def synthesize(
     with answerer(controller, method, *run) as answers:
         controller = answers.controller
         how = (returns, controller.preference, answers.threads, progress)
-        labelling = Labelling(answers.label, *how)
-        policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
+        policy = carry_out(plan, Labelling(answers.label, *how), problem.domain, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
     return _described(dataclasses.replace(policy, timings=timings), problem, controller, plan.seed)
 
