@@ -70,7 +70,7 @@ def room(tmp_path_factory):
     assert re.fullmatch(r"wrote .*room.cap in \d+\.\d\d s", last)  # of the wall's clock
     told = out.replace(last, "")
     assert said(told) == [] and "horizon 30.0 min in" in told
-    assert "outside      off; minimum dwell 5 min, which it does not wait for" in told
+    assert "outside      off, at once; minimum dwell 5 min" in told
     return folder
 
 
@@ -126,6 +126,9 @@ def test_verify(room):
     ):
         assert text in out, text
     assert re.search(r"failed from .*delay [\d.]+ min", out) and "grows at" in out
+    assert re.search(r"--delay [\d.]+ --duration 60.0", out) and "at-once" not in out
+    out, _ = capsyn("verify", "room.cap", *options.split(), "--no-outside-at-once", cwd=room)
+    assert re.search(r"again .* --no-outside-at-once", out) and "outside at once" not in out
     out, _ = capsyn("verify", "room.cap", *options.split(), "--json", cwd=room)
     data = json.loads(out)["monte_carlo"]
     assert data["conditions"]["time_unit"] == "min" and said(out) == []
@@ -167,7 +170,7 @@ def test_the_page_outside_its_code(room, tmp_path):
     )
     assert said(re.sub(r'"base64":"[^"]*"|content="[^"]*"', "", visible)) == []
     assert '["horizon","30 min"]' in visible and '["sample time","0.5 min"]' in visible
-    assert '["least dwell","5 min, which it does not wait for"]' in visible
+    assert '["outside","off, at once"]' in visible and '["least dwell","5 min"]' in visible
     assert '"time_unit":"min"' in visible and '"outside_at_once":true' in visible
 
 

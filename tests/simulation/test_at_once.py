@@ -99,5 +99,21 @@ def test_only_policies_have_a_rule_outside():
             simulate(controller, [0.5], 1, 10, model=problem, outside_at_once=True)
 
 
+def test_a_lost_reading_does_not_wait_whatever_the_controller():
+    # a function says 5 where it reads nothing
+    controls = {True: 1.0, False: -1.0}
+
+    def controller(time, states):
+        return np.array([[5.0 if np.isnan(x) else controls[x < 0]] for x in states[:, 0]])
+
+    policy = STORIES[0].policy
+    options = LoopOptions(duration=8 / RATE, rate=RATE, model=policy, min_dwell=DWELL)
+    experiment = set_up(controller, plant_of(controller, policy), options)
+    trials = experiment.trials(np.zeros((1, 1)), np.zeros(1), np.zeros((1, 0)))
+    record = new_record(1, 8, 1, 1)
+    experiment.run(trials, Readings([-1, 1, NAN, 1, 1, 1, -1, 1]), record)
+    assert record.controls[0, :, 0].tolist() == [1, 1, 5, 5, 5, -1, -1, -1]
+
+
 def test_three_readings_are_the_dwell_time_of_the_stories():
     assert DWELL * RATE == 3

@@ -174,8 +174,8 @@ def print_report(data: dict[str, Any]) -> None:
         _print_settings(data["settings"], f"{data['horizon']} {unit}")
     if data["target"]:
         print_line("target", data["target"])
-    waits = ", which it does not wait for" if data.get("outside_at_once") else ""
-    print_line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} {unit}{waits}")
+    rule = data["outside"] + (", at once" if data.get("outside_at_once") else "")
+    print_line("outside", f"{rule}; minimum dwell {data['min_dwell']:g} {unit}")
     for name, sentence in evidence_rows(data["evidence"]):
         print_line(name, sentence)
     for hint in data["hints"]:

@@ -26,7 +26,6 @@ class Command:
     symbols: np.ndarray  # (B,): symbol of the first piece; -1 for the default, `NONE` for none
     ended: np.ndarray  # (B,): `TIME` (0) or why the trial ends
     outside: np.ndarray  # (B,): whether the measured state was outside the domain
-    at_once: np.ndarray  # (B,): whether the first piece does not wait for the dwell time
 
 
 def hold(controls: np.ndarray, symbols: np.ndarray | None = None) -> Command:
@@ -37,7 +36,6 @@ def hold(controls: np.ndarray, symbols: np.ndarray | None = None) -> Command:
         np.full((count, 1), np.inf),
         np.full(count, NONE) if symbols is None else symbols,
         np.full(count, TIME),
-        np.zeros(count, dtype=bool),
         np.zeros(count, dtype=bool),
     )
 

@@ -190,7 +190,6 @@ class OnlineController:
             np.where(now, planned.symbol, planned.base_symbol),
             np.full(len(start), TIME),
             np.zeros(len(start), dtype=bool),
-            np.zeros(len(start), dtype=bool),
         )
 
     @property

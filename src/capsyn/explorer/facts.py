@@ -92,9 +92,9 @@ def _controller(data: dict[str, Any]) -> list[Row]:
         ]
     if data["target"]:
         rows.append(("target", data["target"]))
-    waits = ", which it does not wait for" if data.get("outside_at_once") else ""
+    at_once = ", at once" if data.get("outside_at_once") else ""
     rows += [
-        ("outside", str(data["outside"])),
-        ("least dwell", f"{data['min_dwell']:g} {unit}{waits}"),
+        ("outside", f"{data['outside']}{at_once}"),
+        ("least dwell", f"{data['min_dwell']:g} {unit}"),
     ]
     return rows

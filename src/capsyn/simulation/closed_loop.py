@@ -147,7 +147,8 @@ def run(
             if draw:
                 measured = measured + drawn[live[see], k % chunk]
             command = decide(k * loop.period, measured)
-            queue.append(_take(loop, trials, live[see], command, *queue[-1]))
+            at_once = ~np.isfinite(measured).all(axis=1) | (command.outside & loop.outside_at_once)
+            queue.append(_take(loop, trials, live[see], command, at_once, *queue[-1]))
             ended[see] = command.ended
         done = (ended != TIME) | (k == last)
         trials["ended"][live] = ended
@@ -185,10 +186,14 @@ def _take(
     trials: np.ndarray,
     see: np.ndarray,
     command: Command,
+    at_once: np.ndarray,
     controls: np.ndarray,
     ends: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the queue gets: the command of the trials `see`, dwell time allowing."""
+    """Return what the queue gets: the command of the trials `see`, dwell time allowing.
+
+    It does not wait for that `at_once`.
+    """
     trials["outside"][see] += command.outside
     good = command.ended == TIME
     live, wanted, until = see[good], command.controls[good], command.ends[good]
@@ -196,7 +201,7 @@ def _take(
         wanted, until = wanted[:, :1], np.full((len(live), 1), np.inf)
     changes = (wanted[:, 0] != trials["control"][live]).any(axis=1)
     first, held = trials["held"][live] == 0, trials["held"][live]
-    take = first | ~changes | (held >= loop.dwell) | command.at_once[good]
+    take = first | ~changes | (held >= loop.dwell) | at_once[good]
     trials["held"][live] = np.where(changes & take | first, 1, held + 1)
     trials["symbol"][live[take]] = command.symbols[good][take]
     wanted = np.where(take[:, None, None], wanted, trials["control"][live][:, None])

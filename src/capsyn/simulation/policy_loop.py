@@ -31,8 +31,7 @@ def run_policy(
     """Run trials under a policy, in place, compiled where there is a compiler."""
     kernel = compiled(lambda: simulation_kernel(plant, loop, trials), backend, "simulating")
     if kernel is None:
-        decide = policy_decide(policy, outside, loop.outside_at_once)
-        run(decide, plant, loop, trials, noise, record)
+        run(policy_decide(policy, outside), plant, loop, trials, noise, record)
     else:
         _run_compiled(kernel, policy, outside, loop, trials, noise, record, threads)
 
@@ -43,8 +42,8 @@ def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> Simulatio
     return SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue)
 
 
-def policy_decide(policy: Policy, outside: Outside, outside_at_once: bool) -> Decide:
-    """Return the decision of a policy under an out-of-domain rule; see `Loop`."""
+def policy_decide(policy: Policy, outside: Outside) -> Decide:
+    """Return the decision of a policy under an out-of-domain rule."""
 
     def decide(time: float, measured: np.ndarray) -> Command:
         finite = np.isfinite(measured).all(axis=1)
@@ -58,10 +57,7 @@ def policy_decide(policy: Policy, outside: Outside, outside_at_once: bool) -> De
             ended[lost] = LEFT_DOMAIN
             ended[~finite] = NOT_FINITE
         return dataclasses.replace(
-            hold(policy.controls[symbols], symbols),
-            ended=ended,
-            outside=out,
-            at_once=~finite | (out & outside_at_once),
+            hold(policy.controls[symbols], symbols), ended=ended, outside=out
         )
 
     return decide

@@ -36,10 +36,11 @@ export function makeSettings(app) {
   };
   const { rate, min_dwell: dwell } = data;
   const values = { duration: usualDuration(data), rate, noise: 0, delay: 0, dwell };
+  byId("settings").classList.toggle("wide", timeUnit(data) !== "s");
   byId("settings").append(...[
     ...Object.keys(FIELDS).map(name => makeField(form, name, values[name])),
     labelled("outside", form.outside),
-    labelled("at once", form.atOnce),
+    labelled("outside at once", form.atOnce),
     data.target && labelled("stop at target", form.stop),
     labelled("keep earlier", form.keep),
     form.problem,

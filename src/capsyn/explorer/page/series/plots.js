@@ -4,6 +4,8 @@ import { longest, ordered } from "../state/tracks.js";
 
 const HEIGHTS = { state: 96, input: 68, cost: 82 };
 const STRIP = 14, FOOT = 24, LEFT = 58, RIGHT = 20;
+/** Pixels beside the last time for each further letter of its unit. */
+const WIDER = 4;
 const FONT = "11px system-ui, sans-serif";
 /** Pieces of a curve whose least and greatest samples are drawn. */
 const PIECES = 600;
@@ -25,8 +27,9 @@ export function plotOptions(row, app, key, width, last) {
   const strip = row.kind === "symbols";
   const height = strip ? 10 + STRIP * app.tracks.length : HEIGHTS[row.kind];
   const times = () => [0, longest(app.tracks) || 1];
+  const right = RIGHT + WIDER * (timeUnit(app.data).length - 1);
   return {
-    width, height: height + (last ? FOOT : 0), padding: [strip ? 6 : 17, RIGHT, strip ? 2 : 0, 0],
+    width, height: height + (last ? FOOT : 0), padding: [strip ? 6 : 17, right, strip ? 2 : 0, 0],
     legend: { show: false },
     cursor: { sync: { key, scales: ["x", null] }, drag: { x: false, y: false }, y: false,
       points: { show: false } },
