@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from capsyn.cli.console import show, working
-from capsyn.cli.options import File, Json, assignments, flat, one_or_list, option
+from capsyn.cli.options import File, Json, OutsideAtOnce, assignments, flat, one_or_list, option
 
 TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
 
@@ -32,7 +32,10 @@ class ExportOptions:
         "own safe symbol, else default].",
         metavar="SYMBOL",
     )
-    dwell: float | None = option("Least time between switches [s] [default: the policy's].")
+    dwell: float | None = option(
+        "Least time between switches [time unit of the policy] [default: the policy's]."
+    )
+    outside_at_once: OutsideAtOnce = None
     scale: str | None = option(
         "A state is reading * scale + offset, for all or each [1].", metavar="S[,S..]"
     )
@@ -96,6 +99,7 @@ def _plan_options(options: ExportOptions) -> dict[str, Any]:
     values = {
         "safe": options.safe,
         "dwell": options.dwell,
+        "outside_at_once": options.outside_at_once,
         "scale": None if options.scale is None else one_or_list("--scale", options.scale),
         "offset": None if options.offset is None else one_or_list("--offset", options.offset),
     }

@@ -29,10 +29,10 @@ def complexity(policy: Policy) -> dict[str, Any]:
         ``nodes``, ``planes``, ``bytes``, ``comparisons`` (most), ``deepest`` (a state that takes as
         many, [state units]) and ``mean_comparisons`` (over the volume), both None where splits are
         oblique; None where that of affine leaves has more than `MOST_NODES`. ``automaton``:
-        ``regions``, ``boxes`` that tile
-        them, ``partitions`` (connected), ``edges`` and ``possible_edges``, ``switch_rate`` [1/s],
-        ``sliding_share`` and ``switching_entropy`` [bits] (None without a model, see
-        `switching_entropy`). None where splits are oblique or leaves affine.
+        ``regions``, ``boxes`` that tile them, ``partitions`` (connected), ``edges`` and
+        ``possible_edges``, ``switch_rate`` [1 / time unit], ``sliding_share`` and
+        ``switching_entropy`` [bits] (None without a model, see `switching_entropy`). None where
+        splits are oblique or leaves affine.
     """
     cells = policy.cells if isinstance(policy.cells, CellTree) else None
     tree: DecisionTree | None
@@ -70,7 +70,7 @@ def switching_entropy(rates: np.ndarray) -> float:
     """Return how uncertain the next symbol is at a switch [bits]; 0 where there are none.
 
     It is the entropy of the next symbol given the present one, averaged over the switches, whose
-    rates (V, V) [1/s] are from a symbol (row) to another.
+    rates (V, V) [1 / time unit] are from a symbol (row) to another.
     """
     out = rates.sum(axis=1)
     total = out.sum()

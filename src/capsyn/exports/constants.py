@@ -31,10 +31,12 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
         ("SAFE", plan.safe, "The symbol of states that have no other."),
         ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
         ("GAP", plan.gap, "The label of steps that are outside; -1: none."),
-        ("MIN_DWELL", plan.dwell, "Least time between switches [s]."),
+        ("TIME_UNIT", policy.time_unit, "Unit of all times."),
+        ("MIN_DWELL", plan.dwell, f"Least time between switches [{policy.time_unit}]."),
         ("OK", OK, "Statuses of a state: in the domain, outside, or not finite."),
         ("OUTSIDE", OUTSIDE, ""),
         ("NOT_FINITE", NOT_FINITE, ""),
+        ("AT_ONCE", plan.at_once, "Those whose symbol does not wait for MIN_DWELL."),
     ]
 
 

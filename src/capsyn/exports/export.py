@@ -75,6 +75,7 @@ def export(
     *,
     safe: int | str | None = None,
     dwell: float | None = None,
+    outside_at_once: bool | None = None,
     scale: Any = None,
     offset: Any = None,
     **options: Any,
@@ -95,7 +96,10 @@ def export(
     safe : symbol index or name, optional
         Symbol of states that have no other. Default: the policy's own safe symbol, or the default.
     dwell : float, optional
-        Least time between switches [s]. Default: the policy's.
+        Least time between switches [time unit of the policy]. Default: the policy's.
+    outside_at_once : bool, optional
+        Whether the symbol of a state outside the domain does not wait for that, as that of a state
+        that is not finite never does. Default: as the policy says.
     scale, offset : float or (n,), optional
         A state is ``reading * scale + offset``. Default: readings are states.
     options
@@ -114,7 +118,14 @@ def export(
     targets = check_options(to, options)
     if not isinstance(directory, os.PathLike) and not (isinstance(directory, str) and directory):
         raise ProblemError(f"`directory` must be a path; got {describe(directory)}")
-    plan = Plan.of(policy, safe=safe, dwell=dwell, scale=scale, offset=offset)
+    plan = Plan.of(
+        policy,
+        safe=safe,
+        dwell=dwell,
+        outside_at_once=outside_at_once,
+        scale=scale,
+        offset=offset,
+    )
     golden = golden_vectors(plan)
     files: Files = {}
     for name in targets:

@@ -18,7 +18,7 @@ from capsyn.modelling.time_unit import to_seconds
 from capsyn.policies.file import content_hash
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.policy import DecisionTree, Policy
-from capsyn.validation import describe, finite_array, finite_number, numbers
+from capsyn.validation import describe, finite_array, finite_number, numbers, true_or_false
 from capsyn.version import __version__
 
 _tree_of = functools.lru_cache(maxsize=1)(tree_of)  # kept for the next target
@@ -49,6 +49,8 @@ class Plan:
         Whether a state outside the domain takes the symbol of the nearest cell.
     dwell : float
         Least time between switches [time unit of the policy]; 0 for none.
+    outside_at_once : bool
+        Whether the symbol of a state outside the domain does not wait for that.
     scale, offset : (n,)
         A state is ``reading * scale + offset``, rounded as written in double precision.
     as_cells : bool
@@ -59,6 +61,7 @@ class Plan:
     safe: int
     nearest: bool
     dwell: float
+    outside_at_once: bool
     scale: np.ndarray
     offset: np.ndarray
     as_cells: bool = False
@@ -69,6 +72,7 @@ class Plan:
         *,
         safe: int | str | None = None,
         dwell: float | None = None,
+        outside_at_once: bool | None = None,
         scale: object = None,
         offset: object = None,
     ) -> Plan:
@@ -91,12 +95,15 @@ class Plan:
         ]
         if (factors[0] == 0).any():
             raise ProblemError(f"`scale` must not be 0; got {describe(scale)}")
+        at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
+        true_or_false("outside_at_once", at_once)
         _check_readings(policy.domain, policy.cells.counts, *factors)
         return Plan(
             policy,
             chosen % (labels + 1),
             policy.outside == "nearest",
             policy.min_dwell if dwell is None else finite_number("dwell", dwell, least=0.0),
+            at_once,
             factors[0],
             factors[1],
             _is_affine(policy),
@@ -141,7 +148,7 @@ class Plan:
     @property
     def at_once(self) -> tuple[int, ...]:
         """Statuses whose symbol does not wait for the dwell time."""
-        return (OUTSIDE, NOT_FINITE) if self.policy.outside_at_once else (NOT_FINITE,)
+        return (OUTSIDE, NOT_FINITE) if self.outside_at_once else (NOT_FINITE,)
 
     @property
     def labels(self) -> int:
@@ -210,7 +217,9 @@ class Plan:
         lines.append(nearest if self.nearest else f"Outside and not finite: {lost}")
         if self.policy.gaps:
             lines.append(f"In the domain, cells without a symbol are outside: {lost}")
-        lines.append(f"Least time between switches: {self.dwell!r} s")
+        lines.append(f"Least time between switches: {self.dwell!r} {policy.time_unit}")
+        if self.outside_at_once:
+            lines.append("The symbol of a state outside does not wait for that")
         if policy.settings is not None and policy.horizon is not None:
             settings = policy.settings
             wanted = f"alpha_d {settings.alpha_d!r}"
@@ -221,7 +230,7 @@ class Plan:
                 f"Made by sSAC: rule {settings.rule}, "
                 + (f"{wanted}, " if settings.rule == "schedule" else "")
                 + f"control weight {weight!r}, {settings.on_no_descent} where none descends, "
-                f"horizon {policy.horizon!r} s, {settings.steps} steps, "
+                f"horizon {policy.horizon!r} {policy.time_unit}, {settings.steps} steps, "
                 f"{settings.precision} precision"
             )
         lines.append(_structure(self))

@@ -61,7 +61,7 @@ def control(state):
 
 
 class Controller:
-    """The policy with a least time between switches, MIN_DWELL by default [s]."""
+    """The policy with a least time between switches, MIN_DWELL by default [time unit]."""
 
     def __init__(self, min_dwell=MIN_DWELL):
         self.min_dwell = float(min_dwell)
@@ -73,16 +73,17 @@ class Controller:
         self.since = 0.0
 
     def step(self, state, time):
-        """Return (symbol, status) at a time [s]; a control is held for MIN_DWELL before another.
+        """Return (symbol, status) at a time [time unit]; a control is held before another is taken.
 
-        Times do not decrease; a millionth of the dwell time is allowed for their rounding.
+        Times do not decrease; a millionth of the dwell time is allowed for their rounding. The
+        symbol of a state whose status is in AT_ONCE does not wait, and is held anew.
         """
         symbol, status = decide(state)
         if self.symbol is None:
             self.symbol, self.since = symbol, time
         elif CONTROLS[symbol] == CONTROLS[self.symbol]:
             self.symbol = symbol
-        elif time - self.since >= self.min_dwell * (1 - 1e-6):
+        elif status in AT_ONCE or time - self.since >= self.min_dwell * (1 - 1e-6):
             self.symbol, self.since = symbol, time
         return self.symbol, status
 
@@ -154,6 +155,7 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
         lines.append(_tuple(constant, value) if whole else f"{constant} = {value!r}")
     file = f"{file_name(options.name, plan.policy.name, KEYWORDS)}.py"
     code = CELLS + CODE.replace("WALK", CELLS_WALK) if plan.as_cells else CODE.replace("WALK", WALK)
+    code = code.replace("[time unit]", f"[{plan.policy.time_unit}]")
     return Exported({file: ("\n".join(lines) + code).encode()})
 
 

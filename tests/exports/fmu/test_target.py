@@ -154,6 +154,22 @@ def test_variables_say_what_they_are(tmp_path):
     assert first.unit is None and first.description.endswith("[m/s] is reading * 2.0 + 0.0")
 
 
+@pytest.mark.parametrize(("unit", "seconds", "factor"), [("min", 30.0, 1 / 60), ("ms", 5e-4, 1e3)])
+def test_dwell_times_are_in_seconds_and_displayed_in_the_unit(unit, seconds, factor, tmp_path):
+    from fmpy.validation import validate_fmu
+
+    policy = dataclasses.replace(small(), min_dwell=0.5, time_unit=unit)
+    path = export(policy, "fmu", tmp_path)[0]
+    assert validate_fmu(path) == []
+    about = fmpy.read_model_description(path)
+    (dwell,) = (v for v in about.modelVariables if v.name == "min_dwell")
+    assert (dwell.unit, dwell.displayUnit, float(dwell.start)) == ("s", unit, seconds)
+    (second,) = (u for u in about.unitDefinitions if u.name == "s")
+    (shown,) = second.displayUnits
+    assert second.baseUnit.s == 1 and (shown.name, float(shown.factor)) == (unit, factor)
+    assert float(shown.factor) * seconds == pytest.approx(0.5, rel=1e-15)
+
+
 @pytest.mark.parametrize("dwell", [0.0, 0.05, 0.1])
 def test_steps_hold_as_simulations_do(dwell, run):
     policy = built_in("cart-pendulum")

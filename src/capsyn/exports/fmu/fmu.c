@@ -131,10 +131,11 @@ static int decide(const Real *inputs, int *status) {
 
 static void decide_now(policy *p) {
     const int symbol = decide(p->inputs, &p->status);
+    const int waits = p->status == INSIDE || (p->status == OUTSIDE && !OUTSIDE_AT_ONCE);
     int i, same = p->symbol >= 0;
     for (i = 0; same && i < CONTROLS; ++i) same = CONTROL[symbol][i] == CONTROL[p->symbol][i];
     if (same) p->symbol = symbol;
-    else if (p->symbol < 0 || p->time - p->since >= p->dwell * (1.0 - 1e-6)) {
+    else if (p->symbol < 0 || !waits || p->time - p->since >= p->dwell * (1.0 - 1e-6)) {
         p->symbol = symbol;
         p->since = p->time;
     }

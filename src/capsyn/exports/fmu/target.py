@@ -2,7 +2,8 @@
 
 Inputs are readings of the states, outputs the control vector, the symbol and the status. A step
 decides from the inputs at its begin and holds the control over it; inputs that are set afterwards
-show in the outputs at once. The parameter ``min_dwell`` overrides the policy's.
+show in the outputs at once. The parameter ``min_dwell`` overrides the policy's. It is in seconds,
+as all time of FMI is; tools can display it in the policy's unit.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from capsyn.exports.fmu.build import ENDINGS, build, own_platform
 from capsyn.exports.fmu.description import description, variable_names
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, renamed
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import OUTSIDE, Files, Plan
 from capsyn.exports.target import Exported, Target
 from capsyn.native.build import find_compiler
 from capsyn.policies.file import content_hash
@@ -82,7 +83,7 @@ TARGET = Target(export, Options)
 
 def _guid(plan: Plan) -> str:
     """Return an identifier of what the unit does, made from the policy and the plan."""
-    parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.scale.tolist()]
+    parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.at_once, plan.scale.tolist()]
     parts += [plan.offset.tolist(), __version__]
     digits = hashlib.sha256(repr(parts).encode()).hexdigest()
     return str(uuid.UUID(digits[:32]))
@@ -150,7 +151,8 @@ def _source(plan: Plan, guid: str) -> bytes:
         f"#define SAFE {plan.safe}",
         f"#define NEAREST {int(plan.nearest)}",
         f"#define GAP {plan.gap}",
-        f"#define DWELL {plan.dwell!r}",
+        f"#define DWELL {plan.dwell_s!r}",
+        f"#define OUTSIDE_AT_ONCE {int(OUTSIDE in plan.at_once)}",
         "",
         _table("double", "LOWER[STATES]", domain.lower.tolist()),
         _table("double", "UPPER[STATES]", domain.upper.tolist()),

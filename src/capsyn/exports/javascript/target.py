@@ -38,7 +38,7 @@ export function control(state) {
   return CONTROLS[decide(state)[0]];
 }
 
-/** The policy with a least time between switches, MIN_DWELL by default [s]. */
+/** The policy with a least time between switches, MIN_DWELL by default [time unit]. */
 export class Controller {
   constructor(minDwell = MIN_DWELL) {
     this.minDwell = minDwell;
@@ -52,8 +52,9 @@ export class Controller {
   }
 
   /**
-   * Return [symbol, status] at a time [s]; a control is held for minDwell before another. Times do
-   * not decrease; a millionth of the dwell time is allowed for their rounding.
+   * Return [symbol, status] at a time [time unit]; a control is held for minDwell before another.
+   * Times do not decrease; a millionth of the dwell time is allowed for their rounding. The symbol
+   * of a state whose status is in AT_ONCE does not wait, and is held anew.
    */
   step(state, time) {
     const [symbol, status] = decide(state);
@@ -61,7 +62,8 @@ export class Controller {
       CONTROLS[symbol].every((v, i) => v === CONTROLS[this.symbol][i]);
     if (same) {
       this.symbol = symbol;
-    } else if (this.symbol === null || time - this.since >= this.minDwell * (1 - 1e-6)) {
+    } else if (this.symbol === null || AT_ONCE.includes(status) ||
+        time - this.since >= this.minDwell * (1 - 1e-6)) {
       this.symbol = symbol;
       this.since = time;
     }
@@ -143,6 +145,7 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
     lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text()
     code = CELLS + CODE.replace("WALK", CELLS_WALK) if plan.as_cells else CODE.replace("WALK", WALK)
+    code = code.replace("[time unit]", f"[{plan.policy.time_unit}]")
     text = "\n".join([*lines, "", lattice]) + code
     return Exported({f"{file_name(options.name, plan.policy.name)}.mjs": text.encode()})
 

@@ -56,6 +56,13 @@ CELLS_WALK = (
     *GAP,
 )
 
+DWELL = (
+    "A decision that is run in a loop keeps a control for min_dwell before it takes another: a "
+    "symbol with another control than that in force is taken only where so much time has passed "
+    "since the last change of the control, or where the status is in at_once.",
+    "A symbol with the same control is taken, and changes nothing. The first symbol is taken.",
+)
+
 
 def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     """Return the policy, ``NAME.json``, and the schema of all such files."""
@@ -103,12 +110,15 @@ def document(plan: Plan) -> dict[str, Any]:
         "default": plan.default,
         "outside": {"rule": "nearest" if plan.nearest else "safe", "safe": plan.safe}
         | ({"gap": plan.gap} if plan.policy.gaps else {}),
+        **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
         "min_dwell": plan.dwell,
+        "at_once": list(plan.at_once),
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "guarantee": plan.guarantee.to_json() | {"text": plan.guarantee.text},
         "quantiser": list(QUANTISER),
         "walk": list(CELLS_WALK if plan.as_cells else WALK),
+        "dwell": list(DWELL),
         cells.kind: _tree(cells) if isinstance(cells, SplitTree) else _cells(cells),
     }
 
