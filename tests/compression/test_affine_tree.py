@@ -91,8 +91,11 @@ def test_exported_c_gives_the_same_symbols_without_overflow(name, level, tmp_pat
     plan = Plan.of(synthesize(problems.get(name), leaves="affine", max_level=level))
     golden = golden_vectors(plan)
     options = ["-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover"]
-    library = Library(files(plan, golden), tmp_path, plan.n, "gcc", options)
-    assert_golden(library, golden, True)
+    for style in ("cells", "table"):
+        library = Library(
+            files(plan, golden, style=style), tmp_path / style, plan.n, "gcc", options
+        )
+        assert_golden(library, golden, True)
 
 
 def test_what_a_policy_of_affine_leaves_cannot_do_is_one_line(pendulum):
