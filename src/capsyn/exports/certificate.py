@@ -47,7 +47,7 @@ def certificate(
         "guarantee": plan.guarantee.text,
         "changed_by_rounding": exported.changed,
         "renamed": dict(exported.renamed),
-        "notes": list(exported.notes),
+        "notes": [*plan.notes, *exported.notes],
     }
 
 

@@ -143,12 +143,13 @@ def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) ->
     plan, chosen = exported.plan or plan, dataclasses.replace(chosen, **exported.chosen)
     for file in {GOLDEN, CERTIFICATE, MEASURED} & set(exported.files):
         raise ProblemError(f"`name` must be another: the export has a {file} of its own")
-    vectors = (exported.golden or golden).to_csv(plan)
-    exported = dataclasses.replace(exported, files=exported.files | {GOLDEN: vectors})
-    costs = certificate(plan, exported, name, vars(chosen))
-    files = exported.files | {CERTIFICATE: _json(costs)}
+    vectors, beside = (exported.golden or golden).to_csv(plan), exported.beside
+    files = exported.files | {beside + GOLDEN: vectors}
+    exported = dataclasses.replace(exported, files=files)
+    files = files | {beside + CERTIFICATE: _json(certificate(plan, exported, name, vars(chosen)))}
     if target.measure is not None:
-        files[MEASURED] = _json(target.measure(plan, exported.golden or golden, exported, chosen))
+        measured = target.measure(plan, exported.golden or golden, exported, chosen)
+        files[beside + MEASURED] = _json(measured)
     return files
 
 

@@ -166,6 +166,18 @@ class Plan:
         return self.default if self.policy.gaps else -1
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user must be told, whatever the target."""
+        controls = self.policy.controls
+        if self.safe < self.default or (controls[:-1] == controls[-1]).all(axis=1).any():
+            return ()
+        value = ", ".join(f"{v:g}" for v in controls[-1].tolist())
+        return (
+            f"the safe symbol is the default control ({value}), which is no symbol of the "
+            "alphabet: a reading that is not finite would apply it; `safe` takes a symbol",
+        )
+
+    @property
     def same_control(self) -> list[tuple[int, int]]:
         """Pairs of symbols, both ways, that have the same control: between them is no switch.
 
@@ -283,7 +295,7 @@ def _check_readings(
 
 def _symbol(safe: object, alphabet: Alphabet) -> int:
     """Return the index of a safe symbol, -1 for the default control."""
-    if isinstance(safe, str) and safe == "default" or safe == len(alphabet):
+    if safe in ("default", len(alphabet), str(len(alphabet))) and safe not in alphabet.names:
         return -1
     try:
         chosen = check_outside(safe, alphabet)

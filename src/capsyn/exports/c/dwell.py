@@ -19,9 +19,11 @@ def declarations(code: Code) -> str:
     dwell, unit = plan.dwell_s, plan.policy.time_unit
     told = f"{dwell!r} s" if unit == "s" else f"{plan.dwell!r} {unit} = {dwell!r} s"
     ticks = dwell / tick - 1e-9
-    if ticks > (1 << 32) - 1:
-        least = dwell / ((1 << 32) - 1)
-        raise ProblemError(f"`tick` must be at least {least!r} s; got {tick!r}")
+    if not tick <= dwell <= tick * ((1 << 32) - 1):
+        least = 10.0 ** math.ceil(math.log10(dwell / ((1 << 32) - 1)))
+        raise ProblemError(
+            f"`tick` must be {least:g} s or more, and at most the dwell time, {told}; got {tick:g}"
+        )
     take = "Take `symbol` at tick `now`, whatever is held, and return it: it is held anew, unless "
     take += "the symbol in force has the same control."
     if names := _at_once(code):
@@ -41,8 +43,9 @@ void {prefix}_init({prefix}_state *state);
 
 /*
  * Return the symbol in force when `symbol` is wanted at tick `now`: another control is taken only
- * when the one before was held for at least {prefix.upper()}_DWELL ticks. Ticks may wrap around to
- * 0 after 2^32 - 1; call it at least once in so many.
+ * when the one before was held for at least {prefix.upper()}_DWELL ticks. That is the whole time
+ * where calls come with the ticks; of a clock that runs by itself up to a tick less. Ticks may wrap
+ * around to 0 after 2^32 - 1; call it at least once in so many.
  */
 int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now);
 

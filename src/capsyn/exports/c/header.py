@@ -38,6 +38,9 @@ typedef enum {{
     {upper}_NOT_FINITE = 2
 }} {p}_status;
 
+/* What decisions are asked for. */
+typedef {code.reading} {p}_reading;
+
 /*
  * Return one input of the control of a symbol. Of a number that is no symbol it is that of symbol
  * {plan.safe}, and of an input that does not exist 0.

@@ -32,7 +32,8 @@ def _cmake(code: Code) -> str:
     p, about = code.prefix, "\n".join(f"# {line}" for line in code.plan.header)
     return f"""{about}
 cmake_minimum_required(VERSION 3.10)
-project({p} C)
+project({p} VERSION {__version__} LANGUAGES C)
+include(CMakePackageConfigHelpers)
 include(GNUInstallDirs)
 add_library({p} STATIC {p}.c)
 add_library({p}::{p} ALIAS {p})
@@ -48,6 +49,10 @@ install(TARGETS {p} EXPORT {p}
     INCLUDES DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
 install(FILES {p}.h DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
 install(EXPORT {p} FILE {p}Config.cmake NAMESPACE {p}::
+    DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/cmake/{p})
+write_basic_package_version_file(${{CMAKE_CURRENT_BINARY_DIR}}/{p}ConfigVersion.cmake
+    COMPATIBILITY AnyNewerVersion)
+install(FILES ${{CMAKE_CURRENT_BINARY_DIR}}/{p}ConfigVersion.cmake
     DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/cmake/{p})
 """
 
@@ -66,7 +71,7 @@ def _program(code: Code) -> str:
     call = f"    symbol = {p}_decide(x, &status);\n"
     if plan.dwell:
         call = f"    {p}_init(&state);\n    symbol = {p}_step(&state, x, 0u, &status);\n"
-    first = ("(double)" if code.real == "float" else "") + f"{p}_control(symbol, 0u)"
+    value = ("(double)" if code.real == "float" else "") + f"{p}_control(symbol, i)"
     return f"""{code.about("example")}
 #include <stdio.h>
 
@@ -77,8 +82,11 @@ int main(void)
     const {code.reading} x[{plan.n}] = {{{_middle(code)}}};
     {p}_status status;
     int16_t symbol;
+    uint16_t i;
 {declare}{call}    (void)printf("symbol %d, status %d\\n", (int)symbol, (int)status);
-    (void)printf("control %g\\n", {first});
+    for (i = 0u; i < {p.upper()}_INPUTS; ++i) {{
+        (void)printf("control %g\\n", {value});
+    }}
     return 0;
 }}
 """
@@ -122,7 +130,7 @@ def _keywords(code: Code) -> str:
 
 
 def _sketch(code: Code) -> str:
-    """Return a sketch that prints the control in the middle of the domain."""
+    """Return a sketch that prints the controls in the middle of the domain."""
     plan, p, n = code.plan, code.prefix, code.plan.n
     init, asked, lattice = "", f"{p}_decide(x, &status)", f"{p}_symbol(z)"
     globals_ = ""
@@ -160,7 +168,9 @@ void setup()
 
 void loop()
 {{
-{reading}    Serial.println({p}_control(symbol, 0));
+{reading}    for (uint16_t i = 0; i < {p.upper()}_INPUTS; ++i) {{
+        Serial.println({p}_control(symbol, i), 6);
+    }}
     delay(100);
 }}
 """

@@ -58,7 +58,8 @@ class Options:
     name : str, optional
         What files and functions are called, made an identifier. Default: the policy's name.
     tick : float
-        Unit of the time that a dwell time is measured in [s], whatever the policy's unit of time.
+        Unit of the time that a dwell time is measured in [s], whatever the policy's unit of time;
+        at most the dwell time. By default a microsecond.
     package : "cmake" or "arduino"
         How the files are laid out: header and source with a project of CMake, or an Arduino
         library, a folder of the export's name for the sketchbook's ``libraries``.
@@ -98,8 +99,9 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
             warn(heavy)
     written = stream(code.tree).figures if code.style == "table" else None
     files, chosen = packaged(code, options.package), {"style": options.style}
+    beside = f"{code.prefix}/extras/" if options.package == "arduino" else ""
     return Exported(
-        files, code.renamed, remarks(code), code.changed, vectors, written, plan, chosen
+        files, code.renamed, remarks(code), code.changed, vectors, written, beside, plan, chosen
     )
 
 

@@ -112,7 +112,9 @@ def _box(block: Block, i: int) -> str:
 
 
 def _cut(line: str) -> list[str]:
-    return broken(line, WIDTH - 8)
+    """Return a call, in lines that are cut between its arguments."""
+    whole = broken(line.replace(" := ", "\xa0:=\xa0"), WIDTH - 8)
+    return [part.replace("\xa0", " ") for part in whole]
 
 
 def _in_turn(state: str, first: int, turn: int) -> Iterator[str]:
