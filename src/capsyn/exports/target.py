@@ -18,9 +18,10 @@ class Exported:
     the share of random states in the domain whose symbol is another than the policy's, as numbers
     are rounded for the target; None: no state at all, since the target rounds to the policy's own
     lattice. `golden` are vectors of readings as the target holds them; None: those of the plan.
-    `beside` is the folder, with a slash at its end, of vectors and costs. `written` says how the tree is written where that is not as it is, as plain data. `plan` is the
-    plan as it was written, where a tree was taken for cells, or cells for a tree, and `chosen` what
-    the target took for options that were left to it.
+    `written` says how the tree is written where that is not as it is, as plain data. `beside` is
+    the folder, with a slash at its end, of vectors and costs. `plan` is the plan as it was written,
+    where a tree was taken for cells, or cells for a tree, and `chosen` what the target took for
+    options that were left to it.
     """
 
     files: Files

@@ -71,7 +71,7 @@ def step(code: Code) -> str:
     return taken;
 """
     return f"""
-int16_t {p}_step({p}_state *state, const {code.reading} x[{code.plan.n}], uint32_t now,
+int16_t {p}_step({p}_state *state, const {p}_reading x[{code.plan.n}], uint32_t now,
     {p}_status *status)
 {{
     const int16_t symbol = {p}_decide(x, status);

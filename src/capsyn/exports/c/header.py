@@ -77,16 +77,16 @@ def _of_states(code: Code) -> str:
     if code.arithmetic == "lattice":
         text += f"""
 /* Give the lattice steps of {states}{lost}. */
-{p}_status {p}_quantise(const {code.reading} x[{n}], {code.integer} z[{n}]);
+{p}_status {p}_quantise(const {p}_reading x[{n}], {code.integer} z[{n}]);
 """
     text += f"""
 /* Return the symbol of {states}. */
-int16_t {p}_decide(const {code.reading} x[{n}], {p}_status *status);
+int16_t {p}_decide(const {p}_reading x[{n}], {p}_status *status);
 """
     if plan.dwell:
         text += f"""
 /* Return the symbol in force at tick `now`: that of {states}, or the one that must be held. */
-int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,
+int16_t {p}_step({p}_state *state, const {p}_reading x[{n}], uint32_t now,
     {p}_status *status);
 """
     return text

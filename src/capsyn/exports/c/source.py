@@ -85,7 +85,7 @@ def _quantiser(code: Code) -> Part:
     n, p = code.plan.n, code.prefix
     places = f"{code.real} y[{n}]" if code.direct else f"{code.integer} z[{n}]"
     static = "" if code.arithmetic == "lattice" else "static "
-    opening = f"{static}{p}_status {p}_quantise(const {code.reading} x[{n}], {places})"
+    opening = f"{static}{p}_status {p}_quantise(const {p}_reading x[{n}], {places})"
     return counts_quantiser(code, opening) if code.axes else state_quantiser(code, opening)
 
 
@@ -101,7 +101,7 @@ def _decide(code: Code) -> str:
         gap = f"        if (symbol == {plan.gap}) {{\n{safe}"
         gap += f"            *status = {upper}_OUTSIDE;\n        }}\n"
     return f"""
-int16_t {p}_decide(const {code.reading} x[{plan.n}], {p}_status *status)
+int16_t {p}_decide(const {p}_reading x[{plan.n}], {p}_status *status)
 {{
     {code.real if code.direct else code.integer} places[{plan.n}];
     int16_t symbol = {plan.safe};
