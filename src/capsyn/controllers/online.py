@@ -349,7 +349,9 @@ def online_controller(
     assert chosen.steps is not None
     if isinstance(background, Policy) and (said is None or said.steps is None):
         chosen = dataclasses.replace(chosen, steps=max(chosen.steps, POLICY_STEPS))
-    kernel = compiled(lambda: ActionKernel.build(model, sac), backend, "solving")
+    kernel = None
+    if not isinstance(background, Policy) or background.cells.compiled:
+        kernel = compiled(lambda: ActionKernel.build(model, sac), backend, "solving")
     formulation = dataclasses.replace(formulation, settings=chosen)
     return OnlineController(
         method,

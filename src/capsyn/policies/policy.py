@@ -163,7 +163,7 @@ class Policy:
         With `nearest` a finite state outside the domain has that of the nearest cell; `backend` is
         that of a call.
         """
-        kernel = lookup_kernel(self.domain.n, backend, len(states))
+        kernel = lookup_kernel(self.domain.n, backend, len(states), self.cells.compiled)
         if kernel is None:
             labels = self._labels(states, nearest)
         else:

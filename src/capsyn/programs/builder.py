@@ -205,3 +205,13 @@ def bind(program: Program, **constants: Any) -> Program:
             values.append([builder.constant(number) for number in numbers])
     results = builder.call(program, *values)
     return builder.build(program.name, remaining, program.outputs, results)
+
+
+def selected(program: Program, results: Sequence[int]) -> Program:
+    """Return the program of some components of a program's one output, of what they need alone."""
+    ((name, _),) = program.outputs
+    builder = ProgramBuilder()
+    inputs = [[builder.input() for _ in range(size)] for _, size in program.inputs]
+    values = builder.call(program, *inputs)
+    ports: Ports = ((name, len(results)),)
+    return builder.build(program.name, program.inputs, ports, [values[k] for k in results])
