@@ -19,13 +19,13 @@ TOP = Path(__file__).parents[2]
 ORDER = """
 errors validation random_streams statistics version
 
-programs: operations program builder intervals expansion model step_doubling
+programs: operations program texts builder intervals expansion model step_doubling
 native: build compiled source
 modelling: domain alphabet settings targets grid time_unit problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
-cells: affine_leaves boxes masks cell_tree split_tree faces packing
+cells: affine_leaves boxes masks cell_tree split_tree feature_tree faces packing
 policies: lookup guarantee colors picture file policy single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
@@ -36,12 +36,13 @@ synthesis: remote_labels labelling synthesize
 sources: callables finite_control_set table text scots grid_files
 verification: bisection loop_derivative lyapunov agreement trials monte_carlo sentences
 integrations: gymnasium control
-compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
-    judge compress curve complexity
+compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree
+compression.features: space growing cell_fit controller_fit
+compression: proof judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target identifiers text crossings
+exports: plan constants golden target identifiers text crossings feature_texts
 exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
-    readings.counts code readings.places readings.quantiser notes dwell header source sizes
+    readings.counts features code readings.places readings.quantiser notes dwell header source sizes
     target
 exports.structured_text: lines block functions source target
 exports.verilog: words ports module tree bench source target

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.compression.affine_tree import affine_tree
 from capsyn.compression.coarsening import cut_off
-from capsyn.compression.features.cell_fit import fit_cells
+from capsyn.compression.features.cell_fit import MOST_CELLS, fit_cells
 from capsyn.compression.features.space import Functions, Space, check_functions
 from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
@@ -85,8 +87,8 @@ def compress(
     features : dict of functions, optional
         Functions of the state by name, in CasADi's terms like a problem's, that splits may compare
         beside the states: ``{"energy": lambda x: ...}``. They are evaluated at the centres of the
-        tree's lattice; a tree drops those that it does not use. Not with `level`, `node_price`, or
-        `agreement` in mode ``freedom``.
+        steps of the tree's lattice, and those that a tree does not use are dropped. Not with
+        `level`, `node_price`, or, in mode ``freedom``, `agreement`.
     backend : "auto", "c" or "numpy"
         How sSAC is solved.
 
@@ -108,7 +110,11 @@ def compress(
         An argument that cannot be used.
     """
     cells = cell_tree(policy)
-    _check_mode(policy, mode, agreement=agreement, level=level, node_price=node_price)
+    options = {"agreement": agreement, "level": level, "node_price": node_price}
+    _check_mode(policy, mode, options)
+    if features is not None:
+        check_functions(features)
+        _check_features(cells, mode, options)
     if agreement is not None:
         agreement = finite_number("agreement", agreement, above=0.0)
         if agreement >= 1:
@@ -124,7 +130,6 @@ def compress(
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, BACKENDS)
     if features is not None:
-        check_functions(features)
         judge = Judge.of(policy, states, seed, backend, controller)
         return _told(judge, feature_tree(judge, mode, features, agreement))
     if mode == "exact":
@@ -180,7 +185,20 @@ def feature_tree(
     return tree if mode == "exact" else judge.judged(tree, None)
 
 
-def _check_mode(policy: Policy, mode: str, **options: Any) -> None:
+def _check_features(cells: CellTree, mode: str, options: dict[str, Any]) -> None:
+    """Raise `ProblemError` unless cells have a tree with features of a mode with such options."""
+    for name, value in options.items():
+        if value is not None and mode != "linear":
+            raise ProblemError(f"`{name}` is not for mode {mode} with `features`; got {value!r}")
+    if mode != "linear" and (cells.affine is not None or math.prod(cells.counts) > MOST_CELLS):
+        raise ProblemError(
+            f"`features` in mode {mode} are for at most {MOST_CELLS:,} finest cells, of one symbol "
+            f"each; mode linear has no such limit; got {math.prod(cells.counts):,}"
+            + (" and affine leaves" if cells.affine is not None else "")
+        )
+
+
+def _check_mode(policy: Policy, mode: str, options: dict[str, Any]) -> None:
     """Raise `ProblemError` unless a policy has a tree of a mode with such options."""
     one_of("mode", mode, list(MODES))
     level = options["level"]

@@ -12,6 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.compression.compress import tree_of
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
@@ -59,6 +60,8 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
 
 def page(policy: Policy, drawing: str | None = None) -> str:
     """Return the page of a policy as HTML; that of affine leaves shows their exact tree."""
+    if isinstance(policy.cells, FeatureTree):
+        raise ProblemError("`policy` must have no features: the page cannot evaluate them")
     if policy.has_planes:
         policy = tree_of(policy)
     style = _resource("page.css").strip()

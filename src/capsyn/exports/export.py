@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.cells.packing import packed_bytes
 from capsyn.compression.complexity import mean_depth
 from capsyn.errors import ProblemError
@@ -45,8 +46,13 @@ def _load(name: str) -> Target:
 
 
 def all_targets(policy: Policy) -> tuple[str, ...]:
-    """Return the targets that a policy can be exported to; not all take oblique splits."""
-    return tuple(name for name in TARGETS if not policy.has_planes or _load(name).planes)
+    """Return the targets that a policy can be exported to.
+
+    Not all take oblique splits, or features.
+    """
+    needed = ["planes"] * policy.has_planes
+    needed += ["features"] * isinstance(policy.cells, FeatureTree)
+    return tuple(x for x in TARGETS if all(getattr(_load(x), need) for need in needed))
 
 
 def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
@@ -124,6 +130,9 @@ def export(
 def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) -> Files:
     """Return all files of one target, with vectors, costs and what is measured."""
     target = _load(name)
+    if isinstance(plan.tree.cells, FeatureTree) and not target.features:
+        able = ", ".join(x for x in TARGETS if _load(x).features)
+        raise ProblemError(f"target {name} takes no tree with features; these do: {able}")
     chosen = target.options(**options)
     exported = target.export(plan, golden, chosen)
     for file in {GOLDEN, CERTIFICATE, MEASURED} & set(exported.files):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.compression.compress import tree_of
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, check_outside
@@ -193,6 +194,8 @@ class Plan:
                 f"{settings.precision} precision"
             )
         lines.append(f"Tree: {self.tree.node_count} nodes; {self.tree.guarantee.text}.")
+        if isinstance(self.tree.cells, FeatureTree):
+            lines.append(f"Features: {', '.join(self.tree.cells.features.names)}")
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
         return tuple(lines)
 

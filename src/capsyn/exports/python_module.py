@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from capsyn.exports.constants import constants, tables
+from capsyn.exports.feature_texts import features_of, python_ranks
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
@@ -111,8 +112,11 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
         lines += [f"# {note}"] * bool(note)
         whole = isinstance(value, (list, tuple))
         lines.append(_tuple(constant, value) if whole else f"{constant} = {value!r}")
+    code, features = CODE, features_of(plan.tree.cells)
+    if features:
+        code = python_ranks(features) + code.replace("quantise(x)", "with_ranks(quantise(x))")
     file = f"{file_name(options.name, plan.policy.name, KEYWORDS)}.py"
-    return Exported({file: ("\n".join(lines) + CODE).encode()})
+    return Exported({file: ("\n".join(lines) + code).encode()})
 
 
 def _tuple(name: str, values: Sequence[Any]) -> str:
@@ -127,4 +131,4 @@ def _tuple(name: str, values: Sequence[Any]) -> str:
     return "\n    ".join([f"{name} = (", *(f"{item}," for item in items)]) + "\n)"
 
 
-TARGET = Target(export)
+TARGET = Target(export, features=True)

@@ -45,13 +45,15 @@ class Target:
     """A language that policies are exported to.
 
     ``export(plan, golden, options)`` makes its files; `options` is a frozen dataclass, each with a
-    default. `planes` is whether it takes trees with oblique splits. `measure` gives what is
+    default. `planes` is whether it takes trees with oblique splits, `features` whether it takes
+    trees with features. `measure` gives what is
     measured of its files here, as plain data; None: nothing.
     """
 
     export: Callable[[Plan, Golden, Any], Exported]
     options: type = NameOption
     planes: bool = True
+    features: bool = False
     measure: Callable[[Files], dict[str, Any]] | None = None
 
     @property

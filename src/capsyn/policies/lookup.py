@@ -105,9 +105,7 @@ class LookupKernel:
         return labels
 
 
-def lookup_kernel(
-    n: int, backend: str, count: int, compiles: bool = True
-) -> LookupKernel | None:
+def lookup_kernel(n: int, backend: str, count: int, compiles: bool = True) -> LookupKernel | None:
     """Return the kernel that looks up `count` states of `n` numbers; None where NumPy does it.
 
     That is so, whatever the backend, where the kernel does not know the cells (`compiles`).

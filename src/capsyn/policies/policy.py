@@ -15,6 +15,7 @@ from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
+from capsyn.modelling.grid import grid_places
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import Target, check_target
 from capsyn.modelling.time_unit import check_time_unit
@@ -232,13 +233,14 @@ class Policy:
     def volume_shares(self) -> np.ndarray:
         """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
 
-        Where planes bound symbols it is estimated at `SAMPLES` random states.
+        Where planes bound symbols it is estimated at `SAMPLES` random states, if they are fewer.
         """
         count = len(self.alphabet) + 1
         if self.has_planes:
-            shape = SAMPLES, self.domain.n
-            steps = np.random.default_rng(0).integers(self.cells.counts, size=shape)
-            return np.bincount(self.cells.labels(steps), minlength=count) / SAMPLES
+            steps, shape = self.cells.counts, (SAMPLES, self.domain.n)
+            few = np.prod(steps, dtype=float) <= SAMPLES
+            at = grid_places(steps) if few else np.random.default_rng(0).integers(steps, size=shape)
+            return np.bincount(self.cells.labels(at), minlength=count) / len(at)
         boxes = self.cells.boxes()
         total = np.prod(self.cells.counts, dtype=float)
         return np.bincount(boxes.labels, boxes.volumes() / total, count)

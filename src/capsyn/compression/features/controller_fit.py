@@ -84,16 +84,15 @@ def _with_features(samples: Samples, space: Space) -> Samples:
     return Samples(space.coordinates(steps), samples.right, space.n)
 
 
-def _pairs(
-    masks: Label, start: np.ndarray, length: float, space: Space, seed: list[int]
-) -> Pairs:
+def _pairs(masks: Label, start: np.ndarray, length: float, space: Space, seed: list[int]) -> Pairs:
     """Return pairs of states of the cube, some distance apart in random directions."""
     direction = stream(*seed).standard_normal(start.shape)
     end = start + direction * (length / np.sqrt((direction**2).sum(axis=1)))[:, None]
     inside = ((end >= 0) & (end < 1)).all(axis=1)
     start, end = start[inside], end[inside]
     unlike = (masks(start) & masks(end)) == 0
-    return Pairs(*(space.coordinates(space.locate(x)) for x in (start, end)), unlike)
+    one, other = (space.coordinates(space.locate(x)) for x in (start, end))
+    return Pairs(one, other, unlike)
 
 
 def _grown(pairs: Pairs, samples: Samples, seed: list[int]) -> Node:

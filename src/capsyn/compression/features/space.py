@@ -166,7 +166,9 @@ class Space:
         if not self.whole:
             return places, None
         shifts = np.linspace(-NEAR, NEAR, TRIED) if moved else np.zeros(1)
-        tried = {k: np.sort((t[:, None] + shifts * self.span[k]).ravel()) for k, t in places.items()}
+        tried = {
+            k: np.sort((t[:, None] + shifts * self.span[k]).ravel()) for k, t in places.items()
+        }
         least = {k: np.full(len(t) + 1, np.inf) for k, t in tried.items()}  # of values by rank
         most = {k: np.full(len(t) + 1, -np.inf) for k, t in tried.items()}
         for steps in lattice_chunks(self.counts):

@@ -12,7 +12,8 @@ def header(code: Code) -> str:
     """Return the header file."""
     plan, p, upper = code.plan, code.prefix, code.prefix.upper()
     symbols = ",\n".join(f"    {upper}_SYMBOL_{s} = {k}" for k, s in enumerate(code.symbols))
-    includes = "#include <stdint.h>" if code.axes else "#include <float.h>\n#include <stdint.h>"
+    bare = code.axes and not code.features
+    includes = "#include <stdint.h>" if bare else "#include <float.h>\n#include <stdint.h>"
     return f"""{code.about("header")}
 {comment(notes(code))}
 #ifndef {upper}_H
@@ -88,10 +89,10 @@ int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,
 
 def _no_double(code: Code) -> str:
     """Return the test for compilers whose double does not have 53 bits, or not always."""
-    if code.real == "float" or code.axes:
+    if code.real == "float" or (code.axes and not code.features):
         return ""
     lacking = f"#define {code.prefix.upper()}_NO_DOUBLE"
-    if code.arithmetic == "double":
+    if code.arithmetic == "double" or code.features:
         lacking = '#error "double precision is needed: export lattice or float"'
     return f"""
 #ifdef DBL_MANT_DIG
@@ -110,6 +111,9 @@ def _no_double(code: Code) -> str:
 def cmake(code: Code) -> str:
     """Return the text of ``CMakeLists.txt``."""
     prefix, about = code.prefix, "\n".join(f"# {line}" for line in code.plan.header)
+    library = ""
+    if code.library:
+        library = f"if(UNIX)\n    target_link_libraries({prefix} PUBLIC m)\nendif()\n"
     return f"""{about}
 cmake_minimum_required(VERSION 3.10)
 project({prefix} C)
@@ -118,7 +122,7 @@ set_target_properties({prefix} PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON)
 target_include_directories({prefix} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
 # what a program does not use is left out by -Wl,--gc-sections
 target_compile_options({prefix} PRIVATE -ffunction-sections -fdata-sections)
-"""
+{library}"""
 
 
 def example(code: Code) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.exports.c import dwell
 from capsyn.exports.c.code import Code
+from capsyn.exports.c.features import feature_decision
 from capsyn.exports.c.language import Part, macros, rows
 from capsyn.exports.c.readings.places import counts_quantiser
 from capsyn.exports.c.readings.quantiser import state_quantiser
@@ -24,11 +26,12 @@ def source(code: Code) -> str:
     reads = decision.reads | quantiser.reads | hold.reads
     if code.arithmetic == "lattice":
         states = code.guarded(states.rstrip("\n"))
+    library = "#include <math.h>\n" if code.library else ""
     return f"""{code.about("source")}
 #include "{code.prefix}.h"
 
 #include <stdbool.h>
-
+{library}
 {macros(reads)}{_controls(code)}{decision.text}{hold.text}{states}"""
 
 
@@ -51,6 +54,8 @@ def _decision(code: Code) -> Part:
     opening = f"{static}int16_t {p}_symbol({argument})"
     if code.style == "grid":
         return grid(code.tree, p, opening)
+    if isinstance(code.tree, FeatureTree):
+        return feature_decision(code.tree, code.style, code.plan.policy.domain, p, opening)
     public, planes = opening, not static and len(code.tree.planes)
     if planes:
         opening = f"static int16_t {p}_within({argument})"

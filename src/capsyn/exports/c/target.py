@@ -13,6 +13,7 @@ from capsyn.exports.c.readings.counts import READINGS, golden_counts
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
 from capsyn.exports.c.source import source
+from capsyn.exports.feature_texts import features_of
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Files, Plan
 from capsyn.exports.target import Exported, Target
@@ -65,6 +66,10 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     one_of("readings", readings, list(READINGS))
     if readings != "real" and arithmetic != "lattice":
         raise ProblemError(f"`readings` {readings} needs `arithmetic` lattice; got {arithmetic}")
+    if features_of(plan.tree.cells) and arithmetic != "lattice":
+        raise ProblemError(
+            f"`arithmetic` must be lattice for a tree with features; got {arithmetic}"
+        )
     tick = finite_number("tick", options.tick, above=0.0)
     if plan.labels > 1 << 15:
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
@@ -89,4 +94,4 @@ def measure(files: Files) -> dict[str, Any]:
     return {**sizes(files, header.removesuffix(".h"))}
 
 
-TARGET = Target(export, Options, measure=measure)
+TARGET = Target(export, Options, features=True, measure=measure)

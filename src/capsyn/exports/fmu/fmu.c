@@ -64,7 +64,7 @@ static int step(int i, double x) {
 }
 
 static int decide(const Real *inputs, int *status) {
-    int i, z[STATES], node = 0;
+    int i, z[PLACES], node = 0;
     double x[STATES];
     *status = INSIDE;
     for (i = 0; i < STATES; ++i) {
@@ -78,10 +78,11 @@ static int decide(const Real *inputs, int *status) {
     }
     if (*status == OUTSIDE && !NEAREST) return SAFE;
     for (i = 0; i < STATES; ++i) z[i] = step(i, x[i]);
+    RANKS
     while (SPLIT[node] >= 0) {
         int value = 0;
-        if (SPLIT[node] < STATES) value = z[SPLIT[node]];
-        else for (i = 0; i < STATES; ++i) value += PLANES[SPLIT[node] - STATES][i] * z[i];
+        if (SPLIT[node] < PLACES) value = z[SPLIT[node]];
+        else for (i = 0; i < PLACES; ++i) value += PLANES[SPLIT[node] - PLACES][i] * z[i];
         node = value >= THRESHOLD[node] ? SECOND[node] : node + 1;
     }
     if (THRESHOLD[node] == GAP) {

@@ -26,6 +26,7 @@ import numpy as np
 
 from capsyn.errors import KernelBuildError, ProblemError, warn
 from capsyn.exports.c.language import KEYWORDS
+from capsyn.exports.feature_texts import c_ranks, features_of
 from capsyn.exports.fmu.description import description, variable_names
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, renamed
@@ -74,7 +75,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     return Exported({f"{name}.fmu": _zip(content)}, renamed(names, variable_names(plan)))
 
 
-TARGET = Target(export, Options)
+TARGET = Target(export, Options, features=True)
 
 
 def _guid(plan: Plan) -> str:
@@ -134,12 +135,18 @@ def _source(plan: Plan, guid: str) -> bytes:
     """Return the C source: what the policy is, as constants and tables, then what it does."""
     policy, tree = plan.policy, plan.tree.cells
     domain = policy.domain
-    planes = tree.planes if len(tree.planes) else np.zeros((1, domain.n), dtype=np.int32)
+    features, places, ranks = features_of(tree), domain.n, ["#define RANKS"]
+    if features:
+        places += len(features.names)
+        body = [f"    {line}" for line in c_ranks(features, "z[{}]")]
+        ranks = ["static void put_ranks(int *z) {", *body, "}", "#define RANKS put_ranks(z);"]
+    planes = tree.planes if len(tree.planes) else np.zeros((1, places), dtype=np.int32)
     lines = [f"/* {line.replace('*/', '* /').replace('/*', '/ *')} */" for line in plan.header]
     lines += [
         "#include <stdint.h>",
         "",
         f"#define STATES {domain.n}",
+        f"#define PLACES {places}",
         f"#define CONTROLS {policy.alphabet.m}",
         f'#define GUID "{guid}"',
         f"#define SAFE {plan.safe}",
@@ -157,11 +164,14 @@ def _source(plan: Plan, guid: str) -> bytes:
         _table("int32_t", f"SPLIT[{tree.node_count}]", tree.split.tolist()),
         _table("int32_t", f"THRESHOLD[{tree.node_count}]", tree.threshold.tolist()),
         _table("int32_t", f"SECOND[{tree.node_count}]", tree.second.tolist()),
-        _table("int32_t", f"PLANES[{len(planes)}][STATES]", planes.tolist()),
+        _table("int32_t", f"PLANES[{len(planes)}][PLACES]", planes.tolist()),
         "",
     ]
-    body = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
-    return ("\n".join(lines) + "\n" + body).encode()
+    if features:
+        lines.append("#include <math.h>")
+    lines += [*ranks, ""]
+    text = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
+    return ("\n".join(lines) + "\n" + text).encode()
 
 
 def _table(kind: str, name: str, values: Sequence[Any]) -> str:

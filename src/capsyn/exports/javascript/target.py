@@ -10,6 +10,7 @@ import textwrap
 from importlib import resources
 
 from capsyn.exports.constants import constants, tables
+from capsyn.exports.feature_texts import features_of, javascript_ranks
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
@@ -98,8 +99,11 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
         lines += [f"// {note}", f"const {constant} ="]
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
     lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text()
-    text = "\n".join([*lines, "", lattice]) + CODE
+    code, features = CODE, features_of(plan.tree.cells)
+    if features:
+        code = javascript_ranks(features) + code.replace("quantise(x)", "withRanks(quantise(x))")
+    text = "\n".join([*lines, "", lattice]) + code
     return Exported({f"{file_name(options.name, plan.policy.name)}.mjs": text.encode()})
 
 
-TARGET = Target(export)
+TARGET = Target(export, features=True)

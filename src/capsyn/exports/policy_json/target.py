@@ -7,6 +7,7 @@ import re
 from importlib import resources
 from typing import Any
 
+from capsyn.exports.feature_texts import features_of
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
@@ -14,7 +15,7 @@ from capsyn.exports.target import Exported, NameOption, Target
 from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
-FORMAT, VERSION = "capsyn-policy-json", 1
+FORMAT, VERSION, WITH_FEATURES = "capsyn-policy-json", 1, 2
 SCHEMA = "capsyn-policy.schema.json"
 QUANTISER = (
     "All arithmetic is IEEE 754 double precision, rounded after each operation as written.",
@@ -28,6 +29,13 @@ QUANTISER = (
     "x = min(max(x, lower), upper).",
     "face(k) = lower + (upper - lower) * (k / steps). The lattice step z of the axis is the "
     "largest whole number 0 <= z < steps with z = 0 or face(z) <= x.",
+)
+RANKS = (
+    "Then come features. Their program has values, numbered: the steps z, as doubles, then one for "
+    "each instruction: a constant, or an operation on earlier values. Those under results are the "
+    "values of the features. The rank of a feature is how many of its thresholds its value "
+    "reaches (>=). Append the ranks to z: n, the number of states, is from here on that of states "
+    "and features.",
 )
 WALK = (
     "Start at node 0. A node i with split[i] = -1 is a leaf; its symbol is threshold[i].",
@@ -66,10 +74,11 @@ def document(plan: Plan) -> dict[str, Any]:
         plan.offset.tolist(),
     )
     keys = ("name", "unit", "lower", "upper", "periodic", "steps", "scale", "offset")
+    features = features_of(tree)
     return {
         "$schema": SCHEMA,
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION if features is None else WITH_FEATURES,
         "generator": f"capsyn {__version__}",
         "header": list(plan.header),
         "name": policy.name,
@@ -89,7 +98,7 @@ def document(plan: Plan) -> dict[str, Any]:
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "guarantee": plan.tree.guarantee.to_json() | {"text": plan.tree.guarantee.text},
-        "quantiser": list(QUANTISER),
+        "quantiser": [*QUANTISER, *(RANKS if features else ())],
         "walk": list(WALK),
         "tree": {
             "nodes": tree.node_count,
@@ -98,8 +107,9 @@ def document(plan: Plan) -> dict[str, Any]:
             "threshold": tree.threshold.tolist(),
             "second": tree.second.tolist(),
             "planes": tree.planes.tolist(),
-        },
+        }
+        | ({} if features is None else {"features": features.to_json()}),
     }
 
 
-TARGET = Target(export)
+TARGET = Target(export, features=True)
