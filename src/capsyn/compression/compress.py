@@ -8,10 +8,11 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.compression.affine_tree import affine_tree
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.features.cell_fit import MOST_CELLS, fit_cells
-from capsyn.compression.features.space import Functions, Space, check_functions
+from capsyn.compression.features.space import LEAST_MARGIN, Functions, Space, check_functions
 from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
 from capsyn.compression.judge import Judge
@@ -101,8 +102,8 @@ def compress(
     -----
     CapsynWarning
         `agreement` was not reached, and the best tree found is returned; or it is finer than the
-        cells of a policy without a controller, so that the tree follows their stairs. Or `features`
-        make no tree smaller, and one without is returned.
+        cells of a policy without a controller, so that the tree follows their stairs. `features`
+        make no tree smaller, and one without is returned; or one comes very near to a threshold.
 
     Raises
     ------
@@ -152,7 +153,14 @@ def compress(
 
 
 def _told(judge: Judge, tree: DecisionTree) -> DecisionTree:
-    """Return a tree, with a warning where it misses its target."""
+    """Return a tree, with a warning where it misses its target, or features need a check."""
+    if isinstance(tree.cells, FeatureTree):
+        margin = tree.cells.features.margin
+        if margin is not None and margin < LEAST_MARGIN:
+            warn(
+                f"a feature comes as near as {margin:.1e} of its span to a threshold: targets that "
+                "round otherwise may give another symbol there"
+            )
     if not tree.guarantee.reached:
         warn(judge.advice(tree))
     return tree

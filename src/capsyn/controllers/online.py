@@ -364,7 +364,9 @@ def online_controller(
     )
 
 
-def _kernel(model: Model, sac: Program | None, background: Any, backend: str) -> ActionKernel | None:
+def _kernel(
+    model: Model, sac: Program | None, background: Any, backend: str
+) -> ActionKernel | None:
     """Return the kernel of a controller; None where NumPy does the work."""
     if isinstance(background, Policy) and not background.cells.compiled:
         return None

@@ -42,7 +42,7 @@ PYTHON = {
     "fabs": "abs({0})",
     "floor": "rounded(math.floor, {0})",
     "ceil": "rounded(math.ceil, {0})",
-    "sign": "float(({0} > 0) - ({0} < 0))",
+    "sign": "(float(({0} > 0) - ({0} < 0)) if {0} == {0} else {0})",
     "fmin": "({0} if {0} < {1} or {1} != {1} else {1})",
     "fmax": "({0} if {0} > {1} or {1} != {1} else {1})",
     "select": "({1} if {0} != 0 else 0.0)",
@@ -68,12 +68,20 @@ def rounded(function, x):
     "called": '''
 def called(function, *arguments):
     """Return the value of a function as C has it: NaN or infinite where Python raises."""
+    x = arguments[0]
     try:
         return float(function(*arguments))
     except ValueError:
-        return -math.inf if function in (math.log, math.log1p) and arguments[0] <= 0 else math.nan
+        pole = {math.log: 0.0, math.log1p: -1.0}.get(function)
+        if function is math.pow and x == 0:
+            odd = arguments[1] % 2 == 1
+            return math.copysign(math.inf, x) if odd else math.inf
+        if function is math.atanh and abs(x) == 1:
+            return math.copysign(math.inf, x)
+        return -math.inf if x == pole else math.nan
     except OverflowError:
-        return math.inf
+        odd = function is math.sinh or (function is math.pow and arguments[1] % 2 == 1)
+        return -math.inf if odd and x < 0 else math.inf
 ''',
 }
 """Functions that the Python text calls."""

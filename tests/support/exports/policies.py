@@ -102,6 +102,7 @@ def read(data, reading):
         z.append(max(after - 1, 0))
     if status == 1 and data["outside"]["rule"] != "nearest":
         return data["outside"]["safe"], 1
+    z += ranks(tree["features"], z) if "features" in tree else []
     i = 0
     while tree["split"][i] != -1:
         s = tree["split"][i]
@@ -111,6 +112,24 @@ def read(data, reading):
     if tree["threshold"][i] == data["outside"].get("gap"):
         return data["outside"]["safe"], 1
     return tree["threshold"][i], status
+
+
+def ranks(features, z):
+    """Return the ranks of features at lattice steps, for the operations of `support.features`."""
+    operations = {
+        "add": lambda a, b: a + b,
+        "sub": lambda a, b: a - b,
+        "mul": lambda a, b: a * b,
+        "cos": math.cos,
+    }
+    values = list(map(float, z))
+    for name, *operands in features["program"]["instructions"]:
+        if name == "const":
+            values.append(operands[0])
+        else:
+            values.append(operations[name](*(values[k] for k in operands)))
+    found = [values[k] for k in features["program"]["results"]]
+    return [sum(v >= t for t in row) for v, row in zip(found, features["thresholds"])]
 
 
 RUNNERS = {"python": by_python, "javascript": by_javascript, "json": by_json}

@@ -23,7 +23,8 @@ from capsyn.random_streams import stream
 from capsyn.statistics import clopper_pearson
 
 LENGTHS = (0.06, 0.03, 0.015, 0.0075)
-"""Distances between the states of a pair [widths of the domain]: each grows a finer tree."""
+"""Distances between the states of a pair [widths of the domain]: each grows a finer tree, until one
+that meets the target is no smaller than those before."""
 CUT_PENALTY = 0.1
 """What a like pair that is parted counts against an unlike one."""
 LEAST_UNLIKE = 0.002
@@ -59,9 +60,13 @@ def fit_controller(
     fitted, chosen = _with_features(plain, space), _with_features(draw(SAMPLES, 1), space)
     bar = agreement + MARGIN * math.sqrt(agreement * (1 - agreement) / min(states, SAMPLES))
     found: list[tuple[int, float, Node]] = []
+    least = math.inf
     for turn, length in enumerate(LENGTHS):
         pairs = _pairs(cube_masks, plain.states[:PAIRS], length, space, [seed, 11, turn])
         found += _pruned(_grown(pairs, fitted, [seed, 12, turn]), fitted, chosen, bar)
+        before, least = least, min((x[0] for x in found if x[1] >= bar), default=math.inf)
+        if before == least < math.inf:
+            break
     passing = sorted((x for x in found if x[1] >= bar), key=lambda x: (x[0], -x[1]))
     best = max(found, key=lambda x: x[1])
     judged: list[Fit] = []

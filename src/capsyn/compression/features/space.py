@@ -30,6 +30,10 @@ SAMPLED = 2**20
 """Random steps of a larger one that are looked at."""
 GRAIN = 2.0**-28
 """Values of a feature so close, as a share of their span, are not told apart by a fit."""
+LARGEST = 1e150
+"""Values of features are smaller in size, so that their differences are finite."""
+LEAST_MARGIN = 1e-9
+"""A threshold closer to a value, as a share of the span, may not be the same for every target."""
 NEAR, TRIED = 1e-6, 65
 """How far a threshold may move for a wider gap [share of the span], and the places tried."""
 
@@ -72,15 +76,15 @@ class Space:
         bare = Space(domain, counts, names, program, low, high)
         for steps in bare.all_steps():
             values = program.evaluate(steps.T)[0]
-            finite = np.isfinite(values)
+            finite = np.abs(values) < LARGEST  # false for NaN
             if not finite.all():
                 k, b = np.argwhere(~finite)[0]
                 at = bare.centres(steps[b : b + 1])[0]
                 state = ", ".join(f"{s} = {x:g}" for s, x in zip(domain.names, at))
                 got = np.broadcast_to(values, (len(names), len(steps)))[k, b]
                 raise ProblemError(
-                    f"`features[{names[k]!r}]` must be finite all over the domain; got {got} at "
-                    f"{state}"
+                    f"`features[{names[k]!r}]` must be a number below {LARGEST:g} all over the "
+                    f"domain; got {got:g} at {state}"
                 )
             low, high = np.minimum(low, values.min(axis=1)), np.maximum(high, values.max(axis=1))
         span = np.where(high > low, high - low, 1.0)
