@@ -58,10 +58,9 @@ def test_c_text(tmp_path):
     command = ["gcc", "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC", "-ffp-contract=off"]
     subprocess.run([*command, tmp_path / "every.c", "-o", library, "-lm"], check=True)
     found = np.empty((len(PAIRS), len(results)))
+    every = ctypes.CDLL(str(library)).every
     for x, y in zip(PAIRS, found):
-        ctypes.CDLL(str(library)).every(
-            ctypes.c_void_p(x.ctypes.data), ctypes.c_void_p(y.ctypes.data)
-        )
+        every(ctypes.c_void_p(x.ctypes.data), ctypes.c_void_p(y.ctypes.data))
     assert_close(found)
     assert calls_library(EVERY)
 
