@@ -14,9 +14,10 @@ from capsyn.compression.features import controller_fit
 from capsyn.compression.features.growing import Pairs, best_split
 from capsyn.compression.features.space import Space
 from capsyn.compression.freedom import allowed_masks
+from capsyn.compression.plane_tree import Node
 from capsyn.compression.proof import prove
 from capsyn.errors import CapsynWarning, ProblemError
-from support.features import BY_NUMPY, FEATURES, all_steps, exact, pendulum, walked
+from support.features import BY_NUMPY, FEATURES, all_steps, exact, pendulum, value_of, walked
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def margins(tree):
     centres = domain.lower + (all_steps(counts) + 0.5) / np.array(counts) * domain.widths
     found = []
     for name, thresholds in zip(tree.cells.features.names, tree.cells.features.thresholds):
-        values = BY_NUMPY[name](centres)
+        values = value_of(name, centres)
         found += [np.abs(values - t).min() / np.ptp(values) for t in thresholds]
     return found
 
@@ -73,6 +74,35 @@ def test_a_linear_tree_reaches_its_target_with_few_nodes(coarse):
     np.testing.assert_array_equal(tree.cells.labels(steps), walked(tree, steps))
     again = compress(pendulum(), "linear", features=FEATURES, agreement=0.994)
     assert again.cells.structure() == tree.cells.structure()
+
+
+def test_sums_of_features_are_features(coarse):
+    """The law of four accelerations compares the energy with multiples of cos(theta) omega."""
+    policy = synthesize(problems.get("cart-pendulum-4"))
+    law = {name: FEATURES[name] for name in BY_NUMPY}
+    tree = compress(policy, "linear", features=law, agreement=0.97)
+    assert tree.guarantee.reached and tree.node_count <= 21
+    sums = [name for name in tree.cells.features.names if name not in BY_NUMPY]
+    assert sums and all("energy" in name and "(cos(theta) * omega)" in name for name in sums)
+    steps = all_steps(tree.cells.counts)[::11]
+    different = walked(tree, steps) != tree.cells.labels(steps)
+    assert np.mean(different) < 1e-4  # names have six digits
+    assert tree.cells.features.margin <= min(margins(tree)) * 1.01
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_sum_with_one_factor_that_counts_is_that_feature(sign):
+    box, law = Box([0.0], [4.0]), {"a": lambda x: 2 * x[0] - 3, "b": lambda x: ca.sin(x[0])}
+    space = Space.of(law, box, (64,))
+    x = (np.arange(64) + 0.5) / 16
+    values = [(v - v.min()) / np.ptp(v) for v in (2 * x - 3, np.sin(x))]
+    for slight, names in ((1e-5, ("a",)), (0.5, (f"{'-' * (sign < 0)}a + ",))):
+        plane = np.array([0.0, sign, slight]), sign * 0.4 + slight / 2
+        root = Node(0, plane, [Node(0), Node(1)])
+        tree = space.tree(root, moved=False)
+        expected = sign * values[0] + slight * values[1] >= plane[1]
+        np.testing.assert_array_equal(tree.labels(np.arange(64)[:, None]), expected)
+        assert len(tree.features.names) == 1 and tree.features.names[0].startswith(names[0])
 
 
 def test_margins_are_those_of_the_whole_lattice(coarse):

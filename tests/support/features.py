@@ -1,6 +1,7 @@
 """The cart-pendulum with its law's features, and their values written out once more."""
 
 import functools
+import re
 
 import casadi as ca
 import numpy as np
@@ -17,6 +18,15 @@ BY_NUMPY = {
     "cos(theta) * omega": lambda x: np.cos(x[:, 0]) * x[:, 1],
 }
 """The features of the tree, of states (B, n)."""
+
+
+def value_of(name, states):
+    """Return the values (B,) of a feature at states, or of a sum of the two as its name says."""
+    if name in BY_NUMPY:
+        return BY_NUMPY[name](states)
+    energy, pace = (function(states) for function in BY_NUMPY.values())
+    text = re.sub(r"([\d.]+) (?=[(e])", r"\1 * ", name)
+    return eval(text.replace("(cos(theta) * omega)", "pace"), {"energy": energy, "pace": pace})
 
 
 @functools.cache
@@ -39,7 +49,7 @@ def walked(tree, steps):
     centres = domain.lower + (steps + 0.5) / np.array(cells.counts) * domain.widths
     columns = list(steps.T)
     for name, thresholds in zip(cells.features.names, cells.features.thresholds):
-        columns.append((BY_NUMPY[name](centres)[:, None] >= thresholds).sum(axis=1))
+        columns.append((value_of(name, centres)[:, None] >= thresholds).sum(axis=1))
     z, labels = np.stack(columns, axis=1), np.empty(len(steps), dtype=int)
     for b, row in enumerate(z.tolist()):
         node = 0

@@ -15,7 +15,7 @@ from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.programs.program import Program
 from capsyn.validation import read_only
 
-MAX_FEATURES = 64
+MAX_FEATURES = 10_000
 """Most features of a tree."""
 CHUNK = 1 << 18
 """Lattice steps at which features are evaluated at a time."""

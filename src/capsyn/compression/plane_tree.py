@@ -191,7 +191,7 @@ def prune(links: list[Link], allowed: float) -> None:
 def _fit_split(node: Node, states: np.ndarray, second: np.ndarray, axes: int) -> int:
     """Fit a split to states that belong to its second child or not; return its errors.
 
-    A plane may combine the first `axes` coordinates; one across another is only moved.
+    A plane may combine the first `axes` coordinates, or those after them.
     """
     n = states.shape[1]
     assert node.plane is not None
@@ -204,16 +204,18 @@ def _fit_split(node: Node, states: np.ndarray, second: np.ndarray, axes: int) ->
     if along:
         shift, saved = best_shift(distance, second)
         node.plane, wrong = (node.plane[0], node.plane[1] + shift), wrong - saved
-    if axes == 1 or node.plane[0][axes:].any():
+    part = slice(axes, n) if node.plane[0][axes:].any() else slice(0, axes)
+    if part.stop - part.start == 1:
         return wrong
     worth = OBLIQUE_WORTH * wrong if along else 0.0
     for band in BANDS:
         near = np.flatnonzero(np.abs(distances(states, node.plane)) < band)[:BAND_STATES]
         if len(near) <= 4 * n or second[near].all() or not second[near].any():
             continue
-        start = node.plane[0][:axes], node.plane[1]
-        normal, offset = separating_plane(states[near][:, :axes], second[near], start)
-        plane = np.append(normal, np.zeros(n - axes)), offset
+        start = node.plane[0][part], node.plane[1]
+        normal, offset = separating_plane(states[near][:, part], second[near], start)
+        plane = np.zeros(n), offset
+        plane[0][part] = normal
         distance = distances(states, plane)
         near = np.abs(distance) < band
         shift, saved = best_shift(distance[near], second[near])

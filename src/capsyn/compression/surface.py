@@ -46,7 +46,7 @@ class Samples:
 
     states: np.ndarray  # (B, n)
     right: np.ndarray  # (B, L) bool: whether each label is right at each state
-    axes: int | None = None  # leading coordinates that planes may combine; None: all
+    axes: int | None = None  # planes combine so many first coordinates, or the rest; None: all
 
     def __len__(self) -> int:
         return len(self.states)

@@ -60,6 +60,6 @@ def best_split(pairs: Pairs, cut_penalty: float) -> tuple[int, float] | None:
     return best[1:] if best else None
 
 
-def across(coordinate: int, threshold: float, count: int) -> Plane:
-    """Return the plane across one of `count` coordinates at a threshold."""
-    return np.eye(count)[coordinate], threshold
+def across(coordinate: int, threshold: float, count: int = 0) -> Plane:
+    """Return the plane across one of `count` coordinates, at least those before, at a threshold."""
+    return np.eye(max(count, coordinate + 1))[coordinate], threshold

@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from capsyn.cells.feature_tree import MAX_FEATURES, Features, FeatureTree, lattice_chunks
+from capsyn.cells.feature_tree import Features, FeatureTree, lattice_chunks
 from capsyn.cells.split_tree import LEAF, depth_first
+from capsyn.compression.features.growing import across
 from capsyn.compression.oblique import integer_plane
 from capsyn.compression.plane_tree import Node
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
-from capsyn.programs.builder import selected
+from capsyn.programs.builder import selected, with_sums
 from capsyn.programs.program import Program
 from capsyn.random_streams import stream
 from capsyn.validation import describe
 
+MAX_FEATURES = 64
+"""Most functions that are given."""
 ENUMERATED = 2**26
 """A lattice of at most so many steps is looked at as a whole."""
 SAMPLED = 2**20
@@ -34,6 +37,10 @@ LARGEST = 1e150
 """Values of features are smaller in size, so that their differences are finite."""
 LEAST_MARGIN = 1e-9
 """A threshold closer to a value, as a share of the span, may not be the same for every target."""
+SLIGHT = 3e-4
+"""Factors of a sum of features, by their spans, that are left out."""
+DIGITS = 6
+"""Significant digits of the factors in sums of features."""
 NEAR, TRIED = 1e-6, 65
 """How far a threshold may move for a wider gap [share of the span], and the places tried."""
 
@@ -125,8 +132,48 @@ class Space:
         """Return the tree on the lattice of one over coordinates; None if no feature is in it.
 
         Thresholds of features are put in the middle of a gap between values on the lattice; with
-        `moved`, of the widest gap nearby, else of that which they are in.
+        `moved`, of the widest gap nearby, else of that which they are in. A plane that combines
+        features becomes a feature of its own.
         """
+        space, root = self._combined(root)
+        return space._tree(root, moved)
+
+    def _combined(self, root: Node) -> tuple[Space, Node]:
+        """Return the space with sums of features as features, and the tree of single ones."""
+        root, sums = root.copy(), dict[tuple[float, ...], int]()
+        for node in nodes_of(root):
+            if node.plane is None or np.count_nonzero(node.plane[0][self.n :]) < 2:
+                continue
+            normal, most = node.plane[0][self.n :], np.abs(node.plane[0]).argmax() - self.n
+            slight = np.abs(normal) < SLIGHT
+            weights = np.where(slight, 0.0, normal) / self.span
+            offset = node.plane[1] - normal[slight].sum() / 2 + weights @ self.low
+            if np.count_nonzero(weights) == 1:  # one alone, beyond its threshold or before it
+                threshold = (offset / weights[most] - self.low[most]) / self.span[most]
+                node.plane = across(self.n + most, threshold)
+                node.children = node.children[:: -1 if weights[most] < 0 else 1]
+                continue
+            weights, offset = weights / abs(weights[most]), offset / abs(weights[most])
+            factors = tuple(float(f"{w:.{DIGITS}g}") for w in weights)
+            place = sums.setdefault(factors, len(sums))
+            span = float(np.abs(factors) @ self.span)
+            node.plane = across(self.n + len(self.names) + place, offset / span)
+        for node in nodes_of(root):
+            if node.plane is not None:
+                normal = np.zeros(self.n + len(self.names) + len(sums))
+                normal[: len(node.plane[0])] = node.plane[0]
+                node.plane = normal, node.plane[1]
+        table = np.array(list(sums)).reshape(-1, len(self.names))
+        return replace(
+            self,
+            names=(*self.names, *(_sum_name(row, self.names) for row in table.tolist())),
+            program=with_sums(self.program, table.tolist()),
+            low=np.append(self.low, np.zeros(len(table))),
+            span=np.append(self.span, np.abs(table) @ self.span),  # at most
+        ), root
+
+    def _tree(self, root: Node, moved: bool) -> FeatureTree | None:
+        """Return the tree whose planes are across one feature each, or of states alone."""
         wanted: dict[int, set[float]] = {}
         for node in nodes_of(root):
             k = _feature(node, self.n)
@@ -196,6 +243,17 @@ class Space:
                 choice.append(threshold)
             put[k] = np.array(choice)
         return put, min(margins)
+
+
+def _sum_name(factors: list[float], names: tuple[str, ...]) -> str:
+    """Return a sum of features as text."""
+    text = ""
+    for factor, name in zip(factors, names):
+        if factor:
+            sign = (" - " if factor < 0 else " + ") if text else "-" * (factor < 0)
+            many = "" if abs(factor) == 1 else f"{abs(factor):.6g} "
+            text += f"{sign}{many}{name if name.isidentifier() else f'({name})'}"
+    return text
 
 
 def nodes_of(root: Node) -> Iterator[Node]:
