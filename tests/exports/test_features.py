@@ -1,5 +1,6 @@
 """Exports of trees with features: every target gives the policy's symbols, or refuses."""
 
+import dataclasses
 import json
 import math
 import re
@@ -66,9 +67,24 @@ def test_json_follows_its_schema(tmp_path):
     jsonschema = pytest.importorskip("jsonschema")
     path = made_by(exact(), "json", tmp_path)
     data, schema = (json.loads(p.read_text()) for p in (path, tmp_path / policy_json.SCHEMA))
-    jsonschema.Draft202012Validator(schema).validate(data)
+    validator = jsonschema.Draft202012Validator(schema)
+    validator.validate(data)
+    with pytest.raises(jsonschema.ValidationError):
+        validator.validate(data | {"version": 1})
     assert data["version"] == 2 and data["tree"]["features"]["margin"] > 1e-9
     assert json.loads(made_by(pendulum(), "json", tmp_path).read_text())["version"] == 1
+
+
+@pytest.mark.parametrize("to", RUNNERS)
+def test_odd_names_break_no_file(to, tmp_path):
+    odd = "\\ \"'`${x} */ // [ 1 ] \u2603 \\"
+    features = dataclasses.replace(exact().cells.features, names=(odd, "*/"))
+    tree = dataclasses.replace(exact(), cells=dataclasses.replace(exact().cells, features=features))
+    assert_equal(to, tree, tmp_path)
+    if to == "python":
+        files = c.files(Plan.of(tree), golden_vectors(Plan.of(tree))).files
+        Library(files, tmp_path, 2, "gcc")
+        export(tree, "fmu", tmp_path)
 
 
 def test_the_header_tells_the_features(tmp_path):

@@ -15,7 +15,7 @@ from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
-from capsyn.modelling.grid import grid_places
+from capsyn.modelling.grid import places_or_some
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import Target, check_target
 from capsyn.modelling.time_unit import check_time_unit
@@ -135,7 +135,7 @@ class Policy:
         outside : "error", "nearest" or symbol index, optional
             Overrides the policy's own rule.
         backend : "auto", "c" or "numpy"
-            Which lookup to use; all give the same symbols.
+            Which lookup to use; all give the same symbols. Features are for NumPy in any case.
 
         Raises
         ------
@@ -237,10 +237,8 @@ class Policy:
         """
         count = len(self.alphabet) + 1
         if self.has_planes:
-            steps, shape = self.cells.counts, (SAMPLES, self.domain.n)
-            few = np.prod(steps, dtype=float) <= SAMPLES
-            at = grid_places(steps) if few else np.random.default_rng(0).integers(steps, size=shape)
-            return np.bincount(self.cells.labels(at), minlength=count) / len(at)
+            steps = places_or_some(self.cells.counts, SAMPLES)
+            return np.bincount(self.cells.labels(steps), minlength=count) / len(steps)
         boxes = self.cells.boxes()
         total = np.prod(self.cells.counts, dtype=float)
         return np.bincount(boxes.labels, boxes.volumes() / total, count)
