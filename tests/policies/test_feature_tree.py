@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import capsyn
-from capsyn import Automaton, Policy, explore, online_controller, problems, simulate
+from capsyn import Automaton, Policy, online_controller, problems, simulate
 from capsyn.cells.feature_tree import Features
 from capsyn.errors import ProblemError
 from capsyn.plots.policy import plot_policy
@@ -100,7 +100,6 @@ def test_an_online_controller_takes_it_for_its_default():
     [
         (Automaton.of, "has splits by features$"),
         (lambda tree: lyapunov(tree, lambda x: x[1] ** 2), "^a tree with features has no boxes"),
-        (lambda tree: explore(tree, "page.html"), "^`policy` must have no features: the page"),
         (lambda tree: tree.cells.boxes(), "^a tree with features has no boxes"),
         (lambda tree: tree.cells.parts(np.zeros((1, 2)), np.ones((1, 2))), "has no boxes"),
     ],

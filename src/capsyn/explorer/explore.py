@@ -12,13 +12,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from capsyn.cells.feature_tree import FeatureTree
 from capsyn.compression.compress import tree_of
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
 from capsyn.explorer.formulas import formulas
 from capsyn.explorer.page_data import page_data
-from capsyn.explorer.program_javascript import model_javascript
+from capsyn.explorer.program_javascript import features_javascript, model_javascript
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
@@ -60,15 +59,15 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
 
 def page(policy: Policy, drawing: str | None = None) -> str:
     """Return the page of a policy as HTML; that of affine leaves shows their exact tree."""
-    if isinstance(policy.cells, FeatureTree):
-        raise ProblemError("`policy` must have no features: the page cannot evaluate them")
     if policy.has_planes:
         policy = tree_of(policy)
     style = _resource("page.css").strip()
     model = model_javascript(policy).removeprefix("export ").strip()
     notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"
     code = _resource("page.js").strip()
-    script = "\n".join([notice, model, code, "capsynPage.start(model);"])
+    features = features_javascript(policy).removeprefix("export ").strip()
+    begin = f"capsynPage.start(model{', features' if features else ''});"
+    script = "\n".join(filter(None, [notice, model, features, code, begin]))
     parts = {
         "TITLE": html.escape(f"{policy.name} - capsyn"),
         "SECURITY": html.escape(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.modelling.targets import target_program
 from capsyn.policies.policy import Policy
 from capsyn.programs.program import Program
@@ -46,8 +47,20 @@ def model_javascript(policy: Policy) -> str:
         "inside": target_program(policy.target, policy.domain),
     }
     body = "".join(program_javascript(program, name) for name, program in programs.items())
-    helpers = "".join(
-        f"  const m_{name} = {text};\n" for name, text in JAVASCRIPT.items() if f"m_{name}(" in body
-    )
+    helpers = _helpers(body)
     names = ", ".join(programs)
     return f"export const model = (() => {{\n{helpers}{body}  return {{ {names} }};\n}})();\n"
+
+
+def features_javascript(policy: Policy) -> str:
+    """Return an ES module that exports ``features(z, values)``, of lattice steps; "" if none."""
+    if not isinstance(policy.cells, FeatureTree):
+        return ""
+    body = program_javascript(policy.cells.features.program, "features")
+    return f"export const features = (() => {{\n{_helpers(body)}{body}  return features;\n}})();\n"
+
+
+def _helpers(body: str) -> str:
+    """Return the functions of `JAVASCRIPT` that a text calls."""
+    used = ((name, text) for name, text in JAVASCRIPT.items() if f"m_{name}(" in body)
+    return "".join(f"  const m_{name} = {text};\n" for name, text in used)
