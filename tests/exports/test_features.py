@@ -15,6 +15,7 @@ from capsyn.exports.export import all_targets, export
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.exports.policy_json import target as policy_json
+from capsyn.policies.report import report
 from support.exports.c_machines import WARNINGS, Library, need
 from support.exports.c_plans import assert_golden
 from support.exports.policies import RUNNERS, assert_equal, made_by
@@ -85,6 +86,14 @@ def test_odd_names_break_no_file(to, tmp_path):
         files = c.files(Plan.of(tree), golden_vectors(Plan.of(tree))).files
         Library(files, tmp_path, 2, "gcc")
         export(tree, "fmu", tmp_path)
+
+
+def test_the_certificate_tells_the_features(tmp_path):
+    for policy in (exact(), pendulum()):
+        export(policy, "python", tmp_path)
+        certificate = json.loads((tmp_path / "certificate.json").read_text())
+        assert certificate.get("features") == report(exact())["features"] or policy is pendulum()
+    assert "features" not in certificate
 
 
 def test_the_header_tells_the_features(tmp_path):

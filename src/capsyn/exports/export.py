@@ -22,6 +22,7 @@ from capsyn.exports.plan import Files, Plan
 from capsyn.exports.target import Exported, Target
 from capsyn.policies.file import content_hash
 from capsyn.policies.policy import Policy
+from capsyn.policies.report import feature_figures
 from capsyn.validation import describe
 
 TARGETS = {
@@ -156,7 +157,7 @@ def _certificate(
     ``changed_by_rounding`` is the share of random states whose symbol is another as the target
     rounds them; None where it rounds to the policy's own lattice, which changes none.
     """
-    tree = plan.tree
+    tree, features = plan.tree, feature_figures(plan.tree.cells)
     return {
         "header": list(plan.header),
         "target": target,
@@ -166,6 +167,7 @@ def _certificate(
         "nodes": tree.node_count,
         "comparisons": {"most": tree.depth, "mean": mean_depth(tree)},
         "planes": len(tree.cells.planes),
+        **({"features": features} if features else {}),
         "lattice": list(tree.cells.counts),
         "tree_bytes": packed_bytes(tree.cells),
         "files": {

@@ -92,14 +92,14 @@ def _tree(tree: DecisionTree) -> dict[str, Any]:
         "nodes": tree.node_count,
         "depth": tree.depth,
         "planes": len(tree.cells.planes),
-        "features": _features(tree.cells),
+        "features": feature_figures(tree.cells),
         "packed_bytes": packed_bytes(tree.cells),
         "tree_bytes": _bytes(tree.cells),
         "guarantee": _guarantee(tree.guarantee),
     }
 
 
-def _features(tree: SplitTree) -> dict[str, Any] | None:
+def feature_figures(tree: SplitTree) -> dict[str, Any] | None:
     """Return the features of a tree, and what they take; None where it has none."""
     if not isinstance(tree, FeatureTree):
         return None

@@ -32,7 +32,8 @@ def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
 
     Of each ``compiler``: its name and version; ``decision``: code and tables from lattice steps, or
     from states, to a symbol; ``quantiser``: how much more it takes from states, without the
-    compiler's arithmetic; ``with_library``: what both take with it, where it links [bytes];
+    compiler's arithmetic; ``with_library``: what both take with it, and with the mathematical
+    functions that features call, where it links [bytes];
     ``ram``: static memory [bytes]; ``stack`` and ``stack_from_states``: of the deepest chains of
     calls, without the compiler's arithmetic [bytes]. Without ``quantiser`` where a processor has no
     double precision. Processors are left out whose compiler is missing, fails or has not its
