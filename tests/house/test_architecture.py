@@ -37,7 +37,7 @@ sources: callables finite_control_set table text scots grid_files
 verification: bisection loop_derivative lyapunov agreement trials monte_carlo sentences
 integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree
-compression.features: space growing cell_fit controller_fit
+compression.features: growing space cell_fit controller_fit
 compression: proof judge compress curve complexity
 plots: figure policy trajectory automaton curve
 exports: plan constants golden target identifiers text crossings feature_texts
