@@ -19,6 +19,7 @@ from support.exports.c_plans import (
     plan_of,
     random_plan,
 )
+from support.features import exact
 
 ADVISORY = ("misra-c2012-2.4", "misra-c2012-8.7")
 """Deviations that the header names."""
@@ -43,6 +44,11 @@ def test_misra(tmp_path, mode, style, arithmetic, dwell):
         assert (mode == "linear") == (len(plan.tree.cells.planes) > 1)
     plan = dataclasses.replace(plan, dwell=dwell)
     assert_misra(files(plan, None, style=style, arithmetic=arithmetic), tmp_path, arithmetic)
+
+
+@pytest.mark.parametrize("style", ["table", "nested", "grid"])
+def test_misra_of_features(tmp_path, style):
+    assert_misra(files(Plan.of(exact()), None, style=style), tmp_path)
 
 
 @pytest.mark.parametrize("name", [name for name in FINE if name != "decimal"])
