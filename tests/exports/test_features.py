@@ -72,7 +72,7 @@ def test_json_follows_its_schema(tmp_path):
     validator.validate(data)
     with pytest.raises(jsonschema.ValidationError):
         validator.validate(data | {"version": 1})
-    assert data["version"] == 2 and data["tree"]["features"]["margin"] > 1e-9
+    assert data["version"] == 3 and data["tree"]["features"]["margin"] > 1e-9
     assert json.loads(made_by(pendulum(), "json", tmp_path).read_text())["version"] == 1
 
 

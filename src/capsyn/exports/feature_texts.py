@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import Features, FeatureTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.programs.texts import (
@@ -13,7 +14,7 @@ from capsyn.programs.texts import (
 )
 
 
-def features_of(tree: SplitTree) -> Features | None:
+def features_of(tree: CellTree | SplitTree) -> Features | None:
     """Return the features of a tree, if it has any."""
     return tree.features if isinstance(tree, FeatureTree) else None
 

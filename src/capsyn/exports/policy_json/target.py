@@ -15,7 +15,7 @@ from capsyn.exports.target import Exported, NameOption, Target
 from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
-FORMAT, VERSION, WITH_FEATURES = "capsyn-policy-json", 1, 2
+FORMAT, VERSION, WITH_FEATURES = "capsyn-policy-json", 1, 3
 SCHEMA = "capsyn-policy.schema.json"
 QUANTISER = (
     "All arithmetic is IEEE 754 double precision, rounded after each operation as written.",
