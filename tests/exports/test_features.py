@@ -9,17 +9,21 @@ import shutil
 import numpy as np
 import pytest
 
+from capsyn.cells.feature_tree import FeatureTree
+from capsyn.cells.split_tree import LEAF, depth_first
 from capsyn.errors import ProblemError
-from capsyn.exports.c.target import TARGET as c
+from capsyn.exports.c.styles import stream as c_stream
 from capsyn.exports.export import all_targets, export
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.exports.policy_json import target as policy_json
+from capsyn.policies.guarantee import Guarantee
+from capsyn.policies.policy import DecisionTree
 from capsyn.policies.report import report
 from support.exports.c_machines import WARNINGS, Library, need
-from support.exports.c_plans import assert_golden
+from support.exports.c_plans import assert_golden, files, made
 from support.exports.policies import RUNNERS, assert_equal, made_by
-from support.features import exact, pendulum
+from support.features import all_steps, exact, pendulum
 
 
 @pytest.mark.parametrize("to", RUNNERS)
@@ -33,13 +37,12 @@ def test_c(style, compiler, tmp_path):
     need(compiler)
     plan = Plan.of(exact())
     golden = golden_vectors(plan)
-    files = c.files(plan, golden, style=style).files
-    options = [*WARNINGS, "-O2"]
-    library = Library(files, tmp_path, plan.n, compiler, options)
+    written = files(plan, golden, style=style)
+    library = Library(written, tmp_path, plan.n, compiler, [*WARNINGS, "-O2"])
     assert_golden(library, golden, True)
-    source = files["cart_pendulum.c"].decode()
+    source = written["cart_pendulum.c"].decode()
     assert ("#include <math.h>" in source) == (style != "grid")
-    assert ("PUBLIC m)" in files["CMakeLists.txt"].decode()) == (style != "grid")
+    assert ("PUBLIC m)" in written["CMakeLists.txt"].decode()) == (style != "grid")
     assert max(map(len, source.splitlines())) <= 110
 
 
@@ -47,8 +50,7 @@ def test_c(style, compiler, tmp_path):
 def test_contracted_products_change_no_symbol(options, tmp_path):
     """Thresholds keep a distance from all values on the lattice."""
     plan = Plan.of(exact())
-    golden = golden_vectors(plan)
-    library = Library(c.files(plan, golden).files, tmp_path, plan.n, "gcc", options)
+    library = Library(files(plan, None), tmp_path, plan.n, "gcc", options)
     steps = np.stack(np.indices(plan.tree.cells.counts), axis=-1).reshape(-1, 2)
     labels = pendulum().cells.labels(steps)
     np.testing.assert_array_equal(library.look(steps), labels)
@@ -56,7 +58,7 @@ def test_contracted_products_change_no_symbol(options, tmp_path):
 
 def test_steps_beyond_the_lattice_are_the_nearest(tmp_path):
     plan = Plan.of(exact())
-    library = Library(c.files(plan, golden_vectors(plan)).files, tmp_path, plan.n, "gcc")
+    library = Library(files(plan, None), tmp_path, plan.n, "gcc")
     counts = np.array(plan.tree.cells.counts)
     steps = np.array([[-3, 5], [10, 2000], [300, -1], [70, 70]])
     np.testing.assert_array_equal(
@@ -83,8 +85,7 @@ def test_odd_names_break_no_file(to, tmp_path):
     tree = dataclasses.replace(exact(), cells=dataclasses.replace(exact().cells, features=features))
     assert_equal(to, tree, tmp_path)
     if to == "python":
-        files = c.files(Plan.of(tree), golden_vectors(Plan.of(tree))).files
-        Library(files, tmp_path, 2, "gcc")
+        Library(files(Plan.of(tree), None), tmp_path, 2, "gcc")
         export(tree, "fmu", tmp_path)
 
 
@@ -118,7 +119,7 @@ def test_a_processor_without_doubles_is_refused(tmp_path):
     assert '#error "double precision is needed' in path.read_text()
 
 
-@pytest.mark.parametrize("to", ["verilog", "dot"])
+@pytest.mark.parametrize("to", ["structured-text", "verilog", "dot"])
 def test_targets_that_take_no_features(to, tmp_path):
     assert to not in all_targets(exact())
     with pytest.raises(ProblemError, match=f"^target {to} takes no tree with features; .*: c, "):
@@ -132,8 +133,87 @@ def test_c_decides_features_on_lattice_steps(arithmetic, tmp_path):
         export(exact(), "c", tmp_path, arithmetic=arithmetic)
 
 
+def test_decisions_by_features_are_not_timed(tmp_path):
+    with pytest.raises(
+        ProblemError, match="^`cycles` must be false for a tree with features, .*; got true$"
+    ):
+        export(exact(), "c", tmp_path, cycles=True)
+
+
 def test_readings_may_be_counts(tmp_path):
     need("gcc")
     scale = [2 * math.pi / 4096, 10 / 4096]
     export(exact(), "c", tmp_path, readings="int16", scale=scale, offset=[0, 0])
     assert shutil.which("gcc") and "int16_t x[2]" in (tmp_path / "cart_pendulum.h").read_text()
+
+
+RANKS = 8
+"""Ranks of each of the two features of `shaped`."""
+
+
+def thresholds(values):
+    """Return thresholds far from all values: in the widest gaps near their quantiles."""
+    values = np.unique(values)
+    places = np.arange(1, RANKS) * len(values) // RANKS
+    gaps = [k - 20 + int(np.argmax(np.diff(values[k - 20 : k + 20]))) for k in places]
+    return (values[gaps] + values[np.array(gaps) + 1]) / 2
+
+
+def shaped(form):
+    """Return a tree that is its own reflection on a state and a rank, or has a subtree twice."""
+    source, features = pendulum(), exact().cells.features
+    counts, rng = source.cells.counts, np.random.default_rng(1)
+    values = features.values(all_steps(counts))
+    features = dataclasses.replace(features, thresholds=tuple(map(thresholds, values)))
+    lattice, nodes = (*counts, RANKS, RANKS), []
+
+    def node(split, threshold, *children):
+        nodes.append((split, threshold, list(children)))
+        return len(nodes) - 1
+
+    def random(lower, upper, depth=0):
+        axis = (1, 2, 3)[depth % 3]
+        if depth == 6 or upper[axis] - lower[axis] < 2:
+            return node(LEAF, int(rng.integers(2)))
+        cut = int(rng.integers(lower[axis] + 1, upper[axis]))
+        below, above = list(upper), list(lower)
+        below[axis] = above[axis] = cut
+        return node(axis, cut, random(lower, below, depth + 1), random(above, upper, depth + 1))
+
+    def reflected(i):
+        split, threshold, children = nodes[i]
+        children = [reflected(child) for child in children]
+        if split in (1, 2):
+            return node(split, lattice[split] - threshold, *children[::-1])
+        return node(split, threshold, *children)
+
+    if form == "mirrors":
+        part = random([0] * 4, (*counts, RANKS // 2, RANKS))
+        root = node(2, RANKS // 2, part, reflected(part))
+    else:
+        part = random([0] * 4, lattice)
+        root = node(0, counts[0] // 4, part, node(0, counts[0] // 3, node(LEAF, 2), part))
+    cells = FeatureTree.of(counts, depth_first(lattice, root, nodes.__getitem__), features)
+    cells.check(3)
+    return DecisionTree.of(source, cells, Guarantee("exact", "0" * 64))
+
+
+@pytest.mark.parametrize("form", ["mirrors", "references"])
+def test_special_tables(form, tmp_path, monkeypatch):
+    """What a table leaves out of the tree of steps and ranks, targets find again."""
+    for name in ("MIRRORED_AXIS", "TURNED_LABELS", "REFERRING"):
+        monkeypatch.setattr(c_stream, name, 0)
+    policy = shaped(form)
+    plan = Plan.of(policy)
+    golden, steps = golden_vectors(plan), all_steps(plan.counts)
+    written = made(plan, golden)
+    if form == "mirrors":
+        assert [1, 2] in written.written["mirrors"]
+    else:
+        assert written.written["references"] > 0
+    library = Library(written.files, tmp_path, plan.n, "gcc")
+    assert_golden(library, golden, True)
+    np.testing.assert_array_equal(library.look(steps), policy.cells.labels(steps))
+    assert set(all_targets(policy)) == {"c", "fmu", "python", "javascript", "json"}
+    for to in RUNNERS:
+        assert_equal(to, policy, tmp_path)

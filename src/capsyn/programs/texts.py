@@ -72,7 +72,7 @@ def called(function, *arguments):
     try:
         return float(function(*arguments))
     except ValueError:
-        pole = {math.log: 0.0, math.log1p: -1.0}.get(function)
+        pole = {math.log: 0.0, getattr(math, "log1p", None): -1.0}.get(function)
         if function is math.pow and x == 0:
             odd = arguments[1] % 2 == 1
             return math.copysign(math.inf, x) if odd else math.inf

@@ -1,5 +1,6 @@
 """Exported C: golden vectors, lattices of every size, dwell, bytes, and refusals."""
 
+import ctypes
 import dataclasses
 import re
 
@@ -59,6 +60,16 @@ def test_golden_vectors(tmp_path, name, style, compiler):
     plan, golden = plan_of(name), golden_of(name)
     library = Library(files(plan, golden, style=style), tmp_path, plan.n, compiler)
     assert_golden(library, golden, True)
+
+
+@pytest.mark.parametrize("name", ["cart-pendulum-4", "double-tank-a"])
+@pytest.mark.parametrize("arithmetic", ["lattice", "float"])
+def test_controls_of_each_symbol(tmp_path, name, arithmetic):
+    plan, real = plan_of(name), ctypes.c_float if arithmetic == "float" else ctypes.c_double
+    library = Library(files(plan, None, arithmetic=arithmetic), tmp_path, plan.n)
+    rows = real * plan.policy.alphabet.m * plan.labels
+    found = np.array(rows.in_dll(library.library, f"{library.prefix}_controls"))
+    assert np.array_equal(found, plan.policy.controls.astype(real))
 
 
 @pytest.mark.parametrize(
@@ -225,11 +236,11 @@ def test_example(tmp_path, compiler, dwell):
     plan = dataclasses.replace(plan_of("double-tank-a"), dwell=dwell)
     for arithmetic in ("lattice", "float"):
         write(files(plan, None, arithmetic=arithmetic), tmp_path)
-        sources = ["double_tank_a.c", "example.c", "-o", "example"]
+        sources = ["-I.", "double_tank_a.c", "example/main.c", "-o", "run"]
         call([compiler, "-std=c99", *WARNINGS, *sources], tmp_path)
         middle = plan.policy.domain.lower + plan.policy.domain.widths / 2
         symbol = decide(plan, middle[None]).labels[0]
-        assert call(["./example"], tmp_path).startswith(f"symbol {symbol}, status 0")
+        assert call(["./run"], tmp_path).startswith(f"symbol {symbol}, status 0")
 
 
 def test_same_input_same_bytes():
