@@ -175,6 +175,8 @@ def test_the_page_outside_its_code(room, tmp_path):
 
 
 EXPORTS = {
+    "c": r"(ticks of|every) \S+ s|5\.0 min = 300\.0 s",  # ticks; and both
+    "structured-text": None,
     "verilog": r"\d+ Hz|at least 300 s between",  # its clock, by which the minutes are counted
     "fmu": r'unit="s"|name="s"| s="1"',  # time of FMI is in seconds
     "python": None,

@@ -1,6 +1,5 @@
 """Exported C: golden vectors, lattices of every size, dwell, bytes, and refusals."""
 
-import ctypes
 import dataclasses
 import re
 
@@ -60,16 +59,6 @@ def test_golden_vectors(tmp_path, name, style, compiler):
     plan, golden = plan_of(name), golden_of(name)
     library = Library(files(plan, golden, style=style), tmp_path, plan.n, compiler)
     assert_golden(library, golden, True)
-
-
-@pytest.mark.parametrize("name", ["cart-pendulum-4", "double-tank-a"])
-@pytest.mark.parametrize("arithmetic", ["lattice", "float"])
-def test_controls_of_each_symbol(tmp_path, name, arithmetic):
-    plan, real = plan_of(name), ctypes.c_float if arithmetic == "float" else ctypes.c_double
-    library = Library(files(plan, None, arithmetic=arithmetic), tmp_path, plan.n)
-    rows = real * plan.policy.alphabet.m * plan.labels
-    found = np.array(rows.in_dll(library.library, f"{library.prefix}_controls"))
-    assert np.array_equal(found, plan.policy.controls.astype(real))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from capsyn.exports.plan import Plan
 from capsyn.exports.structured_text.cuts import cut
 from capsyn.exports.structured_text.target import TARGET
 from support.exports.policies import built_in, mixed, oblique
-from support.trees import random_policy, random_tree
+from support.trees import random_affine_policy, random_policy, random_tree
 
 pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
 pytest.importorskip(
@@ -26,6 +26,7 @@ from support.exports.structured_text import Program, check, program, source  # n
 
 STYLES, DIALECTS = ("nested", "table"), ("iec", "siemens")
 MATRIX = list(itertools.product(STYLES, ("LREAL", "REAL"), ("real", "INT", "DINT"), DIALECTS))
+OF_CELLS = [("cells", *row[1:]) for row in MATRIX if row[0] == "table"]
 NAMES = ("style", "real", "readings", "dialect")
 
 
@@ -42,6 +43,15 @@ def test_every_option_gives_every_symbol_and_control(row):
     plan = Plan.of(mixed(), **({} if row[2] == "real" else counted(mixed())))
     count, seen = check(plan, **options)
     assert count >= 2000 and seen == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize("row", OF_CELLS, ids="-".join)
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_every_option_gives_every_symbol_of_affine_leaves(row, some_axes):
+    options, policy = dict(zip(NAMES, row)), random_affine_policy(3, True, 3, some_axes)
+    plan = Plan.of(policy, **({} if row[2] == "real" else counted(policy)))
+    count, seen = check(plan, **options)
+    assert count >= 2000 and len(seen) >= len(policy.alphabet)
 
 
 @pytest.mark.parametrize("readings", ["real", "INT", "DINT"])

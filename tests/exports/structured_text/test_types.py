@@ -10,6 +10,7 @@ from capsyn.cells.split_tree import SplitTree
 from capsyn.exports.plan import Plan
 from capsyn.exports.structured_text.words import KEYWORDS
 from support.exports.policies import mixed
+from support.trees import random_affine_policy
 
 pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
 pytest.importorskip(
@@ -20,15 +21,20 @@ from support.exports.siemens import NoScl, to_iec  # noqa: E402
 from support.exports.structured_text import RESERVED, Program, Refused, source  # noqa: E402
 
 COUNTED = {"scale": [6.5 / 4096, -0.001], "offset": [0, 0.1]}
-MATRIX = list(itertools.product(("nested", "table"), ("LREAL", "REAL"), ("real", "INT", "DINT")))
+NUMBERS = list(itertools.product(("LREAL", "REAL"), ("real", "INT", "DINT")))
+MATRIX = [(style, *row) for style in ("nested", "table") for row in NUMBERS]
 
 
 def text_of(style, real, readings, dialect="iec"):
-    plan = Plan.of(mixed(), dwell=0.3, **({} if readings == "real" else COUNTED))
+    policy, counts = mixed(), COUNTED
+    if style == "cells":
+        policy = random_affine_policy(3, True, 3, True)
+        counts = {"scale": policy.domain.widths / 4096, "offset": 0.1}
+    plan = Plan.of(policy, dwell=0.3, **({} if readings == "real" else counts))
     return source(plan, style=style, real=real, readings=readings, dialect=dialect)
 
 
-@pytest.mark.parametrize("style, real, readings", MATRIX)
+@pytest.mark.parametrize("style, real, readings", [*MATRIX, *(("cells", *r) for r in NUMBERS)])
 def test_every_single_error_is_refused(style, real, readings):
     text = text_of(style, real, readings)
     interface, count = Program(text).interface(), 0

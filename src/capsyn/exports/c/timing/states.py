@@ -34,8 +34,8 @@ MOST_LEAVES, TRIES = 4000, 64
 """Affine leaves in which steps are tried, and how many in each."""
 
 
-def longest_steps_of_cells(cells: CellTree) -> tuple[np.ndarray, bool]:
-    """Return lattice steps (K, n), leaves with most rows first, and whether none takes longer."""
+def _of_cells(cells: CellTree) -> tuple[np.ndarray, bool]:
+    """Return those of cells."""
     leaves = list(cells.leaves())
     levels = np.repeat([some.level for some in leaves], [len(some.places) for some in leaves])
     places, lower, sizes = (
@@ -72,8 +72,13 @@ def _with_neighbours(lower: np.ndarray, upper: np.ndarray, counts: np.ndarray) -
     return np.stack([lower, before, beyond, *both], axis=1).reshape(-1, lower.shape[1])
 
 
-def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
-    """Return lattice steps (K, n), the deepest leaves first, and whether none takes longer."""
+def longest_steps(tree: CellTree | SplitTree, style: str) -> tuple[np.ndarray, bool]:
+    """Return lattice steps (K, n) and whether none takes longer than all of them.
+
+    Deep leaves come first, of cells those with most rows.
+    """
+    if isinstance(tree, CellTree):
+        return _of_cells(tree)
     counts = np.array(tree.counts)
     if style != "grid" and not tree.has_planes:
         mirrors: tuple[Mirror, ...] = ()
