@@ -23,10 +23,9 @@ def certificate(
     """Return what a decision takes at most, as plain data.
 
     Of a tree ``comparisons`` is exact: most of them, lattice steps ``at`` which there are so many,
-    and the mean over the volume; the last two are None where splits are oblique. ``features``, of
-    which there are some in few trees, say what they take. ``tree_bytes``
-    counts the tree's arrays in the smallest integers that hold them; ``written`` is there where the
-    target writes the tree in another form, see `Exported`. Of
+    and the mean over the volume; the last two are None where splits are oblique. ``tree_bytes``
+    counts the tree's arrays in the smallest integers that hold them; ``features`` are there where
+    the tree has any, and ``written`` where the target writes it in another form, see `Exported`. Of
     cells there are ``levels`` that are passed and ``rows_evaluated``, most and mean over the
     volume, ``cells_bytes`` as those of a tree, and ``worst``, lattice steps of a leaf with the most
     rows, of these the deepest. ``changed_by_rounding`` is the share of random states whose symbol
