@@ -46,6 +46,7 @@ class CellTree:
 
     kind: ClassVar[str] = "cells"
     planes_are: ClassVar[str] = "affine leaves"
+    compiled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         keep_read_only(self, *CELL_ARRAYS, *SPLIT_ARRAYS)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.compression.compress import affine_tree_of, tree_of
 from capsyn.errors import ProblemError
@@ -246,6 +247,8 @@ class Plan:
                 f"{settings.precision} precision"
             )
         lines.append(_structure(self))
+        if isinstance(policy.cells, FeatureTree):
+            lines.append(f"Features: {', '.join(policy.cells.features.names)}")
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
         return tuple(lines)
 

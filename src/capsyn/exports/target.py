@@ -53,14 +53,16 @@ class Target:
     """A language that policies are exported to.
 
     ``export(plan, golden, options)`` makes its files; `options` is a frozen dataclass, each with a
-    default. `planes` is whether it takes trees with oblique splits, `cells` whether it writes the
-    cells of a policy with affine leaves instead of a tree. ``measure(plan, golden, exported,
-    options)`` gives what is measured of its files here, as plain data; None: nothing.
+    default. `planes` is whether it takes trees with oblique splits, `features` whether it takes
+    those with features, `cells` whether it writes the cells of a policy with affine leaves instead
+    of a tree. ``measure(plan, golden, exported, options)`` gives what is measured of its files
+    here, as plain data; None: nothing.
     """
 
     export: Callable[[Plan, Golden, Any], Exported]
     options: type = NameOption
     planes: bool = True
+    features: bool = False
     cells: bool = True
     measure: Callable[[Plan, Golden, Exported, Any], dict[str, Any]] | None = None
 

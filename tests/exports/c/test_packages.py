@@ -11,6 +11,7 @@ from capsyn.exports.export import export
 from capsyn.exports.plan import Plan
 from support.exports.c_machines import call, need, write
 from support.exports.c_plans import files, policy
+from support.features import exact
 
 STUB = {
     "Arduino.h": """
@@ -172,13 +173,14 @@ int main(void)
 """
 
 
-@pytest.mark.parametrize("way", ["installed", "fetched", "subdirectory"])
+@pytest.mark.parametrize("way", ["installed", "installed, of features", "fetched", "subdirectory"])
 def test_cmake(tmp_path, way):
     need("cmake", "gcc")
     source, prefix = tmp_path / "source", tmp_path / "installed"
-    export(policy("cart-pendulum"), "c", source)
+    made = exact() if "features" in way else policy("cart-pendulum")  # that calls cos
+    export(made, "c", source)
     found, more = "find_package(cart_pendulum CONFIG REQUIRED)", []
-    if way == "installed":
+    if "installed" in way:
         call(
             ["cmake", "-S", str(source), "-B", "made", f"-DCMAKE_INSTALL_PREFIX={prefix}"], tmp_path
         )

@@ -12,7 +12,8 @@ def header(code: Code) -> str:
     """Return the header file."""
     plan, p, upper = code.plan, code.prefix, code.prefix.upper()
     symbols = ",\n".join(f"    {upper}_SYMBOL_{s} = {k}" for k, s in enumerate(code.symbols))
-    includes = "#include <stdint.h>" if code.axes else "#include <float.h>\n#include <stdint.h>"
+    bare = code.axes and not code.features
+    includes = "#include <stdint.h>" if bare else "#include <float.h>\n#include <stdint.h>"
     return f"""{code.about("header")}
 {comment(notes(code))}
 #ifndef {upper}_H
@@ -94,10 +95,10 @@ int16_t {p}_step({p}_state *state, const {p}_reading x[{n}], uint32_t now,
 
 def _no_double(code: Code) -> str:
     """Return the test for compilers whose double does not have 53 bits, or not always."""
-    if code.real == "float" or code.axes:
+    if code.real == "float" or (code.axes and not code.features):
         return ""
     lacking = f"#define {code.prefix.upper()}_NO_DOUBLE"
-    if code.arithmetic == "double":
+    if code.arithmetic == "double" or code.features:
         lacking = '#error "double precision is needed: export lattice or float"'
     return f"""
 #ifdef DBL_MANT_DIG

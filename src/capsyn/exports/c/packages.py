@@ -30,6 +30,9 @@ def packaged(code: Code, package: str) -> Files:
 def _cmake(code: Code) -> str:
     """Return the text of ``CMakeLists.txt``, whose target others take as ``NAME::NAME``."""
     p, about = code.prefix, "\n".join(f"# {line}" for line in code.plan.header)
+    library = ""
+    if code.library:
+        library = f"if(UNIX)\n    target_link_libraries({p} PUBLIC m)\nendif()\n"
     return f"""{about}
 cmake_minimum_required(VERSION 3.10)
 project({p} VERSION {__version__} LANGUAGES C)
@@ -43,7 +46,7 @@ target_include_directories({p} PUBLIC
     $<INSTALL_INTERFACE:${{CMAKE_INSTALL_INCLUDEDIR}}>)
 # what a program does not use is left out by -Wl,--gc-sections
 target_compile_options({p} PRIVATE -ffunction-sections -fdata-sections)
-# find_package({p} CONFIG) of other projects finds what is installed
+{library}# find_package({p} CONFIG) of other projects finds what is installed
 install(TARGETS {p} EXPORT {p}
     ARCHIVE DESTINATION ${{CMAKE_INSTALL_LIBDIR}}
     INCLUDES DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.exports.c import dwell
 from capsyn.exports.c.code import Code
+from capsyn.exports.c.features import feature_decision
 from capsyn.exports.c.language import Part, macros, rows
 from capsyn.exports.c.readings.places import counts_quantiser
 from capsyn.exports.c.readings.quantiser import state_quantiser
@@ -26,11 +28,12 @@ def source(code: Code) -> str:
     reads = decision.reads | quantiser.reads | hold.reads
     if code.guards:
         states = code.guarded(states.rstrip("\n"))
+    library = "#include <math.h>\n" if code.library else ""
     return f"""{code.about("source")}
 #include "{code.prefix}.h"
 
 #include <stdbool.h>
-
+{library}
 {macros(reads)}{_control(code)}{decision.text}{hold.text}{states}"""
 
 
@@ -67,6 +70,8 @@ def _decision(code: Code) -> Part:
         return cells_style(code.tree, p, opening, public=not static)
     if code.style == "grid":
         return grid(code.tree, p, opening)
+    if isinstance(code.tree, FeatureTree):
+        return feature_decision(code.tree, code.style, code.plan.policy.domain, p, opening)
     public, planes = opening, not static and len(code.tree.planes)
     if planes:
         opening = f"static int16_t {p}_within({argument})"
