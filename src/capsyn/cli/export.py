@@ -156,13 +156,11 @@ def print_export(
         for line in lines:
             typer.echo(f"{figures['target']}: {line}")
     by_processor = dict(measured[0]) if measured else {}
-    worst = by_processor.pop("worst", None)
+    worst = by_processor.pop("worst", {})
     for processor, sizes in by_processor.items():
         words = [f"{k.replace('_', ' ')} {v:,}" for k, v in sizes.items() if k != "compiler"]
         typer.echo(f"c, {processor}, {sizes['compiler']}, bytes: {', '.join(words)}")
-    if worst == {}:
-        typer.echo("c: no emulator with its compiler is installed: no decision was timed")
-    for processor, found in (worst or {}).items():
+    for processor, found in worst.items():
         for what, start in (("symbol", "steps"), ("decide", "readings")):
             if what in found:
                 typer.echo(f"c, {processor}, {_longest(found[what], found['unit'], start)}")

@@ -99,11 +99,13 @@ class Plan:
         at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
         true_or_false("outside_at_once", at_once)
         _check_readings(policy.domain, policy.cells.counts, *factors)
+        least_time = finite_number("dwell", policy.min_dwell if dwell is None else dwell, least=0.0)
+        finite_number("dwell in seconds", to_seconds(least_time, policy.time_unit))
         return Plan(
             policy,
             chosen % (labels + 1),
             policy.outside == "nearest",
-            policy.min_dwell if dwell is None else finite_number("dwell", dwell, least=0.0),
+            least_time,
             at_once,
             factors[0],
             factors[1],

@@ -16,7 +16,11 @@ from support.features import exact
 STUB = {
     "Arduino.h": """
 #include <stdint.h>
-struct Port { void begin(long speed); void println(double value); void println(long value); };
+struct Port {
+    void begin(long speed);
+    void println(double value, int digits = 2);
+    void println(long value);
+};
 extern Port Serial;
 extern "C" { void delay(unsigned long ms); unsigned long micros(void); unsigned long millis(void); }
 void setup();
@@ -33,7 +37,7 @@ static unsigned long now;
 static void put(char c) { while (!(UCSR0A & (1 << UDRE0))) {} UDR0 = (uint8_t)c; }
 void Port::begin(long) { UCSR0B = 1 << TXEN0; }
 void Port::println(long value) { println((double)value); }
-void Port::println(double value)
+void Port::println(double value, int)
 {
     char text[24];
     dtostrf(value, 0, 4, text);
@@ -101,7 +105,7 @@ void loop() {
     "options",
     [
         {"arithmetic": "float", "dwell": 0.1},
-        {"arithmetic": "float", "dwell": 0.1, "tick": 0.5},
+        {"arithmetic": "float", "dwell": 0.1, "tick": 0.05},
         {"arithmetic": "lattice"},
         {"arithmetic": "lattice", "dwell": 5.0, "tick": 1e-3},
         {"readings": "int16", "scale": [2 * np.pi / 4096, 0.01], "style": "nested"},
@@ -128,11 +132,20 @@ def test_an_arduino_library(tmp_path, options):
     told = run_sketch(sketch, [source], tmp_path / "build", source.parent)
     middle = plan.policy.domain.lower + plan.policy.domain.widths / 2
     assert told == [plan.policy.controls[plan.policy(middle)][0]] * 3
-    assert "cart_pendulum_control(symbol, 0)" in sketch
+    assert "cart_pendulum_control(symbol, i)" in sketch
     declared = written["src/cart_pendulum.h"].decode()
     for line in written["keywords.txt"].decode().splitlines():
         word, kind = line.split("\t")
         assert re.search(rf"\b{word}\b", declared) and re.fullmatch("(KEYWORD|LITERAL)[12]", kind)
+
+
+def test_vectors_and_costs_of_a_library_are_in_its_folder(tmp_path):
+    export(policy("cart-pendulum"), "c", tmp_path, package="arduino")
+    extras = tmp_path / "cart_pendulum" / "extras"
+    assert sorted(path.name for path in extras.iterdir()) == [
+        "certificate.json", "golden.csv", "measured.json"
+    ]  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["cart_pendulum"]
 
 
 def test_properties_of_an_arduino_library():

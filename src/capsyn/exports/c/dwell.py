@@ -18,7 +18,7 @@ def declarations(code: Code) -> str:
     prefix, plan, tick = code.prefix, code.plan, code.tick
     dwell, unit = plan.dwell_s, plan.policy.time_unit
     told = f"{dwell!r} s" if unit == "s" else f"{plan.dwell!r} {unit} = {dwell!r} s"
-    ticks = dwell / tick - 1e-9
+    ticks = dwell / tick * (1 - 1e-12)  # the quotient is rounded
     if not tick <= dwell <= tick * ((1 << 32) - 1):
         least = 10.0 ** math.ceil(math.log10(dwell / ((1 << 32) - 1)))
         raise ProblemError(
@@ -71,8 +71,8 @@ def step(code: Code) -> str:
     return taken;
 """
     return f"""
-int16_t {p}_step({p}_state *state, const {p}_reading x[{code.plan.n}], uint32_t now,
-    {p}_status *status)
+int16_t {p}_step({p}_state *state, const {p}_reading x[{code.plan.n}],
+    uint32_t now, {p}_status *status)
 {{
     const int16_t symbol = {p}_decide(x, status);
 {text}}}
@@ -143,7 +143,11 @@ static bool {prefix}_same(int16_t one, int16_t other)
     static const {integer} {prefix}_classes[{plan.labels}] CAPSYN_ROM = {{
 {entries}
     }};
-    return CAPSYN_{kind}(&{prefix}_classes[one]) == CAPSYN_{kind}(&{prefix}_classes[other]);
+    bool same = one == other;
+    if ((one >= 0) && (one < {plan.labels}) && (other >= 0) && (other < {plan.labels})) {{
+        same = CAPSYN_{kind}(&{prefix}_classes[one]) == CAPSYN_{kind}(&{prefix}_classes[other]);
+    }}
+    return same;
 }}
 """
     if plan.same_control:

@@ -87,8 +87,8 @@ int16_t {p}_decide(const {p}_reading x[{n}], {p}_status *status);
     if plan.dwell:
         text += f"""
 /* Return the symbol in force at tick `now`: that of {states}, or the one that must be held. */
-int16_t {p}_step({p}_state *state, const {p}_reading x[{n}], uint32_t now,
-    {p}_status *status);
+int16_t {p}_step({p}_state *state, const {p}_reading x[{n}],
+    uint32_t now, {p}_status *status);
 """
     return text
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.header import header
+from capsyn.exports.c.readings.counts import limit_of
 from capsyn.exports.c.source import source
 from capsyn.exports.plan import Files
 from capsyn.version import __version__
@@ -64,7 +65,12 @@ def _middle(code: Code) -> str:
     """Return readings in the middle of the domain, as entries of an array."""
     plan, domain = code.plan, code.plan.policy.domain
     middle = ((domain.lower + domain.widths / 2) - plan.offset) / plan.scale
-    return ", ".join(str(round(v)) if code.axes else code.literal(v) for v in middle)
+    if not code.axes:
+        return ", ".join(map(code.literal, middle))
+    half = limit_of(code.readings)
+    turns = [axis.turn or 2 * half for axis in code.axes]  # a count in range, turns away
+    counts = (round(value) for value in middle)
+    return ", ".join(str(v if -half <= v < half else v % t) for v, t in zip(counts, turns))
 
 
 def _program(code: Code) -> str:

@@ -18,7 +18,7 @@ from capsyn.exports.target import Exported, NameOption, Target
 from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
-FORMAT, VERSION, CELLS_VERSION, FEATURES_VERSION = "capsyn-policy-json", 1, 2, 3
+FORMAT, VERSION = "capsyn-policy-json", 2
 SCHEMA = "capsyn-policy.schema.json"
 QUANTISER = (
     "All arithmetic is IEEE 754 double precision, rounded after each operation as written.",
@@ -99,13 +99,11 @@ def document(plan: Plan) -> dict[str, Any]:
         plan.offset.tolist(),
     )
     keys = ("name", "unit", "lower", "upper", "periodic", "steps", "scale", "offset")
-    features, version = features_of(cells), VERSION
-    if plan.as_cells or features:
-        version = CELLS_VERSION if plan.as_cells else FEATURES_VERSION
+    features = features_of(cells)
     return {
         "$schema": SCHEMA,
         "format": FORMAT,
-        "version": version,
+        "version": VERSION,
         "generator": f"capsyn {__version__}",
         "header": list(plan.header),
         "name": policy.name,

@@ -51,7 +51,7 @@ def states(block: Block) -> list[str]:
             lines.append(f"{state} := {falling}{count};")
         elif block.raw[i]:
             scale, offset = block.literal(block.plan.scale[i]), block.literal(block.plan.offset[i])
-            lines.append(f"{state} := {reading} * ({scale});")
+            lines.append(f"{state} := {reading} * ({scale}) + 0.0;")  # rounded: not fused
             lines.append(f"{state} := {state} + ({offset});")
         else:
             lines.append(f"{state} := {reading};")

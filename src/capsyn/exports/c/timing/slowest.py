@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.errors import warn
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.readings.counts import limit_of
 from capsyn.exports.c.sizes import version_of
@@ -44,6 +45,9 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
         can take longer. From readings that is never known, since the time of arithmetic that a
         library does depends on the numbers.
     """
+    if not any(machine.here for machine in MACHINES.values()):
+        pairs = (f"{m.compiler[0]} with {m.emulator[0]}" for m in MACHINES.values())
+        warn(f"`cycles` needs {' or '.join(pairs)}; nothing was timed")
     asked = list(_asked(code, golden))
     found: dict[str, Any] = {}
     for name, machine in MACHINES.items():
