@@ -84,6 +84,18 @@ def test_counts_are_always_finite():
         assert ("where the status is CART_PENDULUM_OUTSIDE." in told) == at_once
 
 
+def test_minutes_are_minutes(tmp_path):
+    source = dataclasses.replace(policy("cart-pendulum"), time_unit="min", min_dwell=5.0)
+    plan = Plan.of(source)
+    states = source.domain.sample(100)
+    pair = [states[source(states) == k][0] for k in (0, 1)]
+    library = Library(files(plan, None, tick=0.1), tmp_path, plan.n)
+    # a scan every 100 ms that wants the other symbol at every call after the first
+    wanted = np.array([pair[0]] + [pair[1]] * 3000 + [pair[0]] * 3000 + [pair[1]] * 3000)
+    symbols = library.run(wanted, np.arange(len(wanted)))
+    assert np.flatnonzero(np.diff(symbols)).tolist() == [2999, 5999, 8999]
+
+
 @pytest.mark.parametrize(
     ("unit", "dwell", "ticks", "told"),
     [
