@@ -99,7 +99,7 @@ def test_leaves_agree_or_are_finest_along_the_axes_that_vary(n, seed, partitions
     tree.check(4)
     assert sum(len(states) for states in asked) == policy.statistics["solves"]
     offsets = CellPoints.parse(text).offsets(n)
-    choose, seen = SplitAxes.of(offsets), dict(zip(tree.mixed_cells, tree.mixed_labels))
+    choose, seen = SplitAxes.of(offsets), dict(zip(tree.mixed_cells, tree.mixed_labels[:, 0, 0]))
     can = np.ones((1, n), dtype=bool)
     for place, lower, size in itertools.chain.from_iterable(zip(*x[1:]) for x in tree.leaves()):
         points = (lower + size * offsets / 2) / tree.counts

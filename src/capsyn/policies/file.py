@@ -207,7 +207,8 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     for name in arrays:
         dtype = (CELL_ARRAYS | ROW_ARRAYS | SPLIT_ARRAYS | TREE_ARRAYS)[name]
         axes, words = (2, "two") if name in ("planes", "row_slopes") else (1, "one")
-        if arrays[name].dtype != dtype or arrays[name].ndim != axes:
+        wide = name == "mixed_labels" and arrays[name].ndim == 3  # for more than one word
+        if arrays[name].dtype != dtype or not (arrays[name].ndim == axes or wide):
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
     if document["sha256"] != digest(arrays, _canonical(content)):
         raise PolicyFormatError("its content does not match its checksum")
