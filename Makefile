@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
-  cppcheck gcc-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr binutils \
+  cppcheck gcc-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr binutils cmake \
   iverilog verilator yosys graphviz nodejs chromium fonts-dejavu-core
 
 .PHONY: help demo test check bench docs figures page strip debian clean
@@ -41,7 +41,7 @@ demo: $(VENV)/installed
 test: debian
 	@$(MAKE) --no-print-directory $(VENV)/developed
 	@$(MAKE) --no-print-directory node_modules/.package-lock.json || \
-	  echo "could not install what bundles the page; the test that needs it is skipped by name"
+	  echo "could not install MicroPython and what bundles the page; tests that need them are skipped"
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 check: $(VENV)/developed
@@ -57,7 +57,7 @@ page: node_modules/.package-lock.json
 	npm run --silent page
 
 node_modules/.package-lock.json: package.json package-lock.json
-	@echo "installing what bundles the page into node_modules ..."
+	@echo "installing MicroPython and what bundles the page into node_modules ..."
 	npm ci --loglevel=error --no-audit --no-fund
 	@touch $@
 

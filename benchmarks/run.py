@@ -12,7 +12,7 @@ from capsyn.version import __version__
 HERE = Path(__file__).parent
 QUESTIONS = (
     "solve synthesis dimensions lookup compression sources closed_loop explorer command counts "
-    "exports cluster"
+    "exports timing cluster"
 ).split()
 
 INTRODUCTION = """# Benchmarks

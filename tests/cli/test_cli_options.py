@@ -47,7 +47,7 @@ def defaults(kind):
 
 def test_commands_have_the_options_of_closed_loops():
     loop, texts = defaults(LoopOptions), defaults(LoopTexts)
-    plain = "duration rate min_dwell outside seed backend threads".split()
+    plain = "duration rate min_dwell outside outside_at_once seed backend threads".split()
     assert [texts[name] for name in plain] == [loop[name] for name in plain]
     as_texts = {"model", "parameter", "disturbance", "noise", "delay", "target"}
     assert {name for name in as_texts if texts[name] is not None} == set()

@@ -239,6 +239,7 @@ WRONG = [
     ("verify tank.cap --monte-carlo 5 --online ssac --save", "--save keeps evidence of the policy"),
     ("verify tank.cap --agreement 5 --noise 1", "--noise needs --monte-carlo"),
     ("verify tank.cap --agreement 5 --model f.py:plant", "--model needs --monte-carlo"),
+    ("verify tank.cap --agreement 5 --outside-at-once", "--outside-at-once needs --monte-carlo"),
     ("verify tank.cap --agreement 5 --background", "--background needs --monte-carlo"),
     ("verify tank.cap --agreement 5 --depth 3", "--depth needs --lyapunov"),
     ("verify tank.cap --monte-carlo 5 --target f.py:plain", "`target` must return a condition"),

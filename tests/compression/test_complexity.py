@@ -8,9 +8,10 @@ import pytest
 
 from capsyn import Box, compress, problems, subdivide, synthesize
 from capsyn.cells.packing import packed_bytes, smallest_type
+from capsyn.compression import complexity as sizes
 from capsyn.compression.complexity import complexity, entropy, switching_entropy
 from capsyn.errors import CapsynWarning
-from support.trees import random_policy, random_tree
+from support.trees import random_affine_policy, random_policy, random_tree
 
 
 def test_entropies():
@@ -46,6 +47,8 @@ def test_a_policy_of_cells_and_its_tree():
     steps = np.stack(np.unravel_index(np.arange(72 * 72), (72, 72)), axis=1)
     depths = tree.cells.depths[tree.cells.find(steps)]
     assert found["tree"]["mean_comparisons"] == pytest.approx(depths.mean())
+    deepest = tree.domain.locate(np.array([found["tree"]["deepest"]]), tree.cells.counts)
+    assert tree.cells.depths[tree.cells.find(deepest)] == [tree.depth]
     machine = found["automaton"]
     assert (machine["regions"], machine["edges"], machine["possible_edges"]) == (2, 4, 4)
     assert machine["switch_rate"] > 0 and machine["switching_entropy"] == 0.0
@@ -91,7 +94,15 @@ def test_oblique_splits_have_no_boxes():
         tree = compress(policy, "linear", agreement=0.9)
     found = complexity(tree)
     assert found["tree"]["planes"] > 0 and found["tree"]["mean_comparisons"] is None
+    assert found["tree"]["deepest"] is None
     assert found["automaton"] is None and 0.9 < found["symbol_entropy"] <= 1
+
+
+def test_a_tree_that_is_too_large_is_left_out(monkeypatch):
+    policy = random_affine_policy(3)
+    found = complexity(policy)
+    monkeypatch.setattr(sizes, "MOST_NODES", found["tree"]["nodes"] - 2)
+    assert complexity(policy) == found | {"tree": None}
 
 
 def test_one_cell():

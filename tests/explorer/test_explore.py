@@ -690,12 +690,13 @@ def test_decision_trees(show, mode):
     assert shown.active["switches"] == simulate(tree, start, 10).switches
 
 
-def test_affine_leaves_are_shown_by_their_exact_tree(show):
-    policy = synthesized("cart-pole", leaves="affine", max_level=0)
+def test_affine_leaves_are_shown_as_they_are(show):
+    policy = synthesized("cart-pole", leaves="affine", max_level=1)
     shown = show(policy)
     shown.page.uncheck("#outlines")
     shown.assert_map()
-    assert "equal to the policy" in shown.text("#facts")
+    assert f"{policy.cells.leaf_count:,} cells" in shown.text("#summary")
+    assert shown.page.locator(".vertex").count() == 2
 
 
 def test_cells_without_a_symbol_are_outside(show):

@@ -11,7 +11,7 @@ from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import OutsideDomainError
 from support.explorer.node import BEGIN, node, texts
 from support.exports.policies import built_in, oblique
-from support.trees import GRIDS, random_policy, random_tree, states_at_faces
+from support.trees import GRIDS, random_affine_policy, random_policy, random_tree, states_at_faces
 
 LOOKUP = (
     'import { makeLookup } from "./explorer/page/policy/lookup.js";'
@@ -66,6 +66,11 @@ POLICIES = {
     **{
         f"random {grid}{kind}": functools.partial(random_policy, grid, True, 0, bool(kind))
         for grid in range(len(GRIDS))
+        for kind in ("", " adaptive")
+    },
+    **{
+        f"affine {grid}{kind}": functools.partial(random_affine_policy, grid, True, 0, bool(kind))
+        for grid in (1, 3, 6)
         for kind in ("", " adaptive")
     },
 }
@@ -144,6 +149,24 @@ def test_cells_are_those_of_python(name, tmp_path):
     assert several > 10 or not isinstance(cells, CellTree)
 
 
+@pytest.mark.parametrize("name", ["affine 3", "affine 6 adaptive"])
+def test_affine_cells_are_those_of_python(name, tmp_path):
+    policy = POLICIES[name]()
+    cells, labels = policy.cells, len(policy.alphabet) + 1
+    states = policy.domain.sample(500)
+    shown = node(tmp_path, LOOKUP + CELL, policy, states=texts(states))
+    steps = policy.domain.locate(states, cells.counts)
+    places = cells.find(steps)
+    assert [cell["leaf"] for cell in shown] == places.tolist()
+    assert [cell["symbol"] for cell in shown] == policy(states).tolist()
+    masks = dict(zip(cells.mixed_cells.tolist(), cells.mixed_labels.tolist()))
+    for leaf, place, cell in zip(cells.labels_at(places), places.tolist(), shown):
+        own = 1 << leaf if leaf < labels else int(cells.affine.masks()[leaf - labels])
+        mask = masks.get(place, own)
+        seen = [b if b < labels - 1 else -1 for b in range(labels) if mask >> b & 1]
+        assert cell["allowed"] == seen
+
+
 def test_cells_of_oblique_splits_have_no_corners(tmp_path):
     policy = oblique()
     states = policy.domain.sample(500)
@@ -202,7 +225,8 @@ def seen_at_level(policy, states, level):
 @pytest.mark.parametrize(
     "name",
     ["cart-pendulum", "cart-pole", "exact", "oblique", "oblique 4-D", "random 6", "random 7"]
-    + [f"random {grid} adaptive" for grid in (3, 6, 7)],
+    + [f"random {grid} adaptive" for grid in (3, 6, 7)]
+    + ["affine 3", "affine 3 adaptive", "affine 6 adaptive"],
 )
 def test_pixels_have_the_symbols_of_their_centres(name, tmp_path):
     policy = oblique_4() if name == "oblique 4-D" else POLICIES[name]()
@@ -240,7 +264,9 @@ def test_levels_show_what_the_algorithm_knew(name, tmp_path):
     assert mixed
 
 
-@pytest.mark.parametrize("name", ["cart-pendulum", "random 7", "random 7 adaptive", "exact"])
+@pytest.mark.parametrize(
+    "name", ["cart-pendulum", "random 7", "random 7 adaptive", "exact", "affine 3"]
+)
 def test_levels_are_as_many_as_the_slider_shows(name, tmp_path):
     policy = POLICIES[name]()
     levels = node(tmp_path, LOOKUP + "print(lookup.levels);", policy)
@@ -248,7 +274,8 @@ def test_levels_are_as_many_as_the_slider_shows(name, tmp_path):
         assert levels == 0
     else:
         adaptive = policy.cells.splits is not None
-        assert levels == (policy.cells.depth if adaptive else policy.cells.max_level)
+        deepest = adaptive or policy.has_planes
+        assert levels == (policy.cells.depth if deepest else policy.cells.max_level)
         assert not adaptive or levels > policy.cells.max_level
 
 

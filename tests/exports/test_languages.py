@@ -107,7 +107,11 @@ def test_controllers_hold_as_simulations_do(dwell, tmp_path):
     assert json.loads(out.stdout) == found
 
 
-@pytest.mark.parametrize("policy", [small, oblique, lambda: built_in("cart-pole")])
+def in_days():
+    return dataclasses.replace(small(), time_unit="d", outside_at_once=True)
+
+
+@pytest.mark.parametrize("policy", [small, oblique, in_days, lambda: built_in("cart-pole")])
 def test_json_follows_its_schema(policy, tmp_path):
     jsonschema = pytest.importorskip("jsonschema")
     path = made_by(policy(), "json", tmp_path)
@@ -120,7 +124,9 @@ def test_json_follows_its_schema(policy, tmp_path):
         list(map(len, (data["tree"]["split"], data["tree"]["second"])))
         == [data["tree"]["nodes"]] * 2
     )
-    for wrong in ({"version": 2}, {"sha256": "x"}, {"min_dwell": -1}, {"more": 1}, {"symbols": []}):
+    assert ("time_unit" in data) == (policy is in_days)
+    wrongs = [{"version": 2}, {"sha256": "x"}, {"min_dwell": -1}, {"more": 1}, {"symbols": []}]
+    for wrong in (*wrongs, {"time_unit": "m"}, {"at_once": [0]}):
         with pytest.raises(jsonschema.ValidationError):
             validator(schema).validate(data | wrong)
 

@@ -25,7 +25,7 @@ modelling: domain alphabet settings targets grid time_unit problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
-cells: masks row_table affine_leaves boxes cell_tree split_tree faces packing
+cells: masks row_table affine_leaves boxes cell_tree split_tree faces packing work
 policies: lookup outside guarantee colors picture file policy single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
@@ -39,15 +39,17 @@ integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
     judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target identifiers text crossings
-exports.c: language styles.table styles.nested styles.grid readings.single readings.lines
-    readings.counts code readings.places readings.quantiser notes dwell header source sizes
-    target
-exports.structured_text: lines block functions source target
+exports: plan constants golden target certificate identifiers text crossings ranks
+exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
+    styles.grid styles.cells readings.single readings.lines readings.counts code readings.places
+    readings.quantiser notes dwell header source packages sizes timing.programs timing.emulators
+    timing.states timing.slowest target
+exports.structured_text: words lines pou cells block cuts functions steps hold source siemens
+    plcopen target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
-exports.fmu: description target
+exports.fmu: description build target
 exports: python_module dot export
 explorer: policy_data program_javascript expression formulas facts page_data explore
 paper: cases figures pendulum tanks reproduction

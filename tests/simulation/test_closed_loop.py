@@ -54,6 +54,7 @@ LOOPS = {
     "noise": {"noise": [0.1, 0.0, 0.4], "seed": 3, "delay": 0.1234, "min_dwell": 0.15},
     "error": {"outside": "error", "noise": 0.2},
     "symbol": {"outside": 1, "noise": 0.2},
+    "at once": {"outside": 1, "noise": 0.2, "min_dwell": 0.45, "outside_at_once": True},
     "default": {"outside": -1, "noise": 0.2, "disturbance": 0.3},
     "target": {"target": Ball([0.3, 0.3, 0.3], 0.4)},
     "stop": {"target": Box([0, 0, -1], [1, 1, 1]), "stop_at_target": True, "delay": 0.05},

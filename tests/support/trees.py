@@ -148,3 +148,32 @@ def random_affine_policy(
     policy = random_policy(grid, periodic, seed)
     cells = random_affine_tree(*GRIDS[grid], seed=seed, some_axes=some_axes)
     return dataclasses.replace(policy, cells=cells)
+
+
+def policy_of_rows(
+    rows: list[tuple[int, int, list[int]]],
+    counts: tuple[int, ...],
+    copies: int = 1,
+    labels: int = 3,
+) -> Policy:
+    """Return a policy of cells with the same rows (symbol, constant, slopes) each, along an axis.
+
+    `counts` are steps of the lattice, powers of two beside the `copies` of the first axis.
+    """
+    n, level = len(counts), counts[-1].bit_length() - 1
+    partitions = (counts[0] >> level, *(count >> level for count in counts[1:]))
+    cells = math.prod(partitions)
+    assert cells == copies and all(q << level == c for q, c in zip(partitions, counts))
+    symbols, constants, slopes = (np.array(column) for column in zip(*rows))
+    affine = AffineLeaves.of(
+        labels,
+        np.full(cells, len(rows)),
+        np.tile(symbols, cells).astype(np.int32),
+        np.tile(constants, cells).astype(np.int32),
+        np.tile(slopes, (cells, 1)).astype(np.int16),
+    )
+    none = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.uint64)
+    entries = -1 - labels - np.arange(cells, dtype=np.int32)
+    tree = CellTree(Grid(partitions, (2,) * n, level), entries, *none, affine)
+    alphabet = Alphabet(np.arange(1.0, labels))
+    return Policy("rows", Box([0] * n, [1] * n), alphabet, np.zeros(1), tree)

@@ -36,8 +36,8 @@ class Edge:
     region: int  # its guard, by its place in ``Automaton.regions``
     possible: bool | None = None
     sliding: bool | None = None
-    rate: float | None = None  # of crossings [1/s]
-    sliding_rate: float | None = None  # of arrivals where the loop then slides [1/s]
+    rate: float | None = None  # of crossings [1 / time unit]
+    sliding_rate: float | None = None  # of arrivals where the loop then slides [1 / time unit]
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,8 @@ class Automaton:
         The connected partitions L that the regions are made of.
     switching : Switching or None
         What the vector field does on the faces between symbols; None without a model.
+    time_unit : str
+        What rates are per, see `Problem`.
     """
 
     name: str
@@ -96,6 +98,7 @@ class Automaton:
     edges: tuple[Edge, ...]
     partitions: Partitions
     switching: Switching | None
+    time_unit: str = "s"
 
     @staticmethod
     def of(policy: Policy) -> Automaton:
@@ -135,6 +138,7 @@ class Automaton:
             edges=_edges(vertices, analysis),
             partitions=partitions,
             switching=analysis,
+            time_unit=policy.time_unit,
         )
 
     def region_name(self, label: int) -> str:
@@ -193,6 +197,7 @@ class Automaton:
         analysis = self.switching
         labels = self.partitions.labels
         return {
+            **({} if self.time_unit == "s" else {"time_unit": self.time_unit}),
             "name": self.name,
             "states": list(self.domain.names),
             "vertices": [

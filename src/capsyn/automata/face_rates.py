@@ -19,7 +19,7 @@ IMPOSSIBLE, UNDECIDED, POSSIBLE = range(3)
 SAMPLES = {1: 1, 2: 8, 3: 4, 4: 3}
 """Sample points per axis on a face of n dimensions; 2 where there are more."""
 SLOWEST = 1e-12
-"""Rates up to so many widths of the domain per second count as none: bounds are rounded."""
+"""Rates up to so many widths of the domain per time unit count as none: bounds are rounded."""
 CHUNK = 1 << 15
 """Points that are evaluated at once."""
 BOXES = 1 << 12
@@ -59,9 +59,9 @@ class AxisFaces:
         """Return what samples of the midpoint rule on every face show: shares, flows and points.
 
         Shares (F, 4) of each face where the loop crosses upwards, downwards, slides, is repelled;
-        flows (F, 4): rates [1/s] of crossings upwards and downwards, and of arrivals at where it
-        slides, from below and from above; points (3, n, F) where it crosses upwards, downwards and
-        slides the most.
+        flows (F, 4): rates [1 / time unit] of crossings upwards and downwards, and of arrivals at
+        where it slides, from below and from above; points (3, n, F) where it crosses upwards,
+        downwards and slides the most.
         """
         n, count = self.low.shape
         each = SAMPLES.get(n, 2)
@@ -88,7 +88,7 @@ class AxisFaces:
         return shares, flows, points
 
     def _rates(self, side: int, states: np.ndarray, part: slice) -> np.ndarray:
-        """Return the rates (F, Q) on one side [domain widths / s], 0 if too slow or undefined."""
+        """Return the rates (F, Q) on one side [widths / time unit], 0 if too slow or undefined."""
         states[self.axis] = self._beside(side)[part, None]
         control = self.controls[side, part].T[:, :, None]
         rates = self.program.evaluate(states, control)[0][0] / self.width

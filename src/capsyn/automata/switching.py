@@ -59,8 +59,8 @@ MAX_SAMPLES = 1 << 22
 class Switching:
     """What the loop does on the faces between symbols, for N symbols and the default, F faces.
 
-    Rates are of states spread evenly over the domain: how many per second, of one state, arrive at
-    faces. A loop spends its time elsewhere than evenly, so they compare policies, and say what a
+    Rates are of states spread evenly over the domain: how many per time unit, of one state, arrive
+    at faces. A loop spends its time elsewhere than evenly, so they compare policies, and say what a
     loop does at first, not what it does at last.
 
     The statuses tell whether the loop reaches a face from below, from above, and slides in it:
@@ -78,16 +78,16 @@ class Switching:
     shares: np.ndarray  # (F, 4)
     switches: np.ndarray  # whether it can switch on any face, crossing or chattering, likewise
     slidings: np.ndarray  # whether it slides between two symbols anywhere; symmetric
-    switch_rates: np.ndarray  # of crossings from a symbol to another [1/s]
-    sliding_rates: np.ndarray  # of arrivals at faces on which the loop then slides [1/s]
+    switch_rates: np.ndarray  # of crossings from a symbol to another [1 / time unit]
+    sliding_rates: np.ndarray  # of arrivals at faces on which the loop then slides [1 / time unit]
     areas_between: np.ndarray  # of the faces between two symbols; symmetric
     sliding_areas: np.ndarray  # where the loop slides; symmetric
-    exit_rates: np.ndarray  # (N + 1,): at which states leave the domain under each symbol [1/s]
+    exit_rates: np.ndarray  # (N + 1,): at which states leave the domain under each symbol, likewise
     volume_shares: np.ndarray  # (N + 1,): of the domain's volume of each symbol
 
     @property
     def rate(self) -> float:
-        """Expected switches per second from an evenly spread state, without those of chattering."""
+        """Expected switches per time unit from an evenly spread state, but not of chattering."""
         return float(self.switch_rates.sum())
 
     @property
@@ -236,7 +236,7 @@ def _chunks(sizes: np.ndarray, most: int) -> Iterator[slice]:
 def _exits(
     policy: Policy, axis: int, lower: np.ndarray, upper: np.ndarray, labels: np.ndarray
 ) -> np.ndarray:
-    """Return the rates (N + 1,) [1/s] at which states leave the domain on one axis by symbol."""
+    """Return the rates (N + 1,) at which states leave the domain on one axis by symbol."""
     domain, counts = policy.domain, policy.cells.counts
     rates = np.zeros(len(policy.alphabet) + 1)
     if domain.periodic[axis]:

@@ -69,6 +69,19 @@ class AffineLeaves:
             labels[here[better]], best[here[better]] = self.symbols[row[better]], values[better]
         return labels
 
+    def rises(self, leaves: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return how often (B,) a row beats all before it, of affine leaf numbers (B,) at steps."""
+        places = np.asarray(leaves) - self.first
+        start, rows = self.starts[places], np.diff(self.starts)[places]
+        best, count = self._values(start, steps), np.zeros(len(start), dtype=np.int64)
+        for k in range(1, int(rows.max(initial=0))):
+            here = np.flatnonzero(rows > k)
+            values = self._values(start[here] + k, steps[here])
+            better = values > best[here]
+            best[here[better]] = values[better]
+            count[here[better]] += 1
+        return count
+
     def _values(self, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         values = self.constants[rows].astype(np.int64)
         for i in range(steps.shape[1]):

@@ -25,6 +25,7 @@ from capsyn.cli.options import (
     Json,
     MinDwell,
     Outside,
+    OutsideAtOnce,
     Seed,
     Threads,
     assignments,
@@ -99,7 +100,7 @@ class ProblemOptions:
     """What is made of a problem where its own horizon, default or grid is not wanted."""
 
     output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
-    horizon: float | None = option("Prediction horizon in seconds.")
+    horizon: float | None = option("Prediction horizon [time unit].")
     default: str | None = option("Control of the prediction.", metavar="U[,U..]")
     max_level: int | None = option("Most times that a cell is split along an axis.")
     partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
@@ -144,7 +145,7 @@ class SubdivisionOptions:
     )
     seed: Seed = 0
     max_solves: int | None = option("Most solves; affine or adaptive cells spend them.")
-    max_seconds: float | None = option("Stop after so long; the result depends on the machine.")
+    max_seconds: float | None = option("Stop after so long [s]; the result depends on the machine.")
     max_memory: str | None = option("Stop before so much, as 2GB.", metavar="BYTES")
     memory_limit: str | None = option(
         "Refuse what may take more at worst [default: what is available].", metavar="BYTES"
@@ -168,6 +169,7 @@ def synth(
     settings: SettingsOptions,
     outside: Outside = None,
     min_dwell: MinDwell = None,
+    outside_at_once: OutsideAtOnce = None,
     subdivision: SubdivisionOptions,
     dask: Dask = None,
     checkpoint: Annotated[
@@ -196,6 +198,7 @@ def synth(
             settings=settings.of(chosen.settings),
             outside=outside,
             min_dwell=min_dwell,
+            outside_at_once=outside_at_once,
             **vars(subdivision),
             executor=client,
             checkpoint=checkpoint,

@@ -37,12 +37,14 @@ class VerifyOptions(LoopTexts):
     monte_carlo: int | None = option(
         "Trials from random initial states.", metavar="N", before="duration"
     )
-    duration: float | None = option("Time limit of a trial [s] [default: 20].")
+    duration: float | None = option(
+        "Time limit of a trial, as all times in the model's time unit [default: 20]."
+    )
     initial: str | None = option(
         "NAME=LOW:HIGH[,..] [default: the domain].", metavar="SET", before="target"
     )
-    within: float | None = option("Time to arrive in [s].", before="model")
-    hold: float | None = option("Time at the end to stay there [s] [default: 0].", before="model")
+    within: float | None = option("Time to arrive in.", before="model")
+    hold: float | None = option("Time at the end to stay there [default: 0].", before="model")
     lyapunov: str | None = option(
         "A function V of x whose decrease is proved.", metavar="FILE.py:V", before="seed"
     )
@@ -95,8 +97,11 @@ def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
 
 def _show_trials(data: dict[str, Any], sentence: str, file: str, options: VerifyOptions) -> None:
     """Print what came of trials, and the command that repeats the first that failed."""
-    repeated = "duration rate model min_dwell outside target tolerance online background".split()
+    repeated = (
+        "duration rate model min_dwell outside outside_at_once target tolerance online background"
+    ).split()
     values = {_option(name): getattr(options, name) for name in repeated}
+    values["--no-outside-at-once"] = options.outside_at_once is False
     values["--stop-at-target"] = not options.hold
     failing = data["failing_trials"]
     print_monte_carlo(data, sentence, simulate_line(file, failing[0], values) if failing else None)
@@ -138,7 +143,7 @@ KINDS = (
         "success_rate",
         tuple(
             "rate initial target tolerance within hold duration model parameter disturbance noise "
-            "delay min_dwell outside online background dask".split()
+            "delay min_dwell outside outside_at_once online background dask".split()
         ),
         "Monte Carlo",
         _try_out,

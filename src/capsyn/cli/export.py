@@ -10,7 +10,7 @@ from typing import Any
 import typer
 
 from capsyn.cli.console import show, working
-from capsyn.cli.options import File, Json, assignments, flat, one_or_list, option
+from capsyn.cli.options import File, Json, OutsideAtOnce, assignments, flat, one_or_list, option
 
 TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
 
@@ -32,15 +32,24 @@ class ExportOptions:
         "own safe symbol, else default].",
         metavar="SYMBOL",
     )
-    dwell: float | None = option("Least time between switches [s] [default: the policy's].")
+    dwell: float | None = option(
+        "Least time between switches [time unit of the policy] [default: the policy's]."
+    )
+    outside_at_once: OutsideAtOnce = None
     scale: str | None = option(
         "A state is reading * scale + offset, for all or each [1].", metavar="S[,S..]"
     )
     offset: str | None = option("See --scale [0].", metavar="O[,O..]")
     style: str | None = option(
-        "c: table (smallest), nested, grid (fastest); structured-text: nested, table."
+        "c: table (smallest), nested, grid (fastest), cells; structured-text: nested, table, cells "
+        "[default: cells for affine leaves, else the first]."
     )
     arithmetic: str | None = option("c: lattice, double, float.")
+    cycles: bool = option(
+        "c: measure how long a decision takes at most, where emulators are installed.",
+        "--cycles",
+        default=False,
+    )
     name: str | None = option("What files and functions are called [default: the policy's name].")
     option: list[str] | None = option(
         "Another option of the target, such as sources_only=yes of fmu; may be repeated.",
@@ -81,6 +90,7 @@ def _own_options(options: ExportOptions) -> dict[str, Any]:
     texts = assignments("--option", options.option or [])
     values: dict[str, Any] = {key.replace("-", "_"): _value(text) for key, text in texts.items()}
     named = {"style": options.style, "arithmetic": options.arithmetic, "name": options.name}
+    values |= {"cycles": True} if options.cycles else {}
     return values | {key: value for key, value in named.items() if value is not None}
 
 
@@ -89,6 +99,7 @@ def _plan_options(options: ExportOptions) -> dict[str, Any]:
     values = {
         "safe": options.safe,
         "dwell": options.dwell,
+        "outside_at_once": options.outside_at_once,
         "scale": None if options.scale is None else one_or_list("--scale", options.scale),
         "offset": None if options.offset is None else one_or_list("--offset", options.offset),
     }
@@ -108,18 +119,31 @@ def _value(text: str) -> Any:
     return [_value(part) for part in text.split(",")] if "," in text else text
 
 
+def _costs(figures: dict[str, Any]) -> str:
+    """Return what a decision costs, in a line."""
+    if "cells" in figures:
+        rows, levels = figures["rows_evaluated"], figures["levels"]
+        return (
+            f"{figures['cells']:,} cells with {figures['rows']:,} rows; {levels['most']} levels "
+            f"and {rows['most']} rows at most, {levels['mean']:.1f} and {rows['mean']:.1f} on "
+            f"average; "
+            f"cells of {figures['cells_bytes']:,} bytes"
+        )
+    compared = figures["comparisons"]
+    mean = "" if compared["mean"] is None else f", {compared['mean']:.1f} on average"
+    return (
+        f"{figures['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
+        f"{figures['tree_bytes']:,} bytes"
+    )
+
+
 def print_export(
     files: list[str], certificates: list[dict[str, Any]], measured: list[dict[str, Any]]
 ) -> None:
     """Print what a decision costs, and which files were written."""
-    tree = certificates[0]
-    compared = tree["comparisons"]
-    mean = "" if compared["mean"] is None else f", {compared['mean']:.1f} on average"
-    typer.echo(
-        f"{tree['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
-        f"{tree['tree_bytes']:,} bytes"
-    )
-    typer.echo(tree["guarantee"])
+    for line in dict.fromkeys(map(_costs, certificates)):
+        typer.echo(line)
+    typer.echo(certificates[0]["guarantee"])
     for figures in certificates:
         changed, lines = figures["changed_by_rounding"], list(figures["notes"])
         if changed is None:
@@ -131,8 +155,21 @@ def print_export(
             lines.append(f"renamed: {', '.join(pairs)}")
         for line in lines:
             typer.echo(f"{figures['target']}: {line}")
-    for processor, sizes in (measured[0] if measured else {}).items():
+    by_processor = dict(measured[0]) if measured else {}
+    worst = by_processor.pop("worst", {})
+    for processor, sizes in by_processor.items():
         words = [f"{k.replace('_', ' ')} {v:,}" for k, v in sizes.items() if k != "compiler"]
         typer.echo(f"c, {processor}, {sizes['compiler']}, bytes: {', '.join(words)}")
+    for processor, found in worst.items():
+        for what, start in (("symbol", "steps"), ("decide", "readings")):
+            if what in found:
+                typer.echo(f"c, {processor}, {_longest(found[what], found['unit'], start)}")
     for name in files:
         typer.echo(f"wrote {name}")
+
+
+def _longest(found: dict[str, Any], unit: str, start: str) -> str:
+    """Return a line on the decision that takes longest."""
+    place = ", ".join(f"{x:.6g}" for x in found["at"])
+    known = "at most" if found["exact"] else f"the longest of {found['of']:,} seen"
+    return f"from {start} to a symbol {found['most']:,} {unit}, {known}, at ({place})"

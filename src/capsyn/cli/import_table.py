@@ -34,6 +34,12 @@ class ImportOptions:
     )
     default: str | None = option("Default control, that of no symbol [0].", metavar="U[,U..]")
     outside: str = option("error, nearest, or a symbol's name or index.", default="error")
+    outside_at_once: bool = option(
+        "The symbol of a state outside does not wait for a least time between switches.",
+        "--outside-at-once",
+        default=False,
+    )
+    time_unit: str = option("What its times count: ns, us, ms, s, min, h or d.", default="s")
     missing: str = option("Points without a row in a .csv: error or outside.", default="error")
 
 
@@ -58,7 +64,13 @@ def import_table(
     with working("reading the table"):
         table, default = _table(file, symbols, options), options.default
         controls = None if default is None else number_list("--default", default)
-        policy = table.policy(name, default=controls, outside=options.outside)
+        policy = table.policy(
+            name,
+            default=controls,
+            outside=options.outside,
+            time_unit=options.time_unit,
+            outside_at_once=options.outside_at_once,
+        )
     policy.save(path)
     data = report(policy) | {"file": path}
     show(as_json, data, lambda: print_report(data), f"wrote {path}")

@@ -15,6 +15,7 @@ from capsyn.cli.options import (
     Json,
     MinDwell,
     Outside,
+    OutsideAtOnce,
     Seed,
     Threads,
     assignments,
@@ -36,8 +37,10 @@ if TYPE_CHECKING:
 class LoopTexts:
     """`capsyn.simulation.options.LoopOptions` as texts, and which controller runs the loop."""
 
-    duration: float | None = option("Seconds to simulate.", default=20.0)
-    rate: float | None = option("Samples per second [default: by the policy's settings, 1000].")
+    duration: float | None = option(
+        "Time to simulate, as all times in the model's time unit.", default=20.0
+    )
+    rate: float | None = option("Samples per time unit [default: by the policy's settings, 1000].")
     target: str | None = option(
         "NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a function of x "
         "that says whether it has arrived.",
@@ -63,9 +66,10 @@ class LoopTexts:
         "S[,S..]:S[,S..], too.",
         metavar="S[,S..]",
     )
-    delay: str | None = option("Input delay [s]; verify takes a range T:T, too.", metavar="T")
+    delay: str | None = option("Input delay; verify takes a range T:T, too.", metavar="T")
     min_dwell: MinDwell = None
     outside: Outside = None
+    outside_at_once: OutsideAtOnce = None
     online: str | None = option(
         "ssac or sac: solve online in receding horizon instead of the policy."
     )
@@ -95,7 +99,7 @@ def loop_options(
         text = getattr(texts, name)
         return None if text is None else meaning(f"--{name}", text)
 
-    plain = "duration rate min_dwell outside seed backend threads".split()
+    plain = "duration rate min_dwell outside outside_at_once seed backend threads".split()
     parameters = assignments("--parameter", texts.parameter or [])
     values = {name: getattr(texts, name) for name in plain} | {
         "model": _model(texts.model),
@@ -213,10 +217,11 @@ def _sentence(row: dict[str, Any]) -> str:
     def state(values: list[float | None]) -> str:
         return "(" + ", ".join("nan" if v is None else f"{v:g}" for v in values) + ")"
 
-    reached = "" if row["arrived"] is None else f"; in the target first at {row['arrived']:g} s"
+    unit, arrived = row.get("time_unit", "s"), row["arrived"]
+    reached = "" if arrived is None else f"; in the target first at {arrived:g} {unit}"
     lost = f"; {row['outside']:,} samples outside the domain" if row["outside"] else ""
     cost = "not finite" if row["cost"] is None else f"{row['cost']:.6g}"
     return (
-        f"from {state(row['initial'])} to {state(row['final'])} in {row['duration']:g} s, ended: "
-        f"{row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
+        f"from {state(row['initial'])} to {state(row['final'])} in {row['duration']:g} {unit}, "
+        f"ended: {row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
     )

@@ -18,12 +18,21 @@ Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A policy file.")]
 MinDwell = Annotated[
     float | None,
-    typer.Option(help="Least time between switches [s] [default: the problem's or policy's]."),
+    typer.Option(
+        help="Least time between switches [time unit] [default: the problem's or policy's]."
+    ),
 ]
 Outside = Annotated[
     str | None,
     typer.Option(
         help="error, nearest, or a symbol's name or index [default: the problem's or policy's]."
+    ),
+]
+OutsideAtOnce = Annotated[
+    bool | None,
+    typer.Option(
+        help="Whether the symbol of a state outside does not wait for that time [default: as the "
+        "problem or policy says]."
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Of everything that is random.")]

@@ -5,33 +5,35 @@ from __future__ import annotations
 from typing import Any
 
 from capsyn.cli.console import print_line, print_table
+from capsyn.modelling.time_unit import NAMES
 from capsyn.verification.sentences import circumstances, evidence_rows, failing_trial, vector
 
 
 def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -> None:
     """Print how trials went, and the command that repeats the first that failed."""
     conditions = data["conditions"]
-    stay = f", and stay there the last {conditions['hold']:g} s" if conditions["hold"] else ""
+    unit = conditions.get("time_unit", "s")
+    stay = f", and stay there the last {conditions['hold']:g} {unit}" if conditions["hold"] else ""
     print_line("monte carlo", headline)
     print_line("from", conditions["initial"])
-    print_line("to", f"{conditions['target']}, within {conditions['within']:g} s{stay}")
+    print_line("to", f"{conditions['target']}, within {conditions['within']:g} {unit}{stay}")
     print_line("by", f"{conditions['controller']}; {circumstances(conditions)}")
     how = {"time": "ran until the time limit", "target": "arrived"}
     ends = (f"{count:,} {how.get(name, name)}" for name, count in data["ended"].items())
     print_line("ended", ", ".join(ends))
-    for key, name, unit in (
-        ("time_to_target", "time", "s until the target"),
-        ("switches_per_second", "switches", "per second"),
+    for key, name, what in (
+        ("time_to_target", "time", f"{unit} until the target"),
+        (f"switches_per_{NAMES[unit]}", "switches", f"per {NAMES[unit]}"),
         ("cost_left", "cost left", "of the cost J at the start"),
     ):
         if data[key]:
             spread = ", ".join(f"{k} {v:.3g}" for k, v in data[key].items())
-            print_line(name, f"{spread} {unit}")
+            print_line(name, f"{spread} {what}")
     if outside := data["trials_outside_domain"]:
         print_line("outside", f"{outside:,} trials left the domain on the way")
     trials, failed = data["failing_trials"], data["trials"] - data["successes"]
     for trial in trials[:5]:
-        print_line("failed from", failing_trial(trial))
+        print_line("failed from", failing_trial(trial, unit))
     if failed > 5:
         print_line("", f"and {failed - 5:,} more")
     if again is not None:
@@ -42,10 +44,11 @@ def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) ->
 def print_lyapunov(data: dict[str, Any], headline: str) -> None:
     """Print what a proof about a Lyapunov function found."""
     violated, undecided = data["violated_cell_count"], data["undecided_cell_count"]
+    per = NAMES[data.get("time_unit", "s")]
     print_line("lyapunov", headline)
     print_line("cells", f"{violated:,} with a state where it grows, {undecided:,} more undecided")
     for cell in data["violated_cells"][:3]:
-        print_line("grows at", f"{vector(cell['state'])}: {cell['value']:.3g} per second")
+        print_line("grows at", f"{vector(cell['state'])}: {cell['value']:.3g} per {per}")
     if "grid" in data:
         shares = data["grid"]["shares"].items()
         print_line("grid", ", ".join(f"{name} {value:.3%}" for name, value in shares))
@@ -58,21 +61,18 @@ def print_agreement(data: dict[str, Any], headline: str) -> None:
     print_line("islands", f"{cells:,} cells hold something that all their test points missed")
 
 
-def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
+def _print_complexity(data: dict[str, Any], from_cells: bool, time_unit: str) -> None:
     """Print what `capsyn.compression.complexity.complexity` returns."""
     table, tree, machine = data["table"], data["tree"], data["automaton"]
-    planes = f" and {tree['planes']:,} oblique splits" if tree["planes"] else ""
-    mean = tree["mean_comparisons"]
-    average = "" if mean is None else f", {mean:.1f} on average"
+    mean = tree and tree["mean_comparisons"]
     if from_cells:
         print_line("", f"{table['comparisons']} comparisons at most")
-        print_line(
-            "exact tree",
-            f"{tree['nodes']:,} nodes{planes}, {tree['bytes']:,} bytes packed, "
-            f"{tree['comparisons']} comparisons at most{average}",
-        )
+        print_line("exact tree", _exact_tree(tree))
     elif mean is not None:
         print_line("", f"{mean:.1f} comparisons on average")
+    if tree["deepest"] is not None:
+        place = ", ".join(f"{x:.6g}" for x in tree["deepest"])
+        print_line("", f"most comparisons of the tree at ({place})")
     print_line("entropy", f"{data['symbol_entropy']:.3f} bits of the symbols by volume")
     if machine is None:
         return
@@ -85,14 +85,28 @@ def _print_complexity(data: dict[str, Any], from_cells: bool) -> None:
         print_line(
             "switches",
             f"{machine['possible_edges']} edges not excluded; {machine['switch_rate']:.3g} per "
-            f"second from evenly spread states; sliding on {machine['sliding_share']:.1%} of the "
-            f"switching surface; {machine['switching_entropy']:.3f} bits a switch",
+            f"{NAMES[time_unit]} from evenly spread states; sliding on "
+            f"{machine['sliding_share']:.1%} of the switching surface; "
+            f"{machine['switching_entropy']:.3f} bits a switch",
         )
+
+
+def _exact_tree(tree: dict[str, Any] | None) -> str:
+    """Return what is told of the exact tree of cells."""
+    if tree is None:
+        return "too large: an export to c and most targets writes the cells"
+    planes = f" and {tree['planes']:,} oblique splits" if tree["planes"] else ""
+    mean = tree["mean_comparisons"]
+    average = "" if mean is None else f", {mean:.1f} on average"
+    return (
+        f"{tree['nodes']:,} nodes{planes}, {tree['bytes']:,} bytes packed, "
+        f"{tree['comparisons']} comparisons at most{average}"
+    )
 
 
 def print_automaton(data: dict[str, Any]) -> None:
     """Print what ``Automaton.to_json`` returns."""
-    names = {}
+    names, unit = {}, data.get("time_unit", "s")
     for vertex in data["vertices"]:
         names[vertex["symbol"]] = vertex["name"]
         print_line(
@@ -105,7 +119,7 @@ def print_automaton(data: dict[str, Any]) -> None:
     edges = [edge | pair for edge, pair in zip(data["edges"], pairs)]
     for edge in edges:
         for name in ("rate", "sliding_rate"):
-            edge[f"{name} [1/s]"] = edge.pop(name)
+            edge[f"{name} [1/{unit}]"] = edge.pop(name)
     print_table(edges)
     switching = data["switching"]
     if switching is None:
@@ -113,7 +127,7 @@ def print_automaton(data: dict[str, Any]) -> None:
         return
     print_line(
         "switches",
-        f"{switching['rate']:.3g} per second from evenly spread states, and "
+        f"{switching['rate']:.3g} per {NAMES[unit]} from evenly spread states, and "
         f"{switching['sliding_rate']:.3g} arrivals where the loop slides, on "
         f"{switching['sliding_share']:.1%} of the switching surface",
     )
@@ -149,7 +163,7 @@ def _print_tree(data: dict[str, Any]) -> None:
 
 def print_report(data: dict[str, Any]) -> None:
     """Print what `capsyn.policies.report.report` returns."""
-    statistics = data["statistics"]
+    statistics, unit = data["statistics"], data.get("time_unit", "s")
     print_line("policy", data["name"])
     _print_states_and_symbols(data)
     if "cells" in data:
@@ -159,7 +173,7 @@ def print_report(data: dict[str, Any]) -> None:
     if "proof" in data:
         print_line("proof", f"holds for {data['proof']['policy']}")
     if data.get("complexity"):
-        _print_complexity(data["complexity"], "cells" in data)
+        _print_complexity(data["complexity"], "cells" in data, unit)
     if "table" in statistics:
         _print_table_source(statistics["table"])
     if "solves" in statistics:
@@ -167,10 +181,11 @@ def print_report(data: dict[str, Any]) -> None:
     if statistics.get("sample"):
         _print_sample(statistics["sample"])
     if data["settings"]:
-        _print_settings(data["settings"], data["horizon"])
+        _print_settings(data["settings"], f"{data['horizon']} {unit}")
     if data["target"]:
         print_line("target", data["target"])
-    print_line("outside", f"{data['outside']}; minimum dwell {data['min_dwell']:g} s")
+    rule = data["outside"] + (", at once" if data.get("outside_at_once") else "")
+    print_line("outside", f"{rule}; minimum dwell {data['min_dwell']:g} {unit}")
     for name, sentence in evidence_rows(data["evidence"]):
         print_line(name, sentence)
     for hint in data["hints"]:
@@ -245,12 +260,12 @@ def _print_sample(sample: dict[str, Any]) -> None:
     )
 
 
-def _print_settings(settings: dict[str, Any], horizon: float) -> None:
+def _print_settings(settings: dict[str, Any], horizon: str) -> None:
     wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
     rule = settings["rule"]
     goal = f", {wanted} {settings[wanted]:g}" if rule == "schedule" else ""
     print_line(
         "settings",
-        f"horizon {horizon} s in {settings['steps']} steps, rule {rule}{goal}, "
+        f"horizon {horizon} in {settings['steps']} steps, rule {rule}{goal}, "
         f"control weight {settings['control_weight']}, {settings['precision']} precision",
     )

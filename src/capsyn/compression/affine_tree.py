@@ -9,22 +9,32 @@ import numpy as np
 from capsyn.cells.affine_leaves import AffineLeaves
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
-from capsyn.errors import ProblemError
 
-MAX_NODES = 20_000_000
+MAX_NODES = 5_000_000
 """Most nodes of a tree."""
 
 
-def affine_tree(cells: CellTree) -> SplitTree:
+def affine_tree(cells: CellTree, most: int = MAX_NODES) -> SplitTree | None:
     """Return the decision tree of cells with affine leaves, equal to them at every lattice step.
 
     Blocks of children are halved along one axis after the other, and equal leaves merged. In an
     affine leaf the largest row so far meets the next: the next one, of a higher symbol, wins where
     the difference of the two, a plane with whole coefficients, is at least 1. Comparisons that are
-    decided throughout the cell are left out. More than `MAX_NODES` are a `ProblemError`.
+    decided throughout the cell are left out. None where it has more than `most` nodes.
     """
+    try:
+        return _tree(cells, _Nodes(most))
+    except _TooManyError:
+        return None
+
+
+class _TooManyError(Exception):
+    """A tree has more nodes than it may have."""
+
+
+def _tree(cells: CellTree, nodes: _Nodes) -> SplitTree:
+    """Return the tree of the nodes that cells become."""
     assert cells.affine is not None
-    nodes = _Nodes(cells.n)
     node_of = np.empty(len(cells.entries), dtype=np.int64)  # the node of each cell
     for _, places, lower, sizes in reversed(list(cells.levels())):
         entries = cells.entries[places]
@@ -50,7 +60,7 @@ class _Nodes:
     the node has a plane.
     """
 
-    n: int
+    most: int
     split: list[int] = field(default_factory=list)
     threshold: list[int] = field(default_factory=list)
     children: list[tuple[int, int]] = field(default_factory=list)
@@ -60,10 +70,8 @@ class _Nodes:
         """Return a node with two children, or the label that they share."""
         if first == second and first < 0:
             return first
-        if len(self.split) > MAX_NODES // 2:
-            raise ProblemError(
-                f"the tree of this policy with affine leaves has more than {MAX_NODES:,} nodes"
-            )
+        if len(self.split) >= self.most // 2:
+            raise _TooManyError
         self.split.append(split)
         self.threshold.append(threshold)
         self.children.append((first, second))

@@ -10,8 +10,11 @@ import numpy as np
 from capsyn.automata.automaton import Automaton
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.packing import packed_bytes
-from capsyn.compression.compress import tree_of
-from capsyn.policies.policy import DecisionTree, Policy, cell_tree
+from capsyn.compression.compress import affine_tree_of, tree_of
+from capsyn.policies.policy import DecisionTree, Policy
+
+MOST_NODES = 1_000_000
+"""Most nodes of the tree of affine leaves."""
 
 
 def complexity(policy: Policy) -> dict[str, Any]:
@@ -23,25 +26,37 @@ def complexity(policy: Policy) -> dict[str, Any]:
         ``symbol_entropy``: of the symbols' shares of the volume [bits]. ``table``: of a policy of
         cells, ``bytes`` and ``comparisons``, most that a lookup takes as nested inequalities.
         ``tree``: of a decision tree, or of the exact one of a policy of cells, ``mode``,
-        ``nodes``, ``planes``, ``bytes``, ``comparisons`` (most) and ``mean_comparisons`` (over the
-        volume, None where splits are oblique). ``automaton``: ``regions``, ``boxes`` that tile
-        them, ``partitions`` (connected), ``edges`` and ``possible_edges``, ``switch_rate`` [1/s],
-        ``sliding_share`` and ``switching_entropy`` [bits] (None without a model, see
-        `switching_entropy`). None where splits are oblique or leaves affine.
+        ``nodes``, ``planes``, ``bytes``, ``comparisons`` (most), ``deepest`` (a state that takes as
+        many, [state units]) and ``mean_comparisons`` (over the volume), both None where splits are
+        oblique; None where that of affine leaves has more than `MOST_NODES`. ``automaton``:
+        ``regions``, ``boxes`` that tile them, ``partitions`` (connected), ``edges`` and
+        ``possible_edges``, ``switch_rate`` [1 / time unit], ``sliding_share`` and
+        ``switching_entropy`` [bits] (None without a model, see `switching_entropy`). None where
+        splits are oblique or leaves affine.
     """
-    tree = tree_of(policy)
+    cells = policy.cells if isinstance(policy.cells, CellTree) else None
+    tree: DecisionTree | None
+    if cells is not None and cells.affine is not None:
+        tree = affine_tree_of(policy, MOST_NODES)
+    else:
+        tree = tree_of(policy)
     return {
         "symbol_entropy": entropy(policy.volume_shares),
-        "table": None if tree is policy else _table(cell_tree(policy)),
-        "tree": {
-            "mode": tree.guarantee.mode,
-            "nodes": tree.node_count,
-            "planes": len(tree.cells.planes),
-            "bytes": packed_bytes(tree.cells),
-            "comparisons": tree.depth,
-            "mean_comparisons": mean_depth(tree),
-        },
+        "table": None if cells is None else _table(cells),
+        "tree": None if tree is None else _tree(tree),
         "automaton": None if policy.has_planes else _automaton(policy),
+    }
+
+
+def _tree(tree: DecisionTree) -> dict[str, Any]:
+    return {
+        "mode": tree.guarantee.mode,
+        "nodes": tree.node_count,
+        "planes": len(tree.cells.planes),
+        "bytes": packed_bytes(tree.cells),
+        "comparisons": tree.depth,
+        "deepest": _state(tree, deepest_steps(tree)),
+        "mean_comparisons": mean_depth(tree),
     }
 
 
@@ -55,7 +70,7 @@ def switching_entropy(rates: np.ndarray) -> float:
     """Return how uncertain the next symbol is at a switch [bits]; 0 where there are none.
 
     It is the entropy of the next symbol given the present one, averaged over the switches, whose
-    rates (V, V) [1/s] are from a symbol (row) to another.
+    rates (V, V) [1 / time unit] are from a symbol (row) to another.
     """
     out = rates.sum(axis=1)
     total = out.sum()
@@ -84,6 +99,24 @@ def mean_depth(tree: DecisionTree) -> float | None:
     boxes = tree.cells.boxes()
     volumes = boxes.volumes()
     return float((tree.cells.depths[boxes.places] * volumes).sum() / volumes.sum())
+
+
+def deepest_steps(tree: DecisionTree) -> list[int] | None:
+    """Return lattice steps that a lookup compares most for; None where splits are oblique."""
+    if tree.cells.has_planes:
+        return None
+    boxes = tree.cells.boxes()
+    steps: list[int] = boxes.lower[tree.cells.depths[boxes.places].argmax()].tolist()
+    return steps
+
+
+def _state(tree: DecisionTree, steps: list[int] | None) -> list[float] | None:
+    """Return the state in the middle of lattice steps."""
+    if steps is None:
+        return None
+    share = (np.array(steps) + 0.5) / tree.cells.counts
+    state: list[float] = (tree.domain.lower + share * tree.domain.widths).tolist()
+    return state
 
 
 def _automaton(policy: Policy) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from capsyn.compression.affine_tree import affine_tree
+from capsyn.compression.affine_tree import MAX_NODES, affine_tree
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
@@ -28,6 +28,12 @@ MAX_STATES = 10_000_000
 """Most states at which trees are judged."""
 MAX_NODE_PRICE = 1000.0
 """Larger prices make no smaller trees."""
+WAYS_OUT = (
+    "export the cells themselves (style cells of c and structured-text; python, javascript, json "
+    "and fmu do), compress in mode linear, or synthesize with fewer symbols or solves, or a larger "
+    "leaf_error"
+)
+"""What may be done where the tree of a policy with affine leaves is too large."""
 OPTION_MODES = {
     "agreement": ("freedom", "linear"),
     "level": ("exact", "freedom"),
@@ -163,10 +169,22 @@ def exact_tree(policy: Policy, level: int | None = None) -> DecisionTree:
     That of a policy with affine leaves has oblique splits.
     """
     if cell_tree(policy).affine is not None:
-        guarantee = Guarantee("exact", content_hash(policy))  # by construction
-        return DecisionTree.of(policy, affine_tree(cell_tree(policy)), guarantee)
+        tree = affine_tree_of(policy, MAX_NODES)
+        if tree is None:
+            raise ProblemError(
+                f"the tree of this policy with affine leaves has more than {MAX_NODES:,} nodes: "
+                f"{WAYS_OUT}"
+            )
+        return tree
     base = policy if level is None else cut_off(policy, level)
     return _proved_tree(policy, base, "exact", level, exact_prices(base))
+
+
+def affine_tree_of(policy: Policy, most: int) -> DecisionTree | None:
+    """Return the exact tree of a policy with affine leaves; None where it has too many nodes."""
+    tree = affine_tree(cell_tree(policy), most)
+    guarantee = Guarantee("exact", content_hash(policy))  # by construction
+    return None if tree is None else DecisionTree.of(policy, tree, guarantee)
 
 
 def free_trees(

@@ -75,7 +75,8 @@ def _prove_affine(tree: DecisionTree, cells: CellTree) -> None:
     It is by construction equal to them; a sample of lattice steps is looked up in both.
     """
     own = affine_tree(cells)
-    same = tree.cells.counts == own.counts and all(
+    same = own is not None and tree.cells.counts == own.counts
+    same = same and all(
         np.array_equal(getattr(tree.cells, name), getattr(own, name)) for name in TREE_ARRAYS
     )
     steps = np.random.default_rng(0).integers(cells.counts, size=(SAMPLES, cells.n))

@@ -20,7 +20,9 @@ class Command:
     """What a controller wants over the sample that begins, for B trials, in P pieces."""
 
     controls: np.ndarray  # (B, P, m): control of each piece [input units]
-    ends: np.ndarray  # (B, P): when it ends [s from the sample], ascending; the last at infinity
+    ends: (
+        np.ndarray
+    )  # (B, P): when it ends [time unit from the sample], ascending; the last at infinity
     symbols: np.ndarray  # (B,): symbol of the first piece; -1 for the default, `NONE` for none
     ended: np.ndarray  # (B,): `TIME` (0) or why the trial ends
     outside: np.ndarray  # (B,): whether the measured state was outside the domain

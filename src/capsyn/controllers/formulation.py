@@ -25,7 +25,7 @@ class Formulation:
     domain: Box  # its states
     values: np.ndarray  # (N, m): the symbols' control vectors [input units]
     default: np.ndarray  # (m,): control of the prediction [input units]
-    horizon: float  # of the prediction, T [s]
+    horizon: float  # of the prediction, T [time unit]
     settings: SsacSettings
 
     @staticmethod

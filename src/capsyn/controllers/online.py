@@ -58,11 +58,12 @@ class Actions:
     control : (..., m)
         Its control [input units].
     application_time : (...)
-        Time tau at which the action is chosen [s from now].
+        Time tau at which the action is chosen [time unit from now].
     start, duration : (...)
-        It acts from `start` for `duration` [s]; the duration is 0 where there is no action.
+        It acts from `start` for `duration` [time unit]; the duration is 0 where there is no
+        action.
     gradient : (...)
-        Mode insertion gradient at tau, eq. (6) [cost / s].
+        Mode insertion gradient at tau, eq. (6) [cost / time unit].
     cost, decrease : (...)
         Cost J0 of the default prediction, and what the action takes off it.
     base : (..., m)
@@ -99,7 +100,7 @@ class OnlineController:
         Symbols, or continuous controls.
     formulation : Formulation
         What it is made of: of the problem or policy, or what replaced it.
-    alphabet, min_dwell, target
+    alphabet, min_dwell, target, time_unit
         Those of the problem or policy.
     background : callable ``time -> (m,)``, Policy or None
         Default control of the prediction, where it is no constant.
@@ -115,21 +116,23 @@ class OnlineController:
     target: Target | None
     kernel: ActionKernel | None
     numpy: NumpyActions
+    time_unit: str
 
     def __repr__(self) -> str:
         kind = "policy" if isinstance(self.background, Policy) else "signal"
         around = "" if self.background is None else f" around a {kind}"
-        return f"OnlineController('{self.method}'{around}, horizon {self.horizon:g} s)"
+        horizon = f"{self.horizon:g} {self.time_unit}"
+        return f"OnlineController('{self.method}'{around}, horizon {horizon})"
 
     def actions(self, states: Any, time: float = 0.0, schedule: bool = False) -> Actions:
-        """Return the actions in states (..., n) at a time [s]; see `Actions`.
+        """Return the actions in states (..., n) at a time; see `Actions`.
 
         Parameters
         ----------
         states : (..., n)
             States [state units].
         time : float
-            Now [s], for a default control that is a signal.
+            Now [time unit], for a default control that is a signal.
         schedule : bool
             Whether to return the whole schedule, too.
 
@@ -167,7 +170,7 @@ class OnlineController:
         )
 
     def __call__(self, time: float, states: Any) -> np.ndarray:
-        """Return the controls (..., m) that act at once in states (..., n) at a time [s]."""
+        """Return the controls (..., m) that act at once in states (..., n) at a time."""
         planned = self.actions(states, time)
         acts = np.asarray((planned.duration > 0) & (planned.start <= 0))
         return np.where(acts[..., None], planned.control, planned.base)
@@ -175,7 +178,7 @@ class OnlineController:
     def decide(self, time: float, measured: np.ndarray) -> Command:
         """Return the command over a sample: default control, action, default control.
 
-        `measured` are the states (B, n) at `time` [s]; `simulate` calls this.
+        `measured` are the states (B, n) at `time`; `simulate` calls this.
         """
         planned = self.actions(measured, time)
         start = np.where(planned.duration > 0, planned.start, np.inf)
@@ -206,7 +209,7 @@ class OnlineController:
 
     @property
     def horizon(self) -> float:
-        """Prediction horizon T [s]."""
+        """Prediction horizon T [time unit]."""
         return self.formulation.horizon
 
     @property
@@ -293,7 +296,7 @@ def online_controller(
         Default control of the prediction, which also acts where nothing is better. Under a policy
         the prediction has `POLICY_STEPS` steps at least, unless `settings` say how many.
     horizon : float, optional
-        Prediction horizon T [s].
+        Prediction horizon T [time unit].
     settings : SsacSettings, optional
         Options; SAC needs a positive definite `control_weight`.
     limits : (lower (m,), upper (m,)), optional
@@ -329,19 +332,7 @@ def online_controller(
     if not isinstance(settings, SsacSettings):
         raise ProblemError(f"`settings` must be a capsyn.SsacSettings; got {describe(settings)}")
     settings.efforts(source.alphabet.values)
-    alphabet, constant, background = source.alphabet, source.default, None
-    if isinstance(default, Policy):
-        if (default.domain.n, default.alphabet.m) != (source.domain.n, alphabet.m):
-            raise ProblemError(
-                f"`default` must be a policy of {source.domain.n} state(s) and {alphabet.m} "
-                f"input(s); got {default.domain.n} and {default.alphabet.m}"
-            )
-        background = default
-    elif callable(default):
-        background = default
-        alphabet.control("default", default(0.0))
-    elif default is not None:
-        constant = alphabet.control("default", default)
+    alphabet, (constant, background) = source.alphabet, _defaults(source, default)
     sac = sac_program(model, alphabet, settings, limits) if method == "sac" else None
     formulation = Formulation(model, source.domain, alphabet.values, constant, horizon, settings)
     chooser = batch_controller(formulation, backend)
@@ -360,4 +351,28 @@ def online_controller(
         target,
         kernel,
         NumpyActions(formulation, chooser, sac),
+        source.time_unit,
     )
+
+
+def _defaults(
+    source: Problem | Policy, default: Any
+) -> tuple[np.ndarray, Callable[[float], Any] | Policy | None]:
+    """Return the default control (m,) and what stands in its place in predictions, if anything."""
+    alphabet = source.alphabet
+    if isinstance(default, Policy):
+        if (default.domain.n, default.alphabet.m) != (source.domain.n, alphabet.m):
+            raise ProblemError(
+                f"`default` must be a policy of {source.domain.n} state(s) and {alphabet.m} "
+                f"input(s); got {default.domain.n} and {default.alphabet.m}"
+            )
+        if default.time_unit != source.time_unit:
+            raise ProblemError(
+                f"`default` must count time in {source.time_unit} like the model; got "
+                f"{default.time_unit}"
+            )
+        return source.default, default
+    if callable(default):
+        alphabet.control("default", default(0.0))
+        return source.default, default
+    return source.default if default is None else alphabet.control("default", default), None

@@ -30,8 +30,9 @@ Solver = Callable[[np.ndarray, float, int], tuple[np.ndarray, np.ndarray, np.nda
 class SsacKernel:
     """Steps 1 and 2 of sSAC at t0 for batches of states, compiled.
 
-    Calling it with states (B, n), a horizon [s] and a number of steps returns the cost (B,), the
-    mode insertion gradients (B, N) and their scales (B, N). It is safe to call from threads.
+    Calling it with states (B, n), a horizon [time unit] and a number of steps returns the cost
+    (B,), the mode insertion gradients (B, N) and their scales (B, N). It is safe to call from
+    threads.
     """
 
     function: Any

@@ -12,7 +12,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from capsyn.compression.compress import tree_of
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
 from capsyn.explorer.formulas import formulas
@@ -34,8 +33,7 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
     Parameters
     ----------
     policy : Policy
-        The policy, or decision tree. Without a model the page has no closed loop. Of affine leaves
-        the page shows the exact tree, which has no levels to replay.
+        The policy, or decision tree. Without a model the page has no closed loop.
     path : path
         Where; what was there is replaced only by a whole page.
     drawing : "pendulum", "cart-pole", "double-tank" or "none", optional
@@ -58,9 +56,7 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
 
 
 def page(policy: Policy, drawing: str | None = None) -> str:
-    """Return the page of a policy as HTML; that of affine leaves shows their exact tree."""
-    if policy.has_planes:
-        policy = tree_of(policy)
+    """Return the page of a policy as HTML."""
     style = _resource("page.css").strip()
     model = model_javascript(policy).removeprefix("export ").strip()
     notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"

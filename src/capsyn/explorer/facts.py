@@ -75,9 +75,9 @@ def _solves(statistics: dict[str, Any]) -> list[Row]:
 
 def _controller(data: dict[str, Any]) -> list[Row]:
     rows: list[Row] = []
-    settings = data["settings"]
+    settings, unit = data["settings"], data.get("time_unit", "s")
     if data["horizon"] is not None:
-        rows.append(("horizon", f"{data['horizon']:g} s"))
+        rows.append(("horizon", f"{data['horizon']:g} {unit}"))
     if settings:
         rows.append(("rule", settings["rule"]))
         if settings["rule"] == "schedule":
@@ -88,9 +88,13 @@ def _controller(data: dict[str, Any]) -> list[Row]:
         rows += [
             ("control weight", "; ".join(", ".join(f"{v:g}" for v in row) for row in weight)),
             ("integration", f"{how}, {settings['precision']} precision"),
-            ("sample time", f"{settings['sample_time']:g} s"),
+            ("sample time", f"{settings['sample_time']:g} {unit}"),
         ]
     if data["target"]:
         rows.append(("target", data["target"]))
-    rows += [("outside", str(data["outside"])), ("least dwell", f"{data['min_dwell']:g} s")]
+    at_once = ", at once" if data.get("outside_at_once") else ""
+    rows += [
+        ("outside", f"{data['outside']}{at_once}"),
+        ("least dwell", f"{data['min_dwell']:g} {unit}"),
+    ]
     return rows

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from capsyn.automata.automaton import edges_between
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
 from capsyn.explorer.facts import facts
 from capsyn.explorer.policy_data import policy_data
@@ -37,6 +39,7 @@ def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
     return policy_data(policy) | {
         "target": _target(policy),
         "automaton": _automaton(policy),
+        "leaves": policy.cells.leaf_count,
         "drawing": drawn,
         "drawn_length": None if drawn is None else DRAWINGS[drawn][2],
         "palette": list(PALETTE),
@@ -59,8 +62,11 @@ def _target(policy: Policy) -> dict[str, Any] | None:
 
 
 def _automaton(policy: Policy) -> dict[str, Any]:
-    """Return the finite state machine; of oblique splits only which symbols there are."""
-    counts = np.bincount(policy.cells.leaf_labels(), minlength=len(policy.controls))
+    """Return the finite state machine; of oblique splits and affine leaves which symbols there are.
+
+    An affine leaf is one of the cells of each symbol of its rows.
+    """
+    counts = np.bincount(_leaf_labels(policy.cells), minlength=len(policy.controls))
     used = np.flatnonzero(counts).tolist()
     if policy.has_planes:
         edges: list[Any] = [(source, target, None, None) for source in used for target in used]
@@ -72,6 +78,14 @@ def _automaton(policy: Policy) -> dict[str, Any]:
         "edges": [dict(zip(keys, edge)) for edge in edges],
         "what": "cells" if policy.cells.kind == "cells" else "leaves",
     }
+
+
+def _leaf_labels(cells: CellTree | SplitTree) -> np.ndarray:
+    """Return the labels of all leaves, of affine ones those of all their rows."""
+    if not isinstance(cells, CellTree) or cells.affine is None:
+        return cells.leaf_labels()
+    labels = cells.labels_at(np.flatnonzero(cells.entries < 0))
+    return np.concatenate([labels[labels < cells.affine.first], cells.affine.symbols])
 
 
 def _drawing(policy: Policy, wanted: str | None) -> str | None:

@@ -16,7 +16,7 @@ from capsyn.simulation.closed_loop import SLACK
 from capsyn.simulation.plant import ACCURACY, LADDER, PERCENTILE, SAMPLES
 
 RATE = 1000.0
-"""Sample rate of closed loops [1 / s] where a policy has no settings."""
+"""Sample rate of closed loops [1 / time unit] where a policy has no settings."""
 STRUCTURE = ("partitions", "refinement", "max_level")
 
 
@@ -31,7 +31,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     - ``counts``: steps of the lattice along each axis;
     - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
     - ``tree``: arrays of a decision tree, else None;
-    - ``rate``: sample rate [1 / s] of closed loops for which none is given;
+    - ``rate``: sample rate [1 / time unit] of closed loops for which none is given;
     - ``slack``: samples by which a time that should be a whole number of them may be off;
     - ``sampled``: what the steps of closed loops are chosen by, see `choose_substeps`; None where
       there is no model.

@@ -1,15 +1,18 @@
-"""The constants of a policy, for targets that walk through its tree."""
+"""The constants of a policy, for targets that walk through its cells or its tree."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
+from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
 
 
 def constants(plan: Plan) -> list[tuple[str, Any, str]]:
     """Return names, values and remarks; remarks of a pair of constants stand at the first."""
-    policy, tree = plan.policy, plan.tree.cells
+    policy = plan.policy
     domain, alphabet = policy.domain, policy.alphabet
     return [
         ("STATES", domain.names, "Names of the states."),
@@ -19,7 +22,7 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
         ("PERIODIC", domain.periodic, "Whether the upper bound is the same point as the lower."),
         ("SCALE", plan.scale.tolist(), "A state is what decide gets * SCALE + OFFSET."),
         ("OFFSET", plan.offset.tolist(), ""),
-        ("COUNTS", tree.counts, "Lattice steps along each axis."),
+        ("COUNTS", plan.counts, "Lattice steps along each axis."),
         ("INPUTS", alphabet.inputs, "Names of the inputs."),
         ("INPUT_UNITS", alphabet.units, "Their units."),
         ("SYMBOLS", plan.symbol_names, "Names of the symbols, the default control last."),
@@ -28,19 +31,50 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
         ("SAFE", plan.safe, "The symbol of states that have no other."),
         ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
         ("GAP", plan.gap, "The label of steps that are outside; -1: none."),
-        ("MIN_DWELL", plan.dwell, "Least time between switches [s]."),
+        ("TIME_UNIT", policy.time_unit, "Unit of all times."),
+        ("MIN_DWELL", plan.dwell, f"Least time between switches [{policy.time_unit}]."),
         ("OK", OK, "Statuses of a state: in the domain, outside, or not finite."),
         ("OUTSIDE", OUTSIDE, ""),
         ("NOT_FINITE", NOT_FINITE, ""),
+        ("AT_ONCE", plan.at_once, "Those whose symbol does not wait for MIN_DWELL."),
     ]
 
 
 def tables(plan: Plan) -> list[tuple[str, Any, str]]:
-    """Return the arrays of the tree likewise."""
-    tree = plan.tree.cells
+    """Return the arrays of the tree, or of the cells, likewise."""
+    tree = plan.cells
+    if isinstance(tree, CellTree):
+        return [(k, v.tolist(), note) for k, v, note in cell_tables(tree)]
     return [
         ("SPLIT", tree.split.tolist(), "What a node compares: a state, then PLANES; -1: a leaf."),
         ("THRESHOLD", tree.threshold.tolist(), "From where it goes to SECOND; a leaf's symbol."),
         ("SECOND", tree.second.tolist(), "Its second child; the first is the next node."),
         ("PLANES", tree.planes.tolist(), "Coefficients of the steps."),
     ]
+
+
+def cell_tables(cells: CellTree) -> list[tuple[str, np.ndarray, str]]:
+    """Return the arrays of cells likewise; of constant leaves without rows."""
+    none = np.zeros(0, dtype=np.int32)
+    splits = none if cells.splits is None else cells.splits
+    rows = {} if cells.affine is None else cells.affine.arrays()
+    tables = [
+        ("PARTITIONS", np.array(cells.partitions), "Cells of the root grid along each axis."),
+        ("ROOT_SIZES", cells.sizes(0), "Their steps along each axis."),
+        ("REFINEMENT", np.array(cells.refinement), "Parts of a split cell along each axis."),
+        ("ENTRIES", cells.entries, "Of each cell the place of its parts, or -1 less its leaf."),
+        ("SPLITS", splits, "Bits of the axes that each is split along; without any: all axes."),
+        ("ROW_STARTS", none, "First row of each leaf beyond DEFAULT; leaves up to it are symbols."),
+        ("ROW_SYMBOLS", none, "Symbols of rows."),
+        (
+            "ROW_CONSTANTS",
+            none,
+            "Their values at step 0: the largest row of a leaf has its symbol.",
+        ),
+        (
+            "ROW_SLOPES",
+            none,
+            "What they gain at each step, along each axis; one row after another.",
+        ),
+    ]
+    return [(name, rows.get(name.lower(), array).ravel(), note) for name, array, note in tables]

@@ -12,7 +12,7 @@ from capsyn.exports.target import Exported, NameOption, Target
 
 def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     """Return the graph, ``NAME.dot``; see `Automaton.to_dot`."""
-    if len(plan.tree.cells.planes):
+    if plan.policy.has_planes:
         raise ProblemError(
             "target dot draws the regions of symbols as boxes, and this policy has oblique splits "
             "or affine leaves"
@@ -22,4 +22,4 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     return Exported({file: (header + Automaton.of(plan.policy).to_dot()).encode()})
 
 
-TARGET = Target(export, planes=False)
+TARGET = Target(export, planes=False, cells=False)

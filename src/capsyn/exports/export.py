@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import importlib
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from capsyn.cells.packing import packed_bytes
-from capsyn.compression.complexity import mean_depth
 from capsyn.errors import ProblemError
+from capsyn.exports.certificate import certificate
 from capsyn.exports.golden import Golden, golden_vectors
-from capsyn.exports.plan import Files, Plan
-from capsyn.exports.target import Exported, Target
-from capsyn.policies.file import content_hash
+from capsyn.exports.plan import MOST_NODES, Files, Plan, tree_within
+from capsyn.exports.target import Target
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
@@ -45,8 +42,13 @@ def _load(name: str) -> Target:
 
 
 def all_targets(policy: Policy) -> tuple[str, ...]:
-    """Return the targets that a policy can be exported to; not all take oblique splits."""
-    return tuple(name for name in TARGETS if not policy.has_planes or _load(name).planes)
+    """Return the targets that a policy can be exported to; not all take planes, or many nodes."""
+    targets = {name: _load(name) for name in TARGETS}
+    if policy.has_planes:
+        small = tree_within(policy, MOST_NODES) is not None
+        targets = {k: target for k, target in targets.items() if target.planes}
+        targets = {k: target for k, target in targets.items() if small or target.cells}
+    return tuple(targets)
 
 
 def check_options(to: object, names: Iterable[str]) -> tuple[str, ...]:
@@ -73,6 +75,7 @@ def export(
     *,
     safe: int | str | None = None,
     dwell: float | None = None,
+    outside_at_once: bool | None = None,
     scale: Any = None,
     offset: Any = None,
     **options: Any,
@@ -82,7 +85,8 @@ def export(
     Parameters
     ----------
     policy : Policy
-        A policy of cells, of which the exact tree is exported, or a decision tree.
+        A policy of cells, of which the exact tree is exported, or, where leaves are affine, the
+        cells themselves; or a decision tree.
     to : str, or list of str
         One of `TARGETS`; or several, each into a folder of its name.
     directory : path
@@ -92,7 +96,10 @@ def export(
     safe : symbol index or name, optional
         Symbol of states that have no other. Default: the policy's own safe symbol, or the default.
     dwell : float, optional
-        Least time between switches [s]. Default: the policy's.
+        Least time between switches [time unit of the policy]. Default: the policy's.
+    outside_at_once : bool, optional
+        Whether the symbol of a state outside the domain does not wait for that, as that of a state
+        that is not finite never does. Default: as the policy says.
     scale, offset : float or (n,), optional
         A state is ``reading * scale + offset``. Default: readings are states.
     options
@@ -111,7 +118,14 @@ def export(
     targets = check_options(to, options)
     if not isinstance(directory, os.PathLike) and not (isinstance(directory, str) and directory):
         raise ProblemError(f"`directory` must be a path; got {describe(directory)}")
-    plan = Plan.of(policy, safe=safe, dwell=dwell, scale=scale, offset=offset)
+    plan = Plan.of(
+        policy,
+        safe=safe,
+        dwell=dwell,
+        outside_at_once=outside_at_once,
+        scale=scale,
+        offset=offset,
+    )
     golden = golden_vectors(plan)
     files: Files = {}
     for name in targets:
@@ -126,48 +140,16 @@ def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) ->
     target = _load(name)
     chosen = target.options(**options)
     exported = target.export(plan, golden, chosen)
+    plan, chosen = exported.plan or plan, dataclasses.replace(chosen, **exported.chosen)
     for file in {GOLDEN, CERTIFICATE, MEASURED} & set(exported.files):
         raise ProblemError(f"`name` must be another: the export has a {file} of its own")
     vectors = (exported.golden or golden).to_csv(plan)
     exported = dataclasses.replace(exported, files=exported.files | {GOLDEN: vectors})
-    costs = _certificate(plan, exported, name, vars(chosen))
+    costs = certificate(plan, exported, name, vars(chosen))
     files = exported.files | {CERTIFICATE: _json(costs)}
     if target.measure is not None:
-        files[MEASURED] = _json(target.measure(exported.files))
+        files[MEASURED] = _json(target.measure(plan, exported.golden or golden, exported, chosen))
     return files
-
-
-def _certificate(
-    plan: Plan, exported: Exported, target: str, options: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return what a decision takes at most, as plain data.
-
-    ``comparisons`` is exact, from the tree; the mean is over the volume, and None where splits are
-    oblique. ``tree_bytes`` counts the tree's arrays in the smallest integers that hold them.
-    ``changed_by_rounding`` is the share of random states whose symbol is another as the target
-    rounds them; None where it rounds to the policy's own lattice, which changes none.
-    """
-    tree = plan.tree
-    return {
-        "header": list(plan.header),
-        "target": target,
-        "options": dict(options),
-        "policy": plan.policy.name,
-        "sha256": content_hash(plan.policy),
-        "nodes": tree.node_count,
-        "comparisons": {"most": tree.depth, "mean": mean_depth(tree)},
-        "planes": len(tree.cells.planes),
-        "lattice": list(tree.cells.counts),
-        "tree_bytes": packed_bytes(tree.cells),
-        "files": {
-            name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-            for name, content in sorted(exported.files.items())
-        },
-        "guarantee": tree.guarantee.text,
-        "changed_by_rounding": exported.changed,
-        "renamed": dict(exported.renamed),
-        "notes": list(exported.notes),
-    }
 
 
 def _json(data: dict[str, Any]) -> bytes:

@@ -61,7 +61,7 @@ def golden_vectors(plan: Plan) -> Golden:
 
     At least 2,000, the same for the same policy.
     """
-    domain, counts, n = plan.policy.domain, plan.tree.cells.counts, plan.n
+    domain, counts, n = plan.policy.domain, plan.counts, plan.n
     rng = stream(0, GOLDEN)
     inside = domain.lower + rng.random((INSIDE, n)) * domain.widths
     # on faces of some axes (all of them: corners), and the floats beside them
@@ -117,13 +117,13 @@ def _readings(plan: Plan, states: np.ndarray) -> np.ndarray:
 
 def decide(plan: Plan, readings: np.ndarray) -> Golden:
     """Return what an export must give for readings (K, n), which are states by default."""
-    domain, tree, states = plan.policy.domain, plan.tree.cells, plan.states(readings)
+    domain, cells, states = plan.policy.domain, plan.policy.cells, plan.states(readings)
     finite = np.isfinite(states).all(axis=1)
     steps = np.zeros(states.shape, dtype=np.int64)
-    steps[finite] = domain.locate(states[finite], tree.counts)
+    steps[finite] = domain.locate(states[finite], cells.counts)
     inside = domain.contains(states)
     known = finite if plan.nearest else inside
-    labels = np.where(known, tree.labels(steps), plan.safe)
+    labels = np.where(known, cells.labels(steps), plan.safe)
     inside &= labels != plan.gap
     labels = np.where(labels == plan.gap, plan.safe, labels)
     statuses = np.where(finite, np.where(inside, OK, OUTSIDE), NOT_FINITE)

@@ -1,23 +1,30 @@
-"""What every target needs of a policy: its tree, constants, names and a header."""
+"""What every target needs of a policy: its cells or its tree, constants, names and a header."""
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.compression.compress import tree_of
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.split_tree import SplitTree
+from capsyn.compression.compress import affine_tree_of, tree_of
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, check_outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.time_unit import to_seconds
 from capsyn.policies.file import content_hash
+from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.policy import DecisionTree, Policy
-from capsyn.validation import describe, finite_array, finite_number, numbers
+from capsyn.validation import describe, finite_array, finite_number, numbers, true_or_false
 from capsyn.version import __version__
 
 _tree_of = functools.lru_cache(maxsize=1)(tree_of)  # kept for the next target
+_affine_tree_of = functools.lru_cache(maxsize=1)(affine_tree_of)
+MOST_NODES = 200_000
+"""Most nodes of a tree of affine leaves in targets that write trees alone."""
 Files = dict[str, bytes]
 """Contents of files by name."""
 OK, OUTSIDE, NOT_FINITE = 0, 1, 2
@@ -36,25 +43,28 @@ class Plan:
     ----------
     policy : Policy
         What is exported.
-    tree : DecisionTree
-        The policy itself where it is one, else its exact tree.
     safe : int
         Symbol where there is no other: 0 .. N-1, or N for the default control.
     nearest : bool
         Whether a state outside the domain takes the symbol of the nearest cell.
     dwell : float
         Least time between switches [time unit of the policy]; 0 for none.
+    outside_at_once : bool
+        Whether the symbol of a state outside the domain does not wait for that.
     scale, offset : (n,)
         A state is ``reading * scale + offset``, rounded as written in double precision.
+    as_cells : bool
+        Whether what is written are the policy's cells, as affine leaves are, else its tree.
     """
 
     policy: Policy
-    tree: DecisionTree
     safe: int
     nearest: bool
     dwell: float
+    outside_at_once: bool
     scale: np.ndarray
     offset: np.ndarray
+    as_cells: bool = False
 
     @staticmethod
     def of(
@@ -62,6 +72,7 @@ class Plan:
         *,
         safe: int | str | None = None,
         dwell: float | None = None,
+        outside_at_once: bool | None = None,
         scale: object = None,
         offset: object = None,
     ) -> Plan:
@@ -84,17 +95,45 @@ class Plan:
         ]
         if (factors[0] == 0).any():
             raise ProblemError(f"`scale` must not be 0; got {describe(scale)}")
-        tree = _tree_of(policy)
-        _check_readings(policy.domain, tree.cells.counts, *factors)
+        at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
+        true_or_false("outside_at_once", at_once)
+        _check_readings(policy.domain, policy.cells.counts, *factors)
         return Plan(
             policy,
-            tree,
             chosen % (labels + 1),
             policy.outside == "nearest",
             policy.min_dwell if dwell is None else finite_number("dwell", dwell, least=0.0),
+            at_once,
             factors[0],
             factors[1],
+            _is_affine(policy),
         )
+
+    def written(self, as_cells: bool) -> Plan:
+        """Return the plan with the policy's cells, or its tree, for what is written."""
+        return self if as_cells == self.as_cells else dataclasses.replace(self, as_cells=as_cells)
+
+    @functools.cached_property
+    def tree(self) -> DecisionTree:
+        """The policy itself where it is a tree, else its exact tree; made when it is asked for."""
+        return _tree_of(self.policy)
+
+    @property
+    def cells(self) -> CellTree | SplitTree:
+        """What is written: the policy's cells, or the nodes of its tree."""
+        return self.policy.cells if self.as_cells else self.tree.cells
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Lattice steps along each axis."""
+        return self.policy.cells.counts
+
+    @property
+    def guarantee(self) -> Guarantee:
+        """What the export has in common with the policy that a tree was made from."""
+        if self.as_cells:
+            return Guarantee("exact", content_hash(self.policy))
+        return self.tree.guarantee
 
     @property
     def n(self) -> int:
@@ -109,7 +148,7 @@ class Plan:
     @property
     def at_once(self) -> tuple[int, ...]:
         """Statuses whose symbol does not wait for the dwell time."""
-        return (OUTSIDE, NOT_FINITE) if self.policy.outside_at_once else (NOT_FINITE,)
+        return (OUTSIDE, NOT_FINITE) if self.outside_at_once else (NOT_FINITE,)
 
     @property
     def labels(self) -> int:
@@ -178,7 +217,9 @@ class Plan:
         lines.append(nearest if self.nearest else f"Outside and not finite: {lost}")
         if self.policy.gaps:
             lines.append(f"In the domain, cells without a symbol are outside: {lost}")
-        lines.append(f"Least time between switches: {self.dwell!r} s")
+        lines.append(f"Least time between switches: {self.dwell!r} {policy.time_unit}")
+        if self.outside_at_once:
+            lines.append("The symbol of a state outside does not wait for that")
         if policy.settings is not None and policy.horizon is not None:
             settings = policy.settings
             wanted = f"alpha_d {settings.alpha_d!r}"
@@ -189,12 +230,32 @@ class Plan:
                 f"Made by sSAC: rule {settings.rule}, "
                 + (f"{wanted}, " if settings.rule == "schedule" else "")
                 + f"control weight {weight!r}, {settings.on_no_descent} where none descends, "
-                f"horizon {policy.horizon!r} s, {settings.steps} steps, "
+                f"horizon {policy.horizon!r} {policy.time_unit}, {settings.steps} steps, "
                 f"{settings.precision} precision"
             )
-        lines.append(f"Tree: {self.tree.node_count} nodes; {self.tree.guarantee.text}.")
+        lines.append(_structure(self))
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
         return tuple(lines)
+
+
+def tree_within(policy: Policy, most: int) -> DecisionTree | None:
+    """Return the tree of a policy; None where that of affine leaves has more nodes than `most`."""
+    return _affine_tree_of(policy, most) if _is_affine(policy) else _tree_of(policy)
+
+
+def _is_affine(policy: Policy) -> bool:
+    return isinstance(policy.cells, CellTree) and policy.cells.affine is not None
+
+
+def _structure(plan: Plan) -> str:
+    """Return what the header says of what is written."""
+    cells = plan.cells
+    if isinstance(cells, SplitTree):
+        return f"Tree: {cells.node_count} nodes; {plan.guarantee.text}."
+    rows = ""
+    if cells.affine is not None:
+        rows = f", {len(cells.affine)} of them affine with {len(cells.affine.symbols)} rows"
+    return f"Cells: {cells.leaf_count} leaves{rows}; those of the policy itself."
 
 
 def with_unit(name: str, unit: str) -> str:

@@ -53,17 +53,7 @@ def decide(state):
     if not inside and not NEAREST:
         return SAFE, OUTSIDE
     z = quantise(x)
-    i = 0
-    while SPLIT[i] >= 0:
-        if SPLIT[i] < len(z):
-            value = z[SPLIT[i]]
-        else:
-            value = sum(a * b for a, b in zip(PLANES[SPLIT[i] - len(z)], z))
-        i = SECOND[i] if value >= THRESHOLD[i] else i + 1
-    if THRESHOLD[i] == GAP:
-        return SAFE, OUTSIDE
-    return THRESHOLD[i], OK if inside else OUTSIDE
-
+WALK
 
 def control(state):
     """Return the control vector of a state [input units]."""
@@ -71,7 +61,7 @@ def control(state):
 
 
 class Controller:
-    """The policy with a least time between switches, MIN_DWELL by default [s]."""
+    """The policy with a least time between switches, MIN_DWELL by default [time unit]."""
 
     def __init__(self, min_dwell=MIN_DWELL):
         self.min_dwell = float(min_dwell)
@@ -83,16 +73,17 @@ class Controller:
         self.since = 0.0
 
     def step(self, state, time):
-        """Return (symbol, status) at a time [s]; a control is held for MIN_DWELL before another.
+        """Return (symbol, status) at a time [time unit]; a control is held before another is taken.
 
-        Times do not decrease; a millionth of the dwell time is allowed for their rounding.
+        Times do not decrease; a millionth of the dwell time is allowed for their rounding. The
+        symbol of a state whose status is in AT_ONCE does not wait, and is held anew.
         """
         symbol, status = decide(state)
         if self.symbol is None:
             self.symbol, self.since = symbol, time
         elif CONTROLS[symbol] == CONTROLS[self.symbol]:
             self.symbol = symbol
-        elif time - self.since >= self.min_dwell * (1 - 1e-6):
+        elif status in AT_ONCE or time - self.since >= self.min_dwell * (1 - 1e-6):
             self.symbol, self.since = symbol, time
         return self.symbol, status
 
@@ -100,6 +91,57 @@ class Controller:
         """Return the control vector that is held [input units]; the default before any step."""
         return CONTROLS[DEFAULT if self.symbol is None else self.symbol]
 '''
+
+WALK = """\
+    i = 0
+    while SPLIT[i] >= 0:
+        if SPLIT[i] < len(z):
+            value = z[SPLIT[i]]
+        else:
+            value = sum(a * b for a, b in zip(PLANES[SPLIT[i] - len(z)], z))
+        i = SECOND[i] if value >= THRESHOLD[i] else i + 1
+    if THRESHOLD[i] == GAP:
+        return SAFE, OUTSIDE
+    return THRESHOLD[i], OK if inside else OUTSIDE
+"""
+"""Through the nodes of a tree."""
+CELLS_WALK = """\
+    symbol = largest(leaf(z), z)
+    if symbol == GAP:
+        return SAFE, OUTSIDE
+    return symbol, OK if inside else OUTSIDE
+"""
+CELLS = '''
+
+def leaf(z):
+    """Return the number of the leaf that holds lattice steps."""
+    at, sizes = 0, list(ROOT_SIZES)
+    for k, size, parts in zip(z, sizes, PARTITIONS):
+        at = at * parts + k // size
+    while ENTRIES[at] >= 0:
+        child = 0
+        for i, parts in enumerate(REFINEMENT):
+            if not SPLITS or SPLITS[at] >> i & 1:
+                sizes[i] //= parts
+                child = child * parts + z[i] // sizes[i] % parts
+        at = ENTRIES[at] + child
+    return -1 - ENTRIES[at]
+
+
+def largest(leaf, z):
+    """Return the symbol of a leaf at lattice steps: of equal rows that of the first."""
+    if leaf <= DEFAULT:
+        return leaf
+    place = leaf - DEFAULT - 1
+    best, most = 0, -math.inf
+    for row in range(ROW_STARTS[place], ROW_STARTS[place + 1]):
+        slopes = ROW_SLOPES[row * len(z) : (row + 1) * len(z)]
+        value = ROW_CONSTANTS[row] + sum(a * b for a, b in zip(slopes, z))
+        if value > most:
+            best, most = ROW_SYMBOLS[row], value
+    return best
+'''
+"""Functions that give the label of cells."""
 
 
 def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
@@ -112,7 +154,9 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
         whole = isinstance(value, (list, tuple))
         lines.append(_tuple(constant, value) if whole else f"{constant} = {value!r}")
     file = f"{file_name(options.name, plan.policy.name, KEYWORDS)}.py"
-    return Exported({file: ("\n".join(lines) + CODE).encode()})
+    code = CELLS + CODE.replace("WALK", CELLS_WALK) if plan.as_cells else CODE.replace("WALK", WALK)
+    code = code.replace("[time unit]", f"[{plan.policy.time_unit}]")
+    return Exported({file: ("\n".join(lines) + code).encode()})
 
 
 def _tuple(name: str, values: Sequence[Any]) -> str:

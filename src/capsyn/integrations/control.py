@@ -1,4 +1,7 @@
-"""python-control: policies and plants as its input/output systems."""
+"""python-control: policies and plants as its input/output systems.
+
+Times are in the unit of time of the problem or policy: those of a simulation, and `dt`.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +33,9 @@ def policy_system(
     policy : Policy
         The policy; its out-of-domain rule holds, its minimum dwell time does not.
     dt : float
-        Sample time [s]; 0 for a system in continuous time. A loop that chatters needs samples: the
-        steps of a solver in continuous time shrink without end at a switching surface.
+        Sample time [time unit of the policy]; 0 for a system in continuous time. A loop that
+        chatters needs samples: the steps of a solver in continuous time shrink without end at a
+        switching surface.
     name : str
         Name of the system.
 
@@ -68,8 +72,8 @@ def plant_system(
     model : Problem or Policy
         What has the dynamics.
     dt : float
-        Sample time [s] over which the control is held and the state integrated, as
-        `capsyn.simulate` does; 0 for a system in continuous time.
+        Sample time [time unit of the model] over which the control is held and the state
+        integrated, as `capsyn.simulate` does; 0 for a system in continuous time.
     substeps : int, optional
         Runge-Kutta steps per sample. Default: as many as step doubling asks for.
     name : str

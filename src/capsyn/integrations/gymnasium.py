@@ -12,6 +12,7 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import target_program
+from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy
 from capsyn.policies.single_lookup import single_lookup
 from capsyn.random_streams import derived_seed
@@ -361,9 +362,9 @@ def environment(
     problem : Problem
         The problem.
     rate : float, optional
-        Samples per second [1 / s]. Default: 1 over the ``sample_time`` of the problem's settings.
+        Samples per time unit of the problem. Default: 1 over the ``sample_time`` of its settings.
     duration : float, optional
-        Time of an episode [s]. Default: `HORIZONS` prediction horizons.
+        Time of an episode [time unit of the problem]. Default: `HORIZONS` prediction horizons.
     substeps : int, optional
         Runge-Kutta steps per sample. Default: as many as step doubling asks for.
     stop_at_target : bool
@@ -385,8 +386,8 @@ def environment(
     finite_number("1 / rate", 1 / rate)
     if duration * rate > MOST_SAMPLES:
         raise ProblemError(
-            f"`duration` must be at most {MOST_SAMPLES:,} samples; got {duration:g} s at "
-            f"{rate:g} samples per second"
+            f"`duration` must be at most {MOST_SAMPLES:,} samples; got {duration:g} "
+            f"{problem.time_unit} at {rate:g} samples per {NAMES[problem.time_unit]}"
         )
     if stop_at_target and problem.target is None:
         raise ProblemError("`stop_at_target` must be False for a problem without a target")

@@ -32,7 +32,7 @@ class SsacSettings:
     gamma : float
         Wanted sensitivity relative to the cost: ``alpha_d = gamma * J0``, eq. (8); <= 0.
     alpha_d : float, optional
-        Absolute wanted sensitivity [cost / s], <= 0, instead of `gamma`.
+        Absolute wanted sensitivity [cost / time unit], <= 0, instead of `gamma`.
     control_weight : float or (m, m)
         Weight R of the control effort ``u^T R u``, symmetric positive semidefinite.
     rule : "schedule" or "steepest"
@@ -50,10 +50,10 @@ class SsacSettings:
         When the online controller acts: at once, or when waiting and efficacy balance best. The
         solves that make policies act at once.
     initial_duration, shrink, max_backtracks, descent
-        Line search of the online controller: the first duration of an action [s], the factor
-        that shortens it, how often, and the share of the cost that it must take off.
+        Line search of the online controller: the first duration of an action [time unit], the
+        factor that shortens it, how often, and the share of the cost that it must take off.
     sample_time : float
-        Sample time of closed loops for which none is given [s].
+        Sample time of closed loops for which none is given [time unit].
 
     Raises
     ------
@@ -137,7 +137,7 @@ class SsacSettings:
         return np.einsum("si,ij,sj->s", values, weight, values)
 
     def wanted_sensitivity(self, costs: np.ndarray) -> np.ndarray:
-        """Return ``alpha_d`` (B,) [cost / s], eq. (8), where `costs` (B,) are J0."""
+        """Return ``alpha_d`` (B,) [cost / time unit], eq. (8), where `costs` (B,) are J0."""
         if self.alpha_d is not None:
             return np.full(costs.shape, self.alpha_d)
         return self.gamma * costs

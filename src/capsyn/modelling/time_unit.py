@@ -15,6 +15,17 @@ PER_SECOND = {
 }
 """Units of time: seconds over units, as a fraction, so that conversions round once."""
 
+NAMES = {
+    "ns": "nanosecond",
+    "us": "microsecond",
+    "ms": "millisecond",
+    "s": "second",
+    "min": "minute",
+    "h": "hour",
+    "d": "day",
+}
+"""What one of each is called, as in "per minute"."""
+
 
 def check_time_unit(unit: object) -> None:
     """Raise `ProblemError` unless `unit` is one of `PER_SECOND`."""

@@ -129,7 +129,7 @@ def cache_trouble(directory: Path) -> str | None:
     return None
 
 
-def _trusted_cache() -> Path | None:
+def trusted_cache() -> Path | None:
     """Return the cache directory if it is this user's alone, creating it where needed."""
     try:
         directory = cache_directory()
@@ -179,7 +179,7 @@ def _load(compiler: Compiler, source: str, flags: tuple[str, ...]) -> ctypes.CDL
     with _lock:
         if key in _loaded:
             return _loaded[key]
-        cache = _trusted_cache()
+        cache = trusted_cache()
         if cache is not None:
             library = _cached(cache / f"{key}.so")
             if library is None:

@@ -45,7 +45,7 @@ def plot_trajectory(trajectory: Trajectory, axes: Any) -> Any:
                 ax.step(trajectory.times, held, where="post", **thin)
         ax.set_ylabel(quantity(trajectory.names[i], trajectory.units[i]))
         ax.set_xlim(trajectory.times[0], trajectory.times[-1])
-    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlabel(quantity("time", trajectory.time_unit))
     return axes
 
 

@@ -36,7 +36,7 @@ Made = TypeVar("Made")
 FORMAT = "capsyn-policy"
 VERSION = 6
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
-split along some axes only 5, another unit of time than the second 6."""
+split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6."""
 ARRAYS = [
     set(TREE_ARRAYS),
     *({*CELL_ARRAYS, *rows, *splits} for rows in ((), ROW_ARRAYS) for splits in ((), SPLIT_ARRAYS)),

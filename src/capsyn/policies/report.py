@@ -19,7 +19,10 @@ PER_AXIS = ("partitions", "refinement")
 
 
 def report(policy: Policy) -> dict[str, Any]:
-    """Return the figures of a policy, or of a decision tree, as plain data."""
+    """Return the figures of a policy, or of a decision tree, as plain data.
+
+    A time unit of s is left out.
+    """
     cells, domain, alphabet = policy.cells, policy.domain, policy.alphabet
     shares, digest = policy.volume_shares.tolist(), content_hash(policy)
     names, structure = [*alphabet.names, "default"], cells.structure()
@@ -50,6 +53,8 @@ def report(policy: Policy) -> dict[str, Any]:
         "outside": policy.outside
         if isinstance(policy.outside, str)
         else policy.symbol_name(policy.outside),
+        **({"outside_at_once": True} if policy.outside_at_once else {}),
+        **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
         "min_dwell": policy.min_dwell,
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),

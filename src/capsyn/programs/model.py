@@ -17,15 +17,15 @@ class Model:
     The step is one of the classical Runge-Kutta method, with the running cost that it gathers; the
     adjoint is the exact reverse derivative of ``rho_next . x_next + cost``: the discrete form of
     eq. (7). The insertion gives the mode insertion gradient of every symbol against the control
-    `u`, eq. (6) [cost / s], and the largest size it could have, ``|W rho| |W^-1 (f(x, u_i) - f(x,
-    u))|`` with the domain widths ``W``, either factor enlarged by what rounding leaves where it
-    should vanish: ``rounding |cost|`` and ``rounding |W^-1 f(x, u)|``.
+    `u`, eq. (6) [cost / time unit], and the largest size it could have, ``|W rho| |W^-1 (f(x, u_i)
+    - f(x, u))|`` with the domain widths ``W``, either factor enlarged by what rounding leaves where
+    it should vanish: ``rounding |cost|`` and ``rounding |W^-1 f(x, u)|``.
     """
 
-    dynamics: Program  # (x, u) -> xdot, eq. (1) [state unit / s]
+    dynamics: Program  # (x, u) -> xdot, eq. (1) [state unit / time unit]
     step: Program  # (x, u, dt) -> (x_next, cost)
     adjoint: Program  # (x, u, dt, rho_next) -> rho
-    running_cost: Program  # x -> cost, eq. (3) [cost / s]
+    running_cost: Program  # x -> cost, eq. (3) [cost / time unit]
     terminal_cost: Program  # x -> (cost, gradient), eq. (3) [cost]; the end value of the adjoint
     insertion: Program  # (x, u, rho, cost, rounding) -> (gradients, scales)
 

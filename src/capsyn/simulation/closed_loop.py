@@ -8,7 +8,8 @@ At every sample ``t = k period`` of a trial, in this order:
    sees. Outside the policy's domain, the policy's rule holds: the trial ends, or goes on with the
    nearest cell or the safe symbol, and the sample is counted.
 3. A control that differs from the one before is taken only when that has been held for the
-   minimum dwell time, rounded up to whole samples.
+   minimum dwell time, rounded up to whole samples. That of a measured state that is not finite
+   does not wait, nor does that of one outside where the policy says so; it is held anew.
 4. The plant gets the control after the input delay and holds it; before the first arrives, it
    gets the default control. Between samples the classical Runge-Kutta method is used, with a step
    boundary where the control changes.
@@ -38,14 +39,17 @@ NOISE_BYTES = 1 << 24
 class Loop:
     """How the closed loop runs."""
 
-    period: float  # sample time [s]
+    period: float  # sample time [time unit]
     samples: int  # samples to go; a trial has one state more
     substeps: int  # Runge-Kutta steps between samples
     dwell: int  # samples that a control is held at least
+    outside_at_once: bool  # whether the symbol of a state outside does not wait for that
     inside: Program  # x -> whether it is in the target
     stop_at_target: bool  # whether arriving ends a trial
     idle: np.ndarray  # (m,) control before the first command arrives [input units]
-    pushes: np.ndarray | None = None  # (samples, n) added to the rates, held [state units / s]
+    pushes: np.ndarray | None = (
+        None  # (samples, n) added to the rates, held [state units / time unit]
+    )
 
 
 @dataclass(frozen=True)
@@ -78,8 +82,8 @@ def new_trials(
 ) -> np.ndarray:
     """Return trials (B,) before their first sample, as records of `trial_type`.
 
-    They begin at states (B, n), to whose rates `push` (B, n) is added, with input delays (B,) [s]
-    and parameters (B, P) of the plant; there are m inputs, and a sample takes `period` [s].
+    They begin at states (B, n), to whose rates `push` (B, n) is added, with input delays (B,) and
+    parameters (B, P) of the plant; there are m inputs, and a sample takes `period` [time unit].
     """
     whole = np.floor(delays / period + SLACK)
     rest = delays - whole * period
@@ -143,7 +147,8 @@ def run(
             if draw:
                 measured = measured + drawn[live[see], k % chunk]
             command = decide(k * loop.period, measured)
-            queue.append(_take(loop, trials, live[see], command, *queue[-1]))
+            at_once = ~np.isfinite(measured).all(axis=1) | (command.outside & loop.outside_at_once)
+            queue.append(_take(loop, trials, live[see], command, at_once, *queue[-1]))
             ended[see] = command.ended
         done = (ended != TIME) | (k == last)
         trials["ended"][live] = ended
@@ -181,10 +186,14 @@ def _take(
     trials: np.ndarray,
     see: np.ndarray,
     command: Command,
+    at_once: np.ndarray,
     controls: np.ndarray,
     ends: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the queue gets: the command of the trials `see`, dwell time allowing."""
+    """Return what the queue gets: the command of the trials `see`, dwell time allowing.
+
+    It does not wait for that `at_once`.
+    """
     trials["outside"][see] += command.outside
     good = command.ended == TIME
     live, wanted, until = see[good], command.controls[good], command.ends[good]
@@ -192,7 +201,7 @@ def _take(
         wanted, until = wanted[:, :1], np.full((len(live), 1), np.inf)
     changes = (wanted[:, 0] != trials["control"][live]).any(axis=1)
     first, held = trials["held"][live] == 0, trials["held"][live]
-    take = first | ~changes | (held >= loop.dwell)
+    take = first | ~changes | (held >= loop.dwell) | at_once[good]
     trials["held"][live] = np.where(changes & take | first, 1, held + 1)
     trials["symbol"][live[take]] = command.symbols[good][take]
     wanted = np.where(take[:, None, None], wanted, trials["control"][live][:, None])

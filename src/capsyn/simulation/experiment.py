@@ -44,7 +44,7 @@ class Experiment:
     outside: Outside | None
     plant: Plant
     loop: Loop
-    rate: float  # samples per second [1 / s]
+    rate: float  # samples per time unit
     target: Target | None
     options: LoopOptions  # what it was made of
 
@@ -116,6 +116,7 @@ def set_up(
         samples,
         substeps,
         math.ceil(min(dwell * rate - SLACK, samples)),
+        _at_once(controller, options.outside_at_once),
         target_program(target, plant.domain),
         options.stop_at_target,
         idle,
@@ -130,7 +131,7 @@ def described(controller: Any) -> Policy | OnlineController | None:
 
 
 def _sampling(controller: Any, options: LoopOptions) -> tuple[float, int]:
-    """Return the samples per second [1 / s], and how many there are."""
+    """Return the samples per time unit, and how many there are."""
     rate = options.rate
     if rate is None:
         own = described(controller)
@@ -168,6 +169,15 @@ def _rule(controller: Any, outside: Outside | None) -> Outside | None:
     if outside is not None:
         raise ProblemError("`outside` must be given for policies only")
     return None
+
+
+def _at_once(controller: Any, said: bool | None) -> bool:
+    """Return whether the symbol of a state outside the domain does not wait."""
+    if isinstance(controller, Policy):
+        return controller.outside_at_once if said is None else said
+    if said is not None:
+        raise ProblemError("`outside_at_once` must be given for policies only")
+    return False
 
 
 def per_state(name: str, value: Any, n: int, least: float | None = None) -> np.ndarray:

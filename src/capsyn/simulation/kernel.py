@@ -24,7 +24,9 @@ class LoopArguments(ctypes.Structure):
         ("period", ctypes.c_double),
         *(
             (name, ctypes.c_int64)
-            for name in "substeps dwell last outside_error outside_symbol stop symbols".split()
+            for name in (
+                "substeps dwell last outside_error outside_symbol stop symbols outside_at_once"
+            ).split()
         ),
         ("controls", ctypes.c_void_p),
         ("gap", ctypes.c_int64),

@@ -10,7 +10,15 @@ from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
 from capsyn.modelling.alphabet import Outside
 from capsyn.simulation.plant import MOST_SUBSTEPS
-from capsyn.validation import BACKENDS, describe, finite_number, keep, one_of, whole_number
+from capsyn.validation import (
+    BACKENDS,
+    describe,
+    finite_number,
+    keep,
+    one_of,
+    true_or_false,
+    whole_number,
+)
 
 
 @dataclass(frozen=True)
@@ -36,6 +44,7 @@ class LoopOptions:
     delay: Any = 0.0
     min_dwell: float | None = None
     outside: Outside | None = None
+    outside_at_once: bool | None = None
     target: Any = None
     stop_at_target: bool = False
     substeps: int | None = None
@@ -56,6 +65,8 @@ class LoopOptions:
         keep(self, parameters=dict(self.parameters or {}))
         if self.min_dwell is not None:
             keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
+        if self.outside_at_once is not None:
+            true_or_false("outside_at_once", self.outside_at_once)
         if self.substeps is not None:
             most = MOST_SUBSTEPS
             keep(self, substeps=whole_number("substeps", self.substeps, least=1, most=most))

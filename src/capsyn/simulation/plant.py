@@ -25,7 +25,7 @@ from capsyn.validation import describe
 SAMPLES = 256
 """Random states at which `choose_substeps` tries steps."""
 ACCURACY = 1e-9
-"""Error of the integration, in widths of the domain per second, that `choose_substeps` allows."""
+"""Error that `choose_substeps` allows, in widths of the domain per time unit."""
 MOST_SUBSTEPS = 4096
 """Most Runge-Kutta steps per sample."""
 LADDER = tuple(1 << k for k in range(MOST_SUBSTEPS.bit_length() - 1))
@@ -38,14 +38,15 @@ PERCENTILE = 95
 class Plant:
     """A system for closed loops, as programs."""
 
-    dynamics: Program  # (x, u) -> xdot, or (x, u, p) -> xdot: its rates [state unit / s]
-    running_cost: Program  # x -> cost that a trajectory gathers [cost / s]
+    dynamics: Program  # (x, u) -> xdot, or (x, u, p) -> xdot: its rates [state unit / time unit]
+    running_cost: Program  # x -> cost that a trajectory gathers [cost / time unit]
     terminal_cost: Program  # x -> (cost of the state where it ends, gradient)
     domain: Box  # names and units of its states
     alphabet: Alphabet  # names and units of its inputs, and the controls that steps are chosen for
     default: np.ndarray  # (m,) control until a first one arrives [input units]
     target: Target | None  # what arriving means
     parameters: tuple[str, ...] = ()  # names of the components of p
+    time_unit: str = "s"  # what its rates are per
 
     @property
     def n(self) -> int:
@@ -72,10 +73,10 @@ class Plant:
         duration: np.ndarray,
         substeps: int,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return states (n, B) and costs (B,) after durations (B,) [s] of `substeps` steps each.
+        """Return states (n, B) and costs (B,) after durations (B,) of `substeps` steps each.
 
         They are those of the classical Runge-Kutta method under controls (m, B), parameters (P, B),
-        and a push (n, B) that is added to the rates.
+        and a push (n, B) that is added to the rates; durations are in the plant's time unit.
         """
 
         def slope(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -102,7 +103,7 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
     Raises
     ------
     ProblemError
-        There is no model, or its dimensions do not fit the controller.
+        There is no model, or its dimensions or its unit of time do not fit the controller.
     """
     if not callable(controller):
         raise ProblemError(
@@ -123,8 +124,16 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
             "such as an imported policy"
         )
     target = transcribe_target(source) if isinstance(source, Problem) else source.target
-    described = (source.domain, source.alphabet, source.default, target)
-    plant = Plant(programs.dynamics, programs.running_cost, programs.terminal_cost, *described)
+    plant = Plant(
+        programs.dynamics,
+        programs.running_cost,
+        programs.terminal_cost,
+        source.domain,
+        source.alphabet,
+        source.default,
+        target,
+        time_unit=source.time_unit,
+    )
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))
         inputs += (("p", len(parameters)),) if parameters else ()
@@ -149,6 +158,11 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
             f"`model` must have {domain.n} state(s) and {alphabet.m} input(s) like the controller; "
             f"got {plant.n} and {plant.m}"
         )
+    own = getattr(controller, "time_unit", plant.time_unit)
+    if own != plant.time_unit:
+        raise ProblemError(
+            f"`model` must count time in {own} like the controller; got {plant.time_unit}"
+        )
     return plant
 
 
@@ -159,7 +173,8 @@ def choose_substeps(
 
     The error is the 95th percentile, over seeded states of the domain under every control
     (N, m), with parameters (P, K) in turn, of the difference that twice the steps make after one
-    period [s]. Where it stops falling (a switch in the dynamics), the best steps so far are taken.
+    period [time unit]. Where it stops falling (a switch in the dynamics), the best steps so far are
+    taken.
     """
     states = plant.domain.sample(SAMPLES, 0).T
     u = controls[np.arange(SAMPLES) % len(controls)].T

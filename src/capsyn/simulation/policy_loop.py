@@ -80,7 +80,7 @@ def _run_compiled(
     error = outside == "error"
     arguments = LoopArguments(
         loop.period, loop.substeps, loop.dwell, loop.samples, error, rule, loop.stop_at_target,
-        symbols, table.ctypes.data, symbols if policy.gaps else -1, tree,
+        symbols, loop.outside_at_once, table.ctypes.data, symbols if policy.gaps else -1, tree,
     )  # fmt: skip
 
     def part(bounds: tuple[int, int]) -> None:

@@ -18,7 +18,7 @@ typedef struct {
 
 typedef struct {
     double period;
-    int64_t substeps, dwell, last, outside_error, outside_symbol, stop, symbols;
+    int64_t substeps, dwell, last, outside_error, outside_symbol, stop, symbols, outside_at_once;
     const double *controls; /* (symbols + 1, INPUTS), the default last */
     int64_t gap;            /* the label of cells that are outside, or -1 */
     tree cells;
@@ -118,13 +118,14 @@ static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
         else if (symbol == NOT_FINITE && l->outside_symbol < 0)
             t->ended = NOT_A_STATE;
         else {
+            const int at_once = symbol == NOT_FINITE || (outside && l->outside_at_once);
             if (outside && l->outside_symbol >= 0)
                 symbol = l->outside_symbol;
             const double *u = l->controls + symbol * INPUTS;
             int changes = 0;
             for (int i = 0; i < INPUTS; ++i)
                 changes |= u[i] != t->control[i];
-            if (t->symbol == NONE || (changes && t->held >= l->dwell)) {
+            if (t->symbol == NONE || (changes && (at_once || t->held >= l->dwell))) {
                 t->switches += t->symbol != NONE;
                 t->held = 0;
             }

@@ -31,7 +31,7 @@ class Trajectory:
     Parameters
     ----------
     times : (K + 1,)
-        Sample times [s].
+        Sample times [time unit].
     states : (..., K + 1, n)
         States [state units]; NaN after the end.
     symbols : (..., K)
@@ -52,9 +52,11 @@ class Trajectory:
     last : (...)
         The sample at which it ended.
     arrived : (...)
-        When the target was reached first [s]; NaN where it was not.
+        When the target was reached first [time unit]; NaN where it was not.
     names, units : tuples of str
         Names and units of the states, then of the inputs.
+    time_unit : str
+        That of the plant, see `Problem`.
     """
 
     times: np.ndarray
@@ -70,6 +72,7 @@ class Trajectory:
     arrived: np.ndarray
     names: tuple[str, ...]
     units: tuple[str, ...]
+    time_unit: str = "s"
 
     @property
     def cost(self) -> Any:
@@ -79,17 +82,22 @@ class Trajectory:
 
     def __repr__(self) -> str:
         many = f"{np.size(self.last)} of " if self.states.ndim > 2 else ""
+        length = f"{self.times[-1]:g} {self.time_unit}"
         return (
-            f"Trajectory({many}{len(self.times) - 1} samples, {self.times[-1]:g} s, ended: "
+            f"Trajectory({many}{len(self.times) - 1} samples, {length}, ended: "
             f"{', '.join(sorted(set(np.ravel(self.ended).tolist())))})"
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the trajectory as plain data; what is not a number is null."""
-        return {name: _plain(value) for name, value in vars(self).items()}
+        """Return the trajectory as plain data; what is not a number is null.
+
+        A time unit of s is left out.
+        """
+        plain = {name: _plain(value) for name, value in vars(self).items() if name != "time_unit"}
+        return plain | self._unit
 
     def summary(self) -> list[dict[str, Any]]:
-        """Return how each trajectory went, as plain data."""
+        """Return how each trajectory went, as plain data; a time unit of s is left out."""
         size, n = self.states.shape[-2:]
         states, last = self.states.reshape(-1, size, n), np.ravel(self.last)
         ends = np.arange(len(last))
@@ -104,7 +112,11 @@ class Trajectory:
             "cost": np.ravel(self.cost),
         }
         plain = {name: _plain(values) for name, values in columns.items()}
-        return [{name: values[k] for name, values in plain.items()} for k in ends]
+        return [{name: values[k] for name, values in plain.items()} | self._unit for k in ends]
+
+    @property
+    def _unit(self) -> dict[str, str]:
+        return {} if self.time_unit == "s" else {"time_unit": self.time_unit}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a .csv or .json file, by the ending of `path`, whole or not at all.
@@ -173,6 +185,7 @@ def simulate(
     delay: float = 0.0,
     min_dwell: float | None = None,
     outside: Outside | None = None,
+    outside_at_once: bool | None = None,
     target: Any = None,
     stop_at_target: bool = False,
     substeps: int | None = None,
@@ -185,28 +198,31 @@ def simulate(
     Parameters
     ----------
     controller : Policy, OnlineController or callable ``(time, states (B, n)) -> controls (B, m)``
-        What acts at every sample, on the measured states [s, state units].
+        What acts at every sample, on the measured states [time unit, state units].
     x0 : (..., n)
         Initial states [state units].
     duration : float
-        Time to simulate [s], rounded to whole samples.
+        Time to simulate [time unit of the plant, as all times here], rounded to whole samples.
     rate : float, optional
-        Samples per second [1 / s]; the control is held between them. Default: 1 over the
+        Samples per time unit; the control is held between them. Default: 1 over the
         ``sample_time`` of the controller's settings.
     model : Problem, Policy or callable ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``, optional
         Another plant than the controller's own model.
     parameters : mapping of name to float, optional
         The components of `p`, in order.
     disturbance : (n,) or callable ``time -> (n,)``, optional
-        Added to the rates of the states [state units / s]; a callable is held over each sample.
+        Added to the rates of the states [state units / time unit]; a callable is held over each
+        sample.
     noise : float or (n,), optional
         Standard deviation of Gaussian noise on the measured states [state units].
     delay : float
-        Time from a sample until its control acts [s].
+        Time from a sample until its control acts [time unit].
     min_dwell : float, optional
-        Least time between switches [s]. Default: the policy's own.
+        Least time between switches [time unit]. Default: the policy's own.
     outside : "error", "nearest" or symbol, optional
         What a state outside the domain gets. Default: the policy's own rule.
+    outside_at_once : bool, optional
+        Whether its symbol does not wait for `min_dwell`. Default: as the policy says.
     target : Ball, Box or callable ``x -> true or false``, optional
         Whose reaching is noted. Default: the policy's own.
     stop_at_target : bool
@@ -235,6 +251,7 @@ def simulate(
         delay=delay,
         min_dwell=min_dwell,
         outside=outside,
+        outside_at_once=outside_at_once,
         target=target,
         stop_at_target=stop_at_target,
         substeps=substeps,
@@ -297,4 +314,5 @@ def _trajectory(
         arrived=shaped(np.where(arrived < 0, np.nan, arrived / experiment.rate)),
         names=(*plant.domain.names, *alphabet.inputs),
         units=(*plant.domain.units, *alphabet.units),
+        time_unit=plant.time_unit,
     )

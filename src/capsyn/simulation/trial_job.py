@@ -101,9 +101,13 @@ def build(
         path = Path(directory) / "policy.cap"
         path.write_bytes(zlib.decompress(plain["policy"]))
         policy = Policy.load(path)
-    programs = {name: Program.from_json(plain["plant"][name]) for name in PROGRAMS}
+    dynamics, running_cost, terminal_cost = (
+        Program.from_json(plain["plant"][name]) for name in PROGRAMS
+    )
     plant = Plant(
-        **programs,
+        dynamics,
+        running_cost,
+        terminal_cost,
         domain=policy.domain,
         alphabet=policy.alphabet,
         default=policy.default,

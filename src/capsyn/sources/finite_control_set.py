@@ -133,13 +133,13 @@ def finite_control_set(
     depth : int
         Moves of a sequence, 1 to `MOST_DEPTH`.
     sample_time : float
-        Time of a sample [s].
+        Time of a sample [time unit of the problem].
     blocks : int or (depth,) ints
         Samples that each move is held (move blocking).
     steps : int
         Runge-Kutta steps per sample.
     control_weight : float or (m, m), optional
-        R [cost / (input unit^2 s)]. Default: that of the problem's settings.
+        R [cost / (input unit^2 time unit)]. Default: that of the problem's settings.
     backend : "auto", "c" or "numpy"
         Compiled where there is a compiler, or as told.
     threads : int, optional
@@ -187,8 +187,8 @@ class _Moves:
     """What the moves of all sequences are made of."""
 
     controls: np.ndarray  # (N, m) of each symbol [input units]
-    efforts: np.ndarray  # (N,) what it costs [cost / s]
-    dt: np.ndarray  # (D,) integration step of each move [s]
+    efforts: np.ndarray  # (N,) what it costs [cost / time unit]
+    dt: np.ndarray  # (D,) integration step of each move [time unit]
     steps: np.ndarray  # (D,) ints: integration steps of each move
 
 

@@ -15,6 +15,7 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import LARGEST, Box
 from capsyn.modelling.grid import MAX_COUNT, Grid, grid_places
+from capsyn.modelling.time_unit import check_time_unit
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe, finite_array, keep, read_only
 
@@ -158,6 +159,8 @@ class Table:
         default: Any = None,
         outside: Outside = "error",
         min_dwell: float = 0.0,
+        time_unit: str = "s",
+        outside_at_once: bool = False,
     ) -> Policy:
         """Return the policy whose cells have the grid's points as centres, and equal the table.
 
@@ -174,7 +177,9 @@ class Table:
         outside : "error", "nearest" or symbol
             What a state outside gets; in a gap, ``"nearest"`` is an error.
         min_dwell : float
-            Least time between switches [s].
+            Least time between switches [time unit].
+        time_unit, outside_at_once
+            See `Problem`.
 
         Raises
         ------
@@ -190,6 +195,7 @@ class Table:
         takes the fewest cells is chosen.
         """
         outside = check_outside(outside, self.alphabet)
+        check_time_unit(time_unit)
         gap = np.uint64(1 << len(self.alphabet))
         masks = np.where(self.masks == 0, gap, self.masks)
         gaps = bool((self.masks == 0).any())
@@ -214,6 +220,8 @@ class Table:
             min_dwell=min_dwell,
             statistics={"table": counts},
             gaps=gaps,
+            time_unit=time_unit,
+            outside_at_once=outside_at_once,
         )
 
 

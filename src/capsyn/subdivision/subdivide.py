@@ -7,6 +7,7 @@ cells or levels share is solved once.
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ from capsyn.execution.processors import pool_of
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.grid import Grid
+from capsyn.modelling.time_unit import check_time_unit
 from capsyn.policies.policy import Policy
 from capsyn.subdivision.cell_blocks import SubdivisionTask
 from capsyn.subdivision.constant import ConstantSubdivision
@@ -59,6 +61,7 @@ def subdivide(
     preference: Sequence[int] | None = None,
     outside: Outside = "error",
     name: str = "policy",
+    time_unit: str = "s",
     max_solves: int | None = None,
     max_seconds: float | None = None,
     max_memory: int | str | None = None,
@@ -107,6 +110,8 @@ def subdivide(
         Rule of the policy for states outside the domain.
     name : str
         Name of the policy.
+    time_unit : "ns", "us", "ms", "s", "min", "h" or "d"
+        What the policy counts time in.
     max_solves : int, optional
         Of constant leaves, split along all axes: stop before a level that would exceed so many
         solves, with a valid coarser policy. Else: spend them on the cells where the estimated error
@@ -159,6 +164,7 @@ def subdivide(
         raise ProblemError(f"`label` must be a function; got {describe(label)}")
     if not isinstance(domain, Box):
         raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(domain)}")
+    check_time_unit(time_unit)
     alphabet = symbols
     if not isinstance(alphabet, Alphabet):
         alphabet = Alphabet(range(whole_number("symbols", symbols, least=1)))
@@ -173,7 +179,8 @@ def subdivide(
     )
     plan.check(domain, len(alphabet))
     labelling = Labelling(label, returns, preference, threads, progress)
-    return carry_out(plan, labelling, domain, alphabet, outside, name)
+    policy = carry_out(plan, labelling, domain, alphabet, outside, name)
+    return dataclasses.replace(policy, time_unit=time_unit)
 
 
 @dataclass(frozen=True)

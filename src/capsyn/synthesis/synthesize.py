@@ -44,6 +44,7 @@ def synthesize(
     settings: SsacSettings | None = None,
     outside: Outside | None = None,
     min_dwell: float | None = None,
+    outside_at_once: bool | None = None,
     leaves: str = "constant",
     leaf_error: float = 0.01,
     refine: str = "isotropic",
@@ -65,7 +66,7 @@ def synthesize(
     ----------
     problem : Problem
         System, goal and alphabet, with their own settings.
-    partitions, refinement, max_level, settings, outside, min_dwell : optional
+    partitions, refinement, max_level, settings, outside, min_dwell, outside_at_once : optional
         Override the problem's own.
     leaves : "constant" or "affine"
         One symbol for each cell, or rows that are affine in the state for cells on a switching
@@ -129,6 +130,7 @@ def synthesize(
         settings=settings,
         outside=outside,
         min_dwell=min_dwell,
+        outside_at_once=outside_at_once,
     )
     threads = processors(threads)
     plan = SubdivisionPlan.of(
@@ -148,13 +150,11 @@ def synthesize(
     controller = problem_controller(problem, transcribe(problem), backend, plan.seed)
     prepared = time.perf_counter() - started
     method, returns = ("scored", "masks+scores") if plan.affine else ("masks", "masks")
-    about = _asked(problem, plan)
-    with answerer(controller, method, threads, backend, executor, checkpoint, about) as answers:
+    run = (threads, backend, executor, checkpoint, _asked(problem, plan))
+    with answerer(controller, method, *run) as answers:
         controller = answers.controller
-        labelling = Labelling(
-            answers.label, returns, controller.preference, answers.threads, progress
-        )
-        policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
+        how = (returns, controller.preference, answers.threads, progress)
+        policy = carry_out(plan, Labelling(answers.label, *how), problem.domain, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
     return _described(dataclasses.replace(policy, timings=timings), problem, controller, plan.seed)
 

@@ -42,8 +42,8 @@ class LyapunovCells:
         Of a violated cell the worst state found [state units]; of an undecided one the middle of
         the part with the largest upper bound.
     values : (K,)
-        Of a violated cell dV/dt at that state [V / s]; of an undecided one that bound, NaN where
-        dV/dt may be undefined.
+        Of a violated cell dV/dt at that state [V / time unit]; of an undecided one that bound, NaN
+        where dV/dt may be undefined.
     """
 
     entries: np.ndarray
@@ -97,6 +97,8 @@ class LyapunovProof:
         Cells with a state where dV/dt > 0 beyond what rounding explains.
     undecided_cells : LyapunovCells
         The rest.
+    time_unit : str
+        That of the policy, see `Problem`.
     """
 
     function: str
@@ -111,6 +113,7 @@ class LyapunovProof:
     negative_cells: int
     violated_cells: LyapunovCells
     undecided_cells: LyapunovCells
+    time_unit: str = "s"
 
     def __repr__(self) -> str:
         return (
@@ -119,8 +122,9 @@ class LyapunovProof:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the proof as plain data."""
-        return vars(self) | {
+        """Return the proof as plain data; a time unit of s is left out."""
+        told = {k: v for k, v in vars(self).items() if (k, v) != ("time_unit", "s")}
+        return told | {
             "violated_cell_count": len(self.violated_cells),
             "violated_cells": self.violated_cells.to_json(),
             "undecided_cell_count": len(self.undecided_cells),
@@ -139,7 +143,7 @@ class LyapunovGrid:
     signs : (len(axes[0]), ..) int8
         -1, 0 or 1; 2 where dV/dt is undefined.
     tolerance : float
-        Up to here ``|dV/dt|`` counts as 0 [V / s].
+        Up to here ``|dV/dt|`` counts as 0 [V / time unit].
     """
 
     axes: tuple[np.ndarray, ...]
@@ -297,6 +301,7 @@ class _Cells:
             negative_cells=count - len(np.unique(boxes.cells[~boxes.negative])),
             violated_cells=self._describe(*violated),
             undecided_cells=self._describe(*undecided),
+            time_unit=self.policy.time_unit,
         )
 
     def _violated(

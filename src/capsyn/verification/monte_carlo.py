@@ -16,6 +16,7 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Outside
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.targets import describe_target, with_tolerance
+from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy
 from capsyn.simulation.closed_loop import Noise
 from capsyn.simulation.experiment import Experiment, described, set_up
@@ -48,9 +49,9 @@ class MonteCarlo:
     ended : (T,)
         Why it ended, as numbers into `capsyn.controllers.command.ENDINGS`.
     times : (T,)
-        How long it ran [s].
+        How long it ran [time unit].
     arrived : (T,)
-        When it first was in the target [s]; NaN where never.
+        When it first was in the target [time unit]; NaN where never.
     switches, outside : (T,)
         Changes of the control, and samples measured outside the domain.
     initial_cost, final_cost : (T,)
@@ -59,10 +60,10 @@ class MonteCarlo:
     parameters : mapping of name to (T,)
         What was drawn of the plant's parameters.
     delays : (T,)
-        What was drawn of the input delay [s].
+        What was drawn of the input delay [time unit].
     disturbances, noises : (T, n)
-        What was drawn of the constant disturbance [state units / s], and of the standard deviation
-        of the measurement noise [state units].
+        What was drawn of the constant disturbance [state units / time unit], and of the standard
+        deviation of the measurement noise [state units].
     """
 
     seed: int
@@ -113,7 +114,11 @@ class MonteCarlo:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures as plain data, with the first `TOLD` failing trials."""
+        """Return the figures as plain data, with the first `TOLD` failing trials.
+
+        Times and rates are in the time unit of the plant, which ``conditions`` name unless it is s.
+        """
+        unit = NAMES[self.conditions.get("time_unit", "s")]
         moved = self.times > 0
         known = np.isfinite(self.initial_cost) & np.isfinite(self.final_cost)
         fallen = self.final_cost[known] < self.initial_cost[known]
@@ -134,7 +139,7 @@ class MonteCarlo:
                 if (self.ended == k).any()
             },
             "time_to_target": _spread(self.arrived[self.success]),
-            "switches_per_second": _spread(self.switches[moved] / self.times[moved]),
+            f"switches_per_{unit}": _spread(self.switches[moved] / self.times[moved]),
             "trials_outside_domain": int((self.outside > 0).sum()),
             "cost_decreased": float(fallen.mean()) if known.any() else None,
             "cost_left": _spread(left),
@@ -175,6 +180,7 @@ def monte_carlo(
     delay: Any = 0.0,
     min_dwell: float | None = None,
     outside: Outside | None = None,
+    outside_at_once: bool | None = None,
     substeps: int | None = None,
     seed: int = 0,
     confidence: float = 0.95,
@@ -185,16 +191,16 @@ def monte_carlo(
     """Return how often a controller reaches the target from random initial states.
 
     A trial succeeds when it is in the target at some sample, where it ends; with `hold`, when it
-    gets there within the time `within`, and is there at every sample of the last `hold` seconds.
+    gets there within the time `within`, and is there at every sample of the last time `hold`.
 
     Parameters
     ----------
-    controller, model, min_dwell, outside, substeps, backend, threads
+    controller, model, min_dwell, outside, outside_at_once, substeps, backend, threads
         As in `capsyn.simulate`.
     trials : int
         Number of trials T.
     duration, rate : float
-        Time limit [s], and samples per second [1 / s].
+        Time limit [time unit of the plant, as all times here], and samples per time unit.
     initial : Ball or Box, optional
         Where initial states are drawn from; of states that it does not name, from the domain.
         Default: the domain.
@@ -203,15 +209,15 @@ def monte_carlo(
     tolerance : float, optional
         Another radius for a target that is a ball [state units].
     within, hold : float, optional
-        Time in which to arrive [s], and time at the end to stay [s].
+        Time in which to arrive, and time at the end to stay [time unit].
     parameters : mapping of name to float or Uniform, optional
         The components of `p` of the model, in order.
     disturbance : float, (n,) or Uniform, or callable ``time -> (n,)``, optional
-        Added to the rates of the states [state units / s].
+        Added to the rates of the states [state units / time unit].
     noise : float, (n,) or Uniform, optional
         Standard deviation of Gaussian noise on the measured states [state units].
     delay : float or Uniform
-        Time from a sample until its control acts [s].
+        Time from a sample until its control acts [time unit].
     seed : int
         Of everything that is drawn. The first trials do not depend on how many there are.
     confidence : float
@@ -234,6 +240,7 @@ def monte_carlo(
         delay=delay,
         min_dwell=min_dwell,
         outside=outside,
+        outside_at_once=outside_at_once,
         target=target,
         substeps=substeps,
         seed=seed,
@@ -312,7 +319,9 @@ def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) 
     """Return what trials have in common, as plain data."""
     loop, domain, rule = options.loop, experiment.plant.domain, experiment.outside
     assert experiment.target is not None
+    unit = experiment.plant.time_unit
     return {
+        **({} if unit == "s" else {"time_unit": unit}),
         "duration": loop.duration,
         "rate": experiment.rate,
         "within": options.within,
@@ -324,6 +333,7 @@ def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) 
         "controller": _controller_name(controller),
         "model": "its own" if loop.model is None else _name(loop.model),
         "outside": rule if rule is None or isinstance(rule, str) else controller.symbol_name(rule),
+        **({"outside_at_once": True} if experiment.loop.outside_at_once else {}),
         "noise": _plain(loop.noise),
         "delay": _plain(loop.delay),
         "disturbance": _plain(loop.disturbance),

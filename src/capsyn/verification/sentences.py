@@ -42,7 +42,7 @@ def _interval(data: dict[str, Any]) -> str:
 def evidence_rows(evidence: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the headlines, and behind that of trials what they were about, without a name."""
     conditions = evidence.get("monte_carlo", {}).get("conditions", {})
-    units = {"target": "", "within": " s"}
+    units = {"target": "", "within": f" {_short(conditions.get('time_unit', 's'))}"}
     goal = (f"{k} {_short(conditions[k])}{units[k]}" for k in units if k in conditions)
     rows = list(headlines(evidence).items())
     rows[1:1] = [("", text) for text in (", ".join(goal), circumstances(conditions)) if text]
@@ -50,9 +50,15 @@ def evidence_rows(evidence: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def circumstances(conditions: dict[str, Any]) -> str:
-    """Return what was unusual about trials: all but 0, None and what the policy says itself."""
-    usual = {"controller", "duration", "within", "hold", "target", "initial", "substeps"}
-    parts = []
+    """Return what was unusual about trials: all but 0, None and what the policy says itself.
+
+    Another unit of time than s is said with each time.
+    """
+    usual = set("controller duration within hold target initial substeps time_unit".split())
+    units, parts = {}, []
+    if "time_unit" in conditions:
+        unit = _short(conditions["time_unit"])
+        units = {"rate": f" 1/{unit}", "min_dwell": f" {unit}", "delay": f" {unit}"}
     for name, value in conditions.items():
         if name in usual or not value or value == "its own" or not isinstance(name, str):
             continue
@@ -60,15 +66,16 @@ def circumstances(conditions: dict[str, Any]) -> str:
             value = f"{_short(value['low'])} to {_short(value['high'])}"
         elif isinstance(value, dict):
             value = circumstances(value)
-        parts.append(f"{name.replace('_', ' ')} {_short(value)}")
+        said = "" if value is True else f" {_short(value)}{units.get(name, '')}"
+        parts.append(f"{name.replace('_', ' ')}{said}")
     return ", ".join(parts)
 
 
-def failing_trial(trial: dict[str, Any]) -> str:
+def failing_trial(trial: dict[str, Any], time_unit: str) -> str:
     """Return where a failing trial began, and what was drawn for it."""
     parts = [f"{name} {value:.6g}" for name, value in trial["parameters"].items()]
     if trial["delay"]:
-        parts.append(f"delay {trial['delay']:.6g} s")
+        parts.append(f"delay {trial['delay']:.6g} {time_unit}")
     parts += [
         f"{name} {vector(trial[name])}" for name in ("disturbance", "noise") if any(trial[name])
     ]

@@ -92,7 +92,7 @@ def test_every_count(tmp_path, monkeypatch, name):
     assert fine is None or [kind_of(axis.line) for axis in axes] == fine[2]
     assert max(len(text) for text in written["cart_pendulum.c"].splitlines()) <= 100
     code = written["cart_pendulum.c"].split(b"*/", 1)[1]
-    assert code.count(b"double") == 1  # the table of controls
+    assert code.count(b"double") == 3  # what gives controls
 
 
 def test_counts_of_32_bits(tmp_path):

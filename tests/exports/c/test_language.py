@@ -36,7 +36,7 @@ def test_names(tmp_path):
 @pytest.mark.parametrize(
     "name",
     "stdint stdbool float math string stdio Stdint limits test Test ALL install help clean example"
-    " double".split(),
+    " Arduino double".split(),
 )
 def test_names_that_others_have(tmp_path, name):
     written = files(plan_of("cart-pendulum"), None, name=name)

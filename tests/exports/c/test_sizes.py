@@ -24,10 +24,10 @@ def test_sizes(mode, most):
 
 @pytest.mark.parametrize("tool", ["gcc", "nm", "size"])
 def test_sizes_without_a_tool(monkeypatch, tool):
-    run = c_sizes._run
+    run = c_sizes.run_tool
     monkeypatch.setattr(
         c_sizes,
-        "_run",
+        "run_tool",
         lambda command, *rest: None if command[0].endswith(tool) else run(command, *rest),
     )
     assert sizes(files(plan_of("cart-pendulum"), None), "cart_pendulum") == {}
@@ -42,7 +42,7 @@ def test_sizes_name_compilers():
 def test_a_compiler_that_does_not_end_is_left_out(tmp_path, monkeypatch):
     monkeypatch.setattr(c_sizes, "SECONDS", 0.3)
     started = time.monotonic()
-    assert c_sizes._run(["sh", "-c", "(sleep 2; touch late) & wait"], tmp_path) is None
+    assert c_sizes.run_tool(["sh", "-c", "(sleep 2; touch late) & wait"], tmp_path) is None
     assert time.monotonic() - started < 1.9
     time.sleep(2)
     assert not (tmp_path / "late").exists()  # what it started has ended too

@@ -225,11 +225,11 @@ def test_example(tmp_path, compiler, dwell):
     plan = dataclasses.replace(plan_of("double-tank-a"), dwell=dwell)
     for arithmetic in ("lattice", "float"):
         write(files(plan, None, arithmetic=arithmetic), tmp_path)
-        sources = ["double_tank_a.c", "example.c", "-o", "example"]
+        sources = ["-I.", "double_tank_a.c", "example/main.c", "-o", "run"]
         call([compiler, "-std=c99", *WARNINGS, *sources], tmp_path)
         middle = plan.policy.domain.lower + plan.policy.domain.widths / 2
         symbol = decide(plan, middle[None]).labels[0]
-        assert call(["./example"], tmp_path).startswith(f"symbol {symbol}, status 0")
+        assert call(["./run"], tmp_path).startswith(f"symbol {symbol}, status 0")
 
 
 def test_same_input_same_bytes():

@@ -18,7 +18,7 @@ from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
 from support.exports.policies import PROBLEMS, built_in, oblique, small
 from support.processes.command_line import capsyn
-from support.trees import random_policy
+from support.trees import random_affine_policy, random_policy
 
 fmpy = pytest.importorskip("fmpy")
 
@@ -55,16 +55,19 @@ def run(tmp_path):
         unit.freeInstance()
 
 
-def decisions(unit, readings):
-    """Return symbols and statuses (K, 2) of readings (K, n)."""
-    references = list(range(readings.shape[1]))
-    found = []
+def decisions(unit, plan, readings):
+    """Return symbols and statuses (K, 2) and control vectors (K, m) of readings (K, n)."""
+    references = list(range(plan.n))
+    outputs = [plan.n + i for i in range(plan.policy.alphabet.m)]
+    found, controls = [], []
     for k, row in enumerate(readings.tolist()):
         unit.setReal(references, row)
         found.append(unit.getInteger([0, 1]))
+        controls.append(unit.getReal(outputs))
         unit.doStep(float(k), 1.0)
         assert unit.getInteger([0, 1]) == found[-1]
-    return np.array(found)
+        assert unit.getReal(outputs) == controls[-1]
+    return np.array(found), np.array(controls)
 
 
 def assert_equal(start, policy, **options):
@@ -72,9 +75,10 @@ def assert_equal(start, policy, **options):
     golden = golden_vectors(plan)
     far = np.random.default_rng(1).normal(size=(60, plan.n)) * 10.0 ** np.arange(0, 300, 5)[:, None]
     expected = decide(plan, np.concatenate([golden.readings, far]))
-    found = decisions(start(policy, **options), expected.readings)
+    found, controls = decisions(start(policy, **options), plan, expected.readings)
     np.testing.assert_array_equal(found[:, 1], expected.statuses)
     np.testing.assert_array_equal(found[:, 0], expected.labels)
+    np.testing.assert_array_equal(controls, plan.policy.controls[expected.labels])
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -92,6 +96,13 @@ def test_oblique_splits_readings_and_other_dimensions(run):
     assert_equal(run, oblique())
     assert_equal(run, random_policy(0, periodic=True))
     assert_equal(run, random_policy(7, periodic=True), scale=-0.0375, offset=100)
+
+
+@pytest.mark.parametrize("some_axes", [False, True])
+def test_affine_leaves(some_axes, run):
+    assert_equal(run, random_affine_policy(3, True, 1, some_axes), scale=-0.0375, offset=0.1)
+    policy = dataclasses.replace(random_affine_policy(6, True, 2, some_axes), gaps=True)
+    assert_equal(run, policy, safe=1)
 
 
 def quoted():
@@ -141,6 +152,22 @@ def test_variables_say_what_they_are(tmp_path):
     path = export(policy, "fmu", tmp_path, scale=2)[0]
     (first, *_) = fmpy.read_model_description(path).modelVariables
     assert first.unit is None and first.description.endswith("[m/s] is reading * 2.0 + 0.0")
+
+
+@pytest.mark.parametrize(("unit", "seconds", "factor"), [("min", 30.0, 1 / 60), ("ms", 5e-4, 1e3)])
+def test_dwell_times_are_in_seconds_and_displayed_in_the_unit(unit, seconds, factor, tmp_path):
+    from fmpy.validation import validate_fmu
+
+    policy = dataclasses.replace(small(), min_dwell=0.5, time_unit=unit)
+    path = export(policy, "fmu", tmp_path)[0]
+    assert validate_fmu(path) == []
+    about = fmpy.read_model_description(path)
+    (dwell,) = (v for v in about.modelVariables if v.name == "min_dwell")
+    assert (dwell.unit, dwell.displayUnit, float(dwell.start)) == ("s", unit, seconds)
+    (second,) = (u for u in about.unitDefinitions if u.name == "s")
+    (shown,) = second.displayUnits
+    assert second.baseUnit.s == 1 and (shown.name, float(shown.factor)) == (unit, factor)
+    assert float(shown.factor) * seconds == pytest.approx(0.5, rel=1e-15)
 
 
 @pytest.mark.parametrize("dwell", [0.0, 0.05, 0.1])
@@ -223,6 +250,13 @@ def test_without_a_compiler_there_are_sources_and_that_is_said(tmp_path, monkeyp
         assert archive.namelist() == ["modelDescription.xml", f"sources/{path.stem}.c"]
         description = ElementTree.fromstring(archive.read("modelDescription.xml"))
     assert description.find(".//SourceFiles/File").get("name") == f"{path.stem}.c"
+
+
+def test_zig_builds_where_there_is_no_compiler(run, monkeypatch):
+    pytest.importorskip("ziglang")
+    policy = built_in("cart-pendulum")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert_equal(functools.partial(run, platforms="linux64"), policy)
 
 
 def test_a_failing_compiler_leaves_what_was_there(tmp_path, monkeypatch):

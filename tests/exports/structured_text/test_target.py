@@ -8,9 +8,10 @@ import capsyn
 from capsyn import Alphabet, Box, Policy
 from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.errors import ProblemError
-from capsyn.exports.golden import decide
+from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.exports.structured_text.functions import NESTING
+from capsyn.exports.structured_text.target import TARGET
 from support.exports.policies import PROBLEMS, built_in, oblique
 from support.trees import GRIDS, random_policy, random_tree
 
@@ -18,7 +19,7 @@ pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
 pytest.importorskip(
     "tree_sitter_iec61131_3_st", reason="tree-sitter-iec61131-3-st is not installed"
 )
-from support.exports.structured_text import Program, check, source  # noqa: E402
+from support.exports.structured_text import check, source  # noqa: E402
 
 STYLES = ("nested", "table")
 
@@ -87,9 +88,11 @@ def test_deep_trees_are_cut_into_functions():
     plan = Plan.of(made)
     for style in STYLES:
         check(plan, style=style)
-    assert b"32-bit" in source(plan, style="table") or b"beyond 16 bits" in source(
-        plan, style="table"
-    )
+    exported = TARGET.files(plan, golden_vectors(plan), style="table")
+    assert exported.notes == ("tables of 32-bit numbers (DINT): thresholds",)
+    assert b"wanted := DINT_TO_INT(thresholds[node]);" in exported.files["deep.st"]
+    count = source(plan).count(b"END_FUNCTION\n")
+    assert count == 1 + -(-depth // NESTING)  # lattice steps, and a chain as few as can be
     depths = np.cumsum(
         [
             line.strip().startswith("IF ") - (line.strip() == "END_IF;")
@@ -97,25 +100,6 @@ def test_deep_trees_are_cut_into_functions():
         ]
     )
     assert depths.max() <= NESTING
-
-
-def test_dwell_time_is_that_of_the_closed_loop():
-    cells = random_tree((5,), (3,), 3)
-    domain = Box([-1], [1])
-    for default in (0.0, -1.0):  # a control that no symbol has, and one that a symbol has
-        policy = Policy("dwell", domain, Alphabet([-1, 1]), np.array([default]), cells)
-        for cycle, dwell in ((0.01, 0.07), (0.1, 0.25), (0.02, 0.02), (0.3, 0.1)):
-            plan = Plan.of(policy, dwell=dwell)
-            call = Program(source(plan)).instance()
-            states = domain.sample(500, 1)
-            controls, held, symbol = policy.controls[:, 0], 0, None
-            for state, wanted in zip(states, decide(plan, states).labels):
-                changes = symbol is None or controls[wanted] != controls[symbol]
-                take = held == 0 or not changes or held >= np.ceil(dwell / cycle - 1e-9)
-                held = 1 if (changes and take) or held == 0 else held + 1
-                symbol = wanted if take else symbol
-                found = call(float(state[0]), cycle)
-                assert (found["symbol"], found["u1"]) == (symbol, controls[symbol])
 
 
 def test_names_that_the_language_keeps():
@@ -135,7 +119,8 @@ def test_names_that_the_language_keeps():
         assert re.search(rf"^    {reading} : LREAL;", text, re.M), reading
     assert "Renamed: 'SYMBOL' is SYMBOL_2" in text
     for style in STYLES:
-        check(plan, style=style)
+        for dialect in ("iec", "siemens"):
+            check(plan, style=style, dialect=dialect)
 
 
 def test_states_may_be_called_like_functions():

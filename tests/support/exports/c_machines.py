@@ -10,7 +10,8 @@ import pytest
 
 WARNINGS = (
     "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wcast-qual -Wundef "
-    "-Wdouble-promotion -Wfloat-equal -Werror"
+    "-Wdouble-promotion -Wfloat-equal -Wunused-function -Wmissing-prototypes -Wunused-macros "
+    "-Werror"
 ).split()
 
 ENTRY = """
@@ -22,6 +23,15 @@ void decide(long count, const {real} *x, int16_t *symbols, int32_t *statuses)
         {p}_status status;
         symbols[i] = {p}_decide(x + {n} * i, &status);
         statuses[i] = (int32_t)status;
+    }}
+}}
+"""
+CONTROL = """
+void controls(long count, const int16_t *symbols, const uint16_t *inputs, double *values);
+void controls(long count, const int16_t *symbols, const uint16_t *inputs, double *values)
+{{
+    for (long i = 0; i < count; ++i) {{
+        values[i] = (double){p}_control(symbols[i], inputs[i]);
     }}
 }}
 """
@@ -74,7 +84,7 @@ __attribute__((section(".vectors"), used)) const void *const vectors[] = {{
 {data}
 int main(void)
 {{
-    int wrong = 0;
+    int wrong = wrong_controls();
     for (int i = 0; i < {count}; ++i) {{
         wrong += wrong_at(given + {n} * i, labels[i], statuses[i]);
     }}
@@ -96,6 +106,18 @@ static const {kind} given[] {rom} = {{{given}}};
 static const uint8_t labels[] {rom} = {{{labels}}};
 static const uint8_t statuses[] {rom} = {{{statuses}}};
 static int wrong_at(const {kind} *x, int label, int expected) {{ {call} }}
+static int wrong_controls(void)
+{{
+    static const {control} controls[][{m}] = {{ {controls} }};
+    int wrong = 0;
+    for (int16_t k = -1; k <= {symbols}; ++k) {{
+        for (uint16_t i = 0; i <= {m}; ++i) {{
+            const int16_t row = (k < 0) || (k == {symbols}) ? {safe} : k;
+            wrong += {p}_control(k, i) != ((i == {m}) ? 0 : controls[row][i]);
+        }}
+    }}
+    return wrong;
+}}
 """
 LINK = """
 MEMORY {{ flash (rx) : ORIGIN = 0, LENGTH = 256K  ram (rw) : ORIGIN = 0x20000000, LENGTH = 16K }}
@@ -116,7 +138,7 @@ AVR = """
 static void put(char c) {{ while (!(UCSR0A & (1 << UDRE0))) {{}} UDR0 = (uint8_t)c; }}
 int main(void)
 {{
-    uint16_t wrong = 0;
+    uint16_t wrong = wrong_controls();
     UCSR0B = 1 << TXEN0;
     for (uint16_t i = 0; i < {count}; ++i) {{
         {kind} x[{n}];
@@ -147,6 +169,7 @@ def prefix_of(files):
 def write(files, directory, **more):
     directory.mkdir(parents=True, exist_ok=True)
     for name, content in {**files, **more}.items():
+        (directory / name).parent.mkdir(parents=True, exist_ok=True)
         (directory / name).write_bytes(content if isinstance(content, bytes) else content.encode())
 
 
@@ -170,11 +193,28 @@ class Library:
         self.integer = np.int32 if "const int32_t z[" in header else np.int16
         names = {"p": p, "n": n, "real": real}
         names["z"] = self.integer.__name__ + "_t"
-        text = ENTRY + LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
+        self.plan, self.control = files.plan, np.dtype(_control_type(files)).type
+        text = (
+            ENTRY + CONTROL + LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
+        )
         write(files, directory, **{"entry.c": text.format(**names)})
         flags = ["-std=c99", *options, *WARNINGS, "-shared", "-fPIC"]
         call([compiler, *flags, f"{p}.c", "entry.c", "-o", "library.so"], directory)
         self.library = ctypes.CDLL(str(directory / "library.so"))
+        self._check_controls()
+
+    def _check_controls(self):
+        """Assert that the controls of symbols, and of what is none, are those of the policy."""
+        plan, m = self.plan, self.plan.policy.alphabet.m
+        symbols = np.array([*range(plan.labels), -1, plan.labels % (1 << 15), -(1 << 15)])
+        inputs = np.array([*range(m), m, (1 << 16) - 1])
+        asked = [np.repeat(symbols, len(inputs)), np.tile(inputs, len(symbols))]
+        values = np.full(len(asked[0]), np.nan)
+        self._call("controls", asked[0].astype(np.int16), asked[1].astype(np.uint16), values)
+        rows = np.where((symbols >= 0) & (symbols < plan.labels), symbols, plan.safe)
+        expected = np.zeros((len(symbols), len(inputs)))
+        expected[:, :m] = plan.policy.controls.astype(self.control)[rows]
+        assert np.array_equal(values, expected.ravel())
 
     def _call(self, name, *arrays):
         pointers = [a.ctypes.data_as(ctypes.c_void_p) for a in arrays]
@@ -203,6 +243,12 @@ class Library:
         return symbols
 
 
+def _control_type(files):
+    p = prefix_of(files)
+    (real,) = re.findall(rf"^(\w+) {p}_control\(", files[f"{p}.h"].decode(), re.M)
+    return real
+
+
 def _literal(value, suffix=""):
     if isinstance(value, int):
         return str(value)
@@ -224,6 +270,13 @@ def _vectors(files, golden, asked, rom, count):
         "labels": ", ".join(map(str, golden.labels[:count].tolist())),
         "statuses": ", ".join(map(str, golden.statuses[:count].tolist())),
     }
+    plan, real = files.plan, _control_type(files)
+    values = [
+        [_literal(v, "f" * (real == "float")) for v in u] for u in plan.policy.controls.tolist()
+    ]
+    controls = ", ".join("{" + ", ".join(row) + "}" for row in values)
+    text |= {"control": real, "controls": controls, "m": plan.policy.alphabet.m}
+    text |= {"symbols": plan.labels, "safe": plan.safe, "p": p}
     data = DATA.format(**text, kind=kind, rom=rom, call=CALLS[asked].format(p=p))
     return {"data": data, "kind": kind, "p": p, "n": given.shape[1], "count": len(given[:count])}
 

@@ -44,11 +44,20 @@ UNDEFINED = ["-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-r
 """Options by which a program ends where what it does is undefined."""
 
 
+class Files(dict):
+    """Files of an export that know their plan, by which machines check what the files say."""
+
+    plan = None
+
+
 def made(plan, golden=None, **options):
     """Return what target c makes."""
     if golden is None and options.get("arithmetic") == "float":
         golden = golden_vectors(plan)
-    return c.files(plan, golden, **options)
+    code = c.files(plan, golden, **options)
+    files = Files(code.files)
+    files.plan = plan
+    return dataclasses.replace(code, files=files)
 
 
 def files(plan, golden, **options):

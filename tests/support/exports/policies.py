@@ -1,17 +1,20 @@
 """Policies to export, and what runs their exports."""
 
 import bisect
+import dataclasses
 import functools
 import importlib.util
 import json
 import math
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from capsyn import Box, compress, problems, subdivide, synthesize
+from capsyn import Alphabet, Box, compress, problems, subdivide, synthesize
+from capsyn.cells.split_tree import SplitTree
 from capsyn.exports.export import export
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
@@ -25,8 +28,25 @@ const [file, ...vectors] = process.argv.slice(2);
 const made = await import(file);
 const special = { nan: NaN, inf: Infinity, "-inf": -Infinity };
 const found = JSON.parse(readFileSync(vectors[0], "utf8"))
-  .map(row => made.decide(row.map(v => v in special ? special[v] : Number(v))));
+  .map(row => row.map(v => v in special ? special[v] : Number(v)))
+  .map(x => [...made.decide(x), made.control(x)]);
 console.log(JSON.stringify(found));
+"""
+MICROPYTHON = Path(__file__).parents[3] / "node_modules" / "@micropython"
+RUN_MICROPYTHON = """
+import { readFileSync } from "node:fs";
+const [interpreter, file, vectors] = process.argv.slice(2);
+const { loadMicroPython } = await import(interpreter);
+const python = await loadMicroPython({ heapsize: 32 << 20, stdout: line => console.log(line) });
+python.FS.writeFile("/made.py", readFileSync(file));
+python.FS.writeFile("/vectors.json", readFileSync(vectors));
+python.runPython(`
+import json, sys
+sys.path.append("/")
+import made
+rows = [[float(v) for v in row] for row in json.load(open("/vectors.json"))]
+print(json.dumps([made.decide(x) + (made.control(x),) for x in rows]))
+`);
 """
 
 
@@ -40,6 +60,23 @@ def oblique():
     box = Box([0, -1], [6.5, 1], periodic=[True, False])
     policy = subdivide(lambda x: (x[:, 1] > 0.3 * x[:, 0] - 0.9).astype(int), box, 2, max_level=4)
     return compress(policy, "linear", agreement=0.9, states=5000)
+
+
+@functools.cache
+def mixed(gaps=False):
+    """Return a tree of a face, planes and a periodic axis; its last symbol is like the default."""
+    split = np.array([2, 0, -1, -1, 1, 3, -1, -1, -1])
+    threshold = np.array([1, 3, 0, 1, 5, -9, 2, 1, 3])
+    second = np.array([4, 3, 2, 3, 8, 7, 6, 7, 8])
+    planes = np.array([[2, -3], [-1, 0]])
+    arrays = (a.astype(np.int32) for a in (split, threshold, second, planes))
+    cells = SplitTree((16, 8), *arrays)
+    box = Box([0, -1], [6.5, 1], ["angle", "rate"], ["rad", "rad/s"], [True, False])
+    alphabet = Alphabet([[-1.5, 2], [0.1, 0.7], [0, 1 / 3]], inputs=["left", "right"])
+    made = compress(random_policy(3))
+    return dataclasses.replace(
+        made, name="mixed", domain=box, alphabet=alphabet, default=np.array([0, 1 / 3]), cells=cells
+    )
 
 
 @functools.cache
@@ -61,30 +98,44 @@ def module(path):
 
 def by_python(policy, directory, readings, **options):
     made = module(made_by(policy, "python", directory, **options))
-    return [made.decide(row) for row in readings.tolist()]
+    return [(*made.decide(row), made.control(row)) for row in readings.tolist()]
 
 
-def by_javascript(policy, directory, readings, **options):
+def by_node(directory, readings, program, *arguments):
+    """Return what a program for Node prints, given files and one of readings."""
     if not NODE:
         pytest.skip("needs node: apt-get install nodejs")
-    path = made_by(policy, "javascript", directory, **options)
-    (directory / "run.mjs").write_text(RUN)
+    (directory / "run.mjs").write_text(program)
     rows = [[repr(v) for v in row] for row in readings.tolist()]
     (directory / "vectors.json").write_text(json.dumps(rows))
-    command = [NODE, directory / "run.mjs", path, directory / "vectors.json"]
+    command = [NODE, directory / "run.mjs", *arguments, directory / "vectors.json"]
     run = subprocess.run(command, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)
 
 
+def by_javascript(policy, directory, readings, **options):
+    path = made_by(policy, "javascript", directory, **options)
+    return by_node(directory, readings, RUN, path)
+
+
+def by_micropython(policy, directory, readings, **options):
+    interpreter = MICROPYTHON / "micropython-webassembly-pyscript" / "micropython.mjs"
+    if not interpreter.exists():
+        pytest.skip("needs MicroPython for Node: npm ci")
+    path = made_by(policy, "python", directory, **options)
+    return by_node(directory, readings, RUN_MICROPYTHON, interpreter, path)
+
+
 def by_json(policy, directory, readings, **options):
     data = json.loads(made_by(policy, "json", directory, **options).read_text())
-    return [read(data, row) for row in readings.tolist()]
+    found = [read(data, row) for row in readings.tolist()]
+    return [(*pair, data["symbols"][pair[0]]["control"]) for pair in found]
 
 
 def read(data, reading):
     """Return (symbol, status) as the texts of a JSON file say."""
-    axes, tree = data["states"], data["tree"]
+    axes = data["states"]
     x = [v * axis["scale"] + axis["offset"] for v, axis in zip(reading, axes)]
     if not all(map(math.isfinite, x)):
         return data["outside"]["safe"], 2
@@ -102,18 +153,54 @@ def read(data, reading):
         z.append(max(after - 1, 0))
     if status == 1 and data["outside"]["rule"] != "nearest":
         return data["outside"]["safe"], 1
+    label = walked(data["tree"], z) if "tree" in data else gone_down(data, z)
+    if label == data["outside"].get("gap"):
+        return data["outside"]["safe"], 1
+    return label, status
+
+
+def walked(tree, z):
+    """Return the label of lattice steps as the texts say of a tree."""
     i = 0
     while tree["split"][i] != -1:
         s = tree["split"][i]
         plane = None if s < len(z) else tree["planes"][s - len(z)]
         v = z[s] if plane is None else sum(a * b for a, b in zip(plane, z))
         i = tree["second"][i] if v >= tree["threshold"][i] else i + 1
-    if tree["threshold"][i] == data["outside"].get("gap"):
-        return data["outside"]["safe"], 1
-    return tree["threshold"][i], status
+    return tree["threshold"][i]
 
 
-RUNNERS = {"python": by_python, "javascript": by_javascript, "json": by_json}
+def gone_down(data, z):
+    """Return the label of lattice steps as the texts say of cells."""
+    cells, n = data["cells"], len(z)
+    size, i = list(cells["root_sizes"]), 0
+    for j in range(n):
+        i = i * cells["partitions"][j] + z[j] // size[j]
+    while cells["entries"][i] >= 0:
+        c = 0
+        for j, parts in enumerate(cells["refinement"]):
+            if not cells["splits"] or cells["splits"][i] & 2**j:
+                size[j] //= parts
+                c = c * parts + z[j] // size[j] % parts
+        i = cells["entries"][i] + c
+    leaf = -1 - cells["entries"][i]
+    if leaf <= data["default"]:
+        return leaf
+    a = leaf - data["default"] - 1
+    rows = range(cells["row_starts"][a], cells["row_starts"][a + 1])
+    slopes = cells["row_slopes"]
+    values = [
+        cells["row_constants"][r] + sum(slopes[r * n + j] * z[j] for j in range(n)) for r in rows
+    ]
+    return cells["row_symbols"][rows[values.index(max(values))]]
+
+
+RUNNERS = {
+    "python": by_python,
+    "micropython": by_micropython,
+    "javascript": by_javascript,
+    "json": by_json,
+}
 
 
 def assert_equal(to, policy, directory, **options):
@@ -124,6 +211,7 @@ def assert_equal(to, policy, directory, **options):
     far = rng.normal(size=(60, plan.n)) * 10.0 ** rng.integers(0, 300, size=(60, 1))
     readings = np.concatenate([golden.readings, far])
     expected = decide(plan, readings)
-    found = np.array(RUNNERS[to](policy, directory, readings, **options))
-    np.testing.assert_array_equal(found[:, 1], expected.statuses)
-    np.testing.assert_array_equal(found[:, 0], expected.labels)
+    symbols, statuses, controls = zip(*RUNNERS[to](policy, directory, readings, **options))
+    np.testing.assert_array_equal(statuses, expected.statuses)
+    np.testing.assert_array_equal(symbols, expected.labels)
+    np.testing.assert_array_equal(np.array(controls), policy.controls[expected.labels])

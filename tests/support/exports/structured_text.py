@@ -1,21 +1,83 @@
-"""A small interpreter of Structured Text over the parse tree of tree-sitter."""
+"""A strict compiler of Structured Text into Python, over the parse tree of tree-sitter.
+
+It takes what edition 2 of IEC 61131-3 surely has, and refuses before anything runs: mixed types,
+literals that do not fit, words that are reserved, names before they are declared, arrays in
+functions. Running checks the ranges of INT, DINT and TIME; REAL is rounded to single precision.
+"""
 
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import tree_sitter
 import tree_sitter_iec61131_3_st as grammar
 
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.structured_text.target import TARGET as target
+from support.exports.siemens import to_iec
 
 PARSER = tree_sitter.Parser(tree_sitter.Language(grammar.language()))
-RANGES = {"INT": 2**15, "DINT": 2**31}
+MS = 1_000_000
+"""Of TIME, which is held in nanoseconds."""
+WHOLE = {"INT": 1 << 15, "DINT": 1 << 31}
+REALS = {"LREAL": float, "REAL": np.float32}
+RANGES = WHOLE | {"TIME": (1 << 31) * MS}
+ZERO = {"LREAL": 0.0, "REAL": np.float32(0), "BOOL": False, "INT": 0, "DINT": 0, "TIME": 0}
+CONVERSIONS = {
+    "int_to_dint": ("INT", "DINT", int),
+    "dint_to_int": ("DINT", "INT", int),
+    "dint_to_lreal": ("DINT", "LREAL", float),
+    "dint_to_real": ("DINT", "REAL", np.float32),
+    "real_to_lreal": ("REAL", "LREAL", float),
+    "lreal_to_real": ("LREAL", "REAL", np.float32),
+}
+LARGEST_REAL, LEAST_REAL = 3.4028234e38, 1.1754944e-38
+TIME_UNITS = {"d": 86_400_000, "h": 3_600_000, "m": 60_000, "s": 1000, "ms": 1}
+RESERVED = frozenset(
+    """
+    action any any_bit any_date any_derived any_elementary any_int any_magnitude any_num any_real
+    array at bool by byte case configuration constant date date_and_time dint do dt dword else elsif
+    en end_action end_case end_configuration end_for end_function end_function_block end_if
+    end_program end_repeat end_resource end_step end_struct end_transition end_type end_var
+    end_while eno exit f_edge false for from function function_block if initial_step int lint
+    lreal lword mod non_retain not of on or program r_edge read_only read_write real repeat
+    resource retain return sint step string struct task then time time_of_day to tod transition
+    true type udint uint ulint until usint var var_access var_config var_external var_global
+    var_in_out var_input var_output var_temp while with word wstring xor and
+    abs sqrt ln log exp sin cos tan asin acos atan add mul sub div expt move shl shr ror rol sel max
+    min limit mux gt ge eq le lt ne len left right mid concat insert delete replace find trunc
+    sr rs sema r_trig f_trig ctu ctd ctud tp ton tof rtc integral derivative pid ramp hysteresis
+    """.split()
+)
+"""Keywords of edition 2, and functions and blocks that MATIEC knows before a program begins."""
+NAME = re.compile(r"([a-z]|_[a-z0-9])(_?[a-z0-9])*")
+REAL = re.compile(r"-?\d+\.\d+(E-?\d+)?")
+TIME = re.compile(r"T#(\d+)(d|h|m|s|ms)")
 Values = dict[str, Any]
 Run = Callable[[Values], Any]
+
+
+class Refused(Exception):
+    """What a strict compiler does not take."""
+
+
+def refuse(wrong: object, why: str) -> None:
+    if wrong:
+        raise Refused(why)
+
+
+@dataclass(frozen=True)
+class Value:
+    """An expression: its type, ``whole`` or ``decimal`` of a literal, and what gives its value."""
+
+    kind: str
+    run: Run
+    literal: Any = None
 
 
 def _divide(a: Any, b: Any) -> Any:
@@ -24,24 +86,37 @@ def _divide(a: Any, b: Any) -> Any:
     return a / b
 
 
-OPERATORS = {
-    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": _divide,
+def _modulo(a: int, b: int) -> int:
+    return a - _divide(a, b) * b
+
+
+ARITHMETIC = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": _divide, "mod": _modulo,
+}  # fmt: skip
+COMPARISONS = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
     "=": operator.eq, "<>": operator.ne,
 }  # fmt: skip
 
 
-def _converted(kind: str, value: Any) -> Any:
-    """Return a value as a variable of a type takes it; nothing is converted silently."""
-    if kind == "LREAL":
-        if type(value) is not float:
-            raise TypeError(f"{value!r} is no LREAL")
-    elif kind == "BOOL":
-        if type(value) is not bool:
-            raise TypeError(f"{value!r} is no BOOL")
-    elif type(value) is not int or not -RANGES[kind] <= value < RANGES[kind]:
-        raise TypeError(f"{value!r} is no {kind}")
+def _in_range(kind: str, value: int) -> int:
+    if not -RANGES[kind] <= value < RANGES[kind]:
+        raise OverflowError(f"{value} is no {kind}")
     return value
+
+
+def _as(value: Value, kind: str) -> Run:
+    """Return what gives an expression as a type, which it must have, or be a fitting literal of."""
+    if value.kind == "whole" and kind in WHOLE:
+        refuse(abs(value.literal) >= WHOLE[kind], f"{value.literal} is no literal of {kind}")
+        return lambda values: value.literal
+    if value.kind == "decimal" and kind in REALS:
+        size = abs(value.literal)
+        refuse(size and not LEAST_REAL <= size <= LARGEST_REAL, f"{size} is no REAL")
+        number = REALS[kind](value.literal)
+        return lambda values: number
+    refuse(value.kind != kind, f"{value.kind} is no {kind}")
+    return value.run
 
 
 def _text(node: Any) -> str:
@@ -56,57 +131,84 @@ class Unit:
     """A function or a function block."""
 
     def __init__(self, program: Program, node: Any) -> None:
-        self.program, self.kinds, self.start = program, {}, {}
+        self.program = program
+        self.kinds: dict[str, str] = {}
+        self.arrays: dict[str, int] = {}
+        self.start: Values = {}
         self.inputs: list[str] = []
-        self.constants: set[str] = set()
+        self.outputs: list[str] = []
+        self.read: set[str] = set()
+        self.written: set[str] = set()
         parts = _named(node)
         self.name = _text(parts[0])
         self.is_function = node.type == "function_declaration"
+        refuse(not self.is_function and node.type != "function_block_declaration", node.type)
+        refuse(self.name in program.units, f"{self.name} is defined twice")
+        _check_name(self.name)
         if self.is_function:
-            self._declare(self.name, parts.pop(1).text.decode(), None)
-        body = []
-        for part in parts[1:]:
-            if part.type in ("var_input", "var_output", "var_block"):
-                self._variables(part)
-            else:
-                body.append(part)
+            self._declare(self.name, _kind(parts.pop(1)))
+        body = parts[1:]
+        while body and body[0].type.startswith("var_"):
+            self._variables(body.pop(0))
+        refuse(not self.inputs, f"{self.name} has no input")
         self.run = self._block(body)
+        inner = set(self.kinds) - {*self.inputs, *self.outputs, self.name}
+        refuse(inner - self.read, f"never read: {inner - self.read}")
+        needed = {*self.outputs, *([self.name] if self.is_function else [])}
+        refuse(needed - self.written, f"never written: {needed - self.written}")
 
-    def _declare(self, name: str, kind: str, value: Any) -> None:
-        if name in self.kinds or (name in self.program.units and name != self.name):
-            raise NameError(f"{name} is declared twice")
-        zero = {"LREAL": 0.0, "BOOL": False}.get(kind, 0)
-        self.kinds[name], self.start[name] = kind, zero if value is None else value
+    def _declare(self, name: str, kind: str, size: int = 0, start: Any = None) -> None:
+        _check_name(name)
+        refuse(name in self.kinds or name in self.program.units, f"{name} is declared twice")
+        refuse(name == self.name and not self.is_function, f"{name} is the block")
+        self.kinds[name] = kind
+        if size:
+            self.arrays[name] = size
+        self.start[name] = start if start is not None else [ZERO[kind]] * size or ZERO[kind]
 
     def _variables(self, block: Any) -> None:
-        for part in _named(block):
-            if part.type != "variable_declaration":
-                continue
-            name, kind, *values = _named(part)
-            if block.type == "var_input":
-                self.inputs.append(_text(name))
-            if b"CONSTANT" in block.text[:20]:
-                self.constants.add(_text(name))
-            given = [self._value(value)({}) for value in values]
-            if kind.type == "array_type":
+        word = _text(block.children[0])
+        wanted = ["var_input", "var"] + ["var_output"] * (not self.is_function)
+        refuse(word not in wanted, word)
+        declared = _named(block)
+        refuse(not declared, "an empty section")
+        for part in declared:
+            refuse(part.type != "variable_declaration", part.text)
+            name, kind, *given = _named(part)
+            text, array = _text(name), kind.type == "array_type"
+            refuse(array and (self.is_function or word != "var"), f"an array in {self.name}")
+            if array:
                 ends, element = _named(kind)
                 first, last = (int(_text(end)) for end in _named(ends))
-                size, of = last - first + 1, element.text.decode()
-                if first != 0 or (given and len(given) != size):
-                    raise ValueError(f"{_text(name)} has {len(given)} values")
-                start = [_converted(of, value) for value in given] or [0] * size
-                self._declare(_text(name), of, start)
+                of, size = _kind(element), last - first + 1
+                refuse(first != 0 or size < 1, kind.text)
+                refuse(given and len(given) != size, f"{text} has {len(given)} values")
+                start = [_as(self._value(value), of)({}) for value in given] or None
+                self._declare(text, of, size, start)
             else:
-                of = kind.text.decode()
-                self._declare(_text(name), of, _converted(of, given[0]) if given else None)
+                of = _kind(kind)
+                refuse(len(given) > 1 or (given and self.is_function), part.text)
+                start = _as(self._value(given[0]), of)({}) if given else None
+                self._declare(text, of, start=start)
+            if word != "var":
+                (self.inputs if word == "var_input" else self.outputs).append(text)
 
-    def _known(self, name: str) -> str:
-        if name not in self.kinds:
-            raise NameError(name)
+    def _known(self, node: Any, array: bool = False) -> str:
+        name = _text(node)
+        refuse(node.type != "identifier" or name not in self.kinds, f"{name} is not declared")
+        refuse((name in self.arrays) != array, f"{name}: an array or none")
         return name
 
     def _block(self, nodes: list[Any]) -> Run:
-        runs = [self._statement(node) for node in nodes if node.type != "empty_statement"]
+        runs, k = [], 0
+        while k < len(nodes):
+            kind = nodes[k].type
+            runs.append(self._statement(nodes[k]))
+            if kind != "assignment_statement":  # has its own
+                k += 1
+                refuse(k == len(nodes) or nodes[k].type != "empty_statement", f"no ; after {kind}")
+            k += 1
+        refuse(not runs, "no statement")
         if len(runs) == 1:
             return runs[0]
 
@@ -117,38 +219,58 @@ class Unit:
         return run
 
     def _statement(self, node: Any) -> Run:
-        return getattr(self, "_" + node.type)(node)
+        found = getattr(self, "_" + node.type, None)
+        refuse(found is None, node.type)
+        return found(node)
 
     def _assignment_statement(self, node: Any) -> Run:
         target, given = _named(node)
-        value = self._value(given)
-        place = target if target.type == "identifier" else _named(target)[0]
-        name = self._known(_text(place))
-        kind = self.kinds[name]
-        if name in self.constants or (self.is_function and name in self.inputs):
-            raise NameError(f"{name} is not to be changed")
-        if target.type == "identifier":
+        index = None
+        if target.type == "index_expression":
+            place, at = _named(target)
+            name = self._known(place, array=True)
+            index = self._index(name, at)
+        else:
+            name = self._known(target)
+        refuse(name in self.inputs, f"{name} is an input")
+        value = _as(self._value(given), self.kinds[name])
+        self.written.add(name)
+        if index is None:
 
             def run(values: Values) -> None:
-                values[name] = _converted(kind, value(values))
+                values[name] = value(values)
 
         else:
-            index = self._value(_named(target)[1])
 
             def run(values: Values) -> None:
-                values[name][_at(values[name], index(values))] = _converted(kind, value(values))
+                values[name][index(values)] = value(values)
 
         return run
 
+    def _index(self, name: str, node: Any) -> Run:
+        value, size = self._value(node), self.arrays[name]
+        run = _as(value, "DINT" if value.kind == "whole" else value.kind)
+        refuse(value.kind not in (*WHOLE, "whole"), f"an index of {value.kind}")
+        refuse(value.literal is not None and not 0 <= value.literal < size, f"{name} has {size}")
+
+        def at(values: Values) -> int:
+            found = run(values)
+            if not 0 <= found < size:
+                raise IndexError(found)
+            return found
+
+        return at
+
     def _if_statement(self, node: Any) -> Run:
         condition, *rest = _named(node)
-        clauses = [part for part in rest if part.type in ("else_clause", "elsif_clause")]
-        assert all(part.type == "else_clause" for part in clauses)
-        test, then = self._value(condition), self._block(rest[: len(rest) - len(clauses)])
+        clauses = [part for part in rest if part.type.endswith("_clause")]
+        refuse(any(part.type != "else_clause" for part in clauses), "ELSIF")
+        test = _as(self._value(condition), "BOOL")
+        then = self._block(rest[: len(rest) - len(clauses)])
         other = self._block(_named(clauses[0])) if clauses else None
 
         def run(values: Values) -> None:
-            if _converted("BOOL", test(values)):
+            if test(values):
                 then(values)
             elif other is not None:
                 other(values)
@@ -157,18 +279,22 @@ class Unit:
 
     def _while_statement(self, node: Any) -> Run:
         condition, *rest = _named(node)
-        test, body = self._value(condition), self._block(rest)
+        test, body = _as(self._value(condition), "BOOL"), self._block(rest)
 
         def run(values: Values) -> None:
-            while _converted("BOOL", test(values)):
+            while test(values):
                 body(values)
 
         return run
 
     def _for_statement(self, node: Any) -> Run:
         variable, first, last, *rest = _named(node)
-        name = self._known(_text(variable))
-        start, end, body = self._value(first), self._value(last), self._block(rest)
+        name = self._known(variable)
+        kind = self.kinds[name]
+        refuse(kind not in WHOLE, f"FOR of {kind}")
+        start, end = (_as(self._value(part), kind) for part in (first, last))
+        self.written.add(name)
+        body = self._block(rest)
 
         def run(values: Values) -> None:
             for value in range(start(values), end(values) + 1):
@@ -180,125 +306,187 @@ class Unit:
     def _case_statement(self, node: Any) -> Run:
         chosen, *rest = _named(node)
         value, cases, other = self._value(chosen), {}, None
+        refuse(value.kind not in WHOLE, f"CASE of {value.kind}")
         for part in rest:
             if part.type == "else_clause":
                 other = self._block(_named(part))
             else:
                 of, *body = _named(part)
-                cases[int(_text(of))] = self._block(body)
+                label = self._value(_named(of)[0])
+                key = _as(label, value.kind)({})
+                refuse(label.literal is None or key in cases, f"CASE {key}")
+                cases[key] = self._block(body)
 
         def run(values: Values) -> None:
-            body = cases.get(value(values), other)
+            body = cases.get(value.run(values), other)
             if body is not None:
                 body(values)
 
         return run
 
-    def _value(self, node: Any) -> Run:
+    def _value(self, node: Any) -> Value:
         kind, parts = node.type, _named(node)
+        text = node.text.decode()
         if kind == "integer_literal":
-            whole = int(_text(node))
-            return lambda values: whole
+            refuse(not re.fullmatch(r"-?\d+", text), text)
+            return Value("whole", lambda values: None, int(text))
         if kind == "real_literal":
-            real = float(_text(node))
-            return lambda values: real
+            refuse(not REAL.fullmatch(text), f"{text} is no real literal")
+            return Value("decimal", lambda values: None, float(text))
+        if kind == "time_literal":
+            found = TIME.fullmatch(text)
+            refuse(not found, f"{text} is no TIME")
+            size = _in_range("TIME", int(found[1]) * TIME_UNITS[found[2]] * MS)
+            return Value("TIME", lambda values: size)
         if kind == "boolean_literal":
             truth = _text(node) == "true"
-            return lambda values: truth
+            return Value("BOOL", lambda values: truth)
         if kind == "identifier":
-            name = self._known(_text(node))
-            return lambda values: values[name]
+            name = self._known(node)
+            refuse(self.is_function and name == self.name, f"{name} is read")
+            self.read.add(name)
+            return Value(self.kinds[name], lambda values: values[name])
         if kind == "parenthesized_expression":
-            return self._value(parts[0])
-        if kind == "index_expression":
-            name, index = self._known(_text(parts[0])), self._value(parts[1])
-            return lambda values: values[name][_at(values[name], index(values))]
-        if kind == "unary_expression":
             inner = self._value(parts[0])
-            if _text(node.children[0]) == "not":
-                return lambda values: not _converted("BOOL", inner(values))
-            return lambda values: -inner(values)
+            refuse(inner.kind == "whole", "a whole number in brackets")
+            return inner
+        if kind == "index_expression":
+            name = self._known(parts[0], array=True)
+            index = self._index(name, parts[1])
+            self.read.add(name)
+            return Value(self.kinds[name], lambda values: values[name][index(values)])
+        if kind == "unary_expression":
+            return self._unary(_text(node.children[0]), self._value(parts[0]))
         if kind == "binary_expression":
             return self._binary(_text(node.children[1]), *map(self._value, parts))
         if kind == "call_expression":
             return self._call(node)
-        raise SyntaxError(f"{kind}: {node.text!r}")
+        raise Refused(f"{kind}: {node.text!r}")
 
-    def _binary(self, sign: str, left: Run, right: Run) -> Run:
+    def _unary(self, sign: str, inner: Value) -> Value:
+        if sign == "not":
+            run = _as(inner, "BOOL")
+            return Value("BOOL", lambda values: not run(values))
+        kind = inner.kind
+        refuse(kind not in (*WHOLE, *REALS), f"{sign}{kind}")
+        if kind in REALS:
+            return Value(kind, lambda values: -inner.run(values))
+        return Value(kind, lambda values: _in_range(kind, -inner.run(values)))
+
+    def _binary(self, sign: str, left: Value, right: Value) -> Value:
         if sign in ("and", "or"):
+            a, b = _as(left, "BOOL"), _as(right, "BOOL")
 
             def both(values: Values) -> bool:  # no short cuts: both sides are evaluated
-                a, b = _converted("BOOL", left(values)), _converted("BOOL", right(values))
-                return a and b if sign == "and" else a or b
+                x, y = a(values), b(values)
+                return x and y if sign == "and" else x or y
 
-            return both
-        operation = OPERATORS[sign]
+            return Value("BOOL", both)
+        kinds = [side.kind for side in (left, right) if side.literal is None]
+        refuse(not kinds, f"literals alone around {sign}")
+        kind = kinds[0]
+        a, b = _as(left, kind), _as(right, kind)
+        if sign in COMPARISONS:
+            refuse(kind == "BOOL", f"BOOL {sign} BOOL")
+            compare = COMPARISONS[sign]
+            return Value("BOOL", lambda values: bool(compare(a(values), b(values))))
+        operation = ARITHMETIC.get(sign)
+        refuse(operation is None or kind == "BOOL", f"{kind} {sign}")
+        refuse(kind == "TIME" and sign not in "+-", f"TIME {sign} TIME")
+        refuse(kind in REALS and sign == "mod", f"{kind} MOD")
+        if kind in REALS:
+            return Value(kind, lambda values: operation(a(values), b(values)))
+        return Value(kind, lambda values: _in_range(kind, operation(a(values), b(values))))
 
-        def run(values: Values) -> Any:
-            a, b = left(values), right(values)
-            if type(a) is not type(b):
-                raise TypeError(f"{a!r} {sign} {b!r}")
-            found = operation(a, b)
-            return _converted("DINT", found) if type(found) is int else found
-
-        return run
-
-    def _call(self, node: Any) -> Run:
+    def _call(self, node: Any) -> Value:
         called, arguments = _named(node)
-        if _text(called) == "dint_to_lreal":
-            inner = self._value(_named(arguments)[0])
-            return lambda values: float(_converted("DINT", inner(values)))
-        if _text(called) == "dint_to_int":
-            inner = self._value(_named(arguments)[0])
-            return lambda values: _converted("INT", inner(values))
-        unit = self.program.units[_text(called)]  # declared before: no recursion
-        given = {}
-        for name, argument in zip(unit.inputs, _named(arguments), strict=True):
-            if argument.type == "named_argument":
-                place, argument = _named(argument)
-                name = _text(place)
-            given[name] = self._value(argument)
-        assert list(given) == unit.inputs
+        name, given = _text(called), _named(arguments)
+        if name in CONVERSIONS:
+            source, kind, convert = CONVERSIONS[name]
+            refuse(len(given) != 1, name)
+            inner = self._value(given[0])
+            refuse(inner.literal is not None, f"{name} of a literal")
+            run = _as(inner, source)
+            if kind in RANGES:
+                return Value(kind, lambda values: _in_range(kind, convert(run(values))))
+            return Value(kind, lambda values: convert(run(values)))
+        unit = self.program.units.get(name)  # declared before: no recursion
+        refuse(unit is None or not unit.is_function, f"{name} is no function")
+        refuse(any(part.type != "named_argument" for part in given), f"{name}: no formal call")
+        pairs = [_named(part) for part in given]
+        refuse([_text(place) for place, _ in pairs] != unit.inputs, f"{name} takes {unit.inputs}")
+        runs = {
+            place: _as(self._value(value), unit.kinds[place])
+            for place, (_, value) in zip(unit.inputs, pairs)
+        }
 
         def run(values: Values) -> Any:
-            return unit.call({name: value(values) for name, value in given.items()})
+            return unit.call({place: each(values) for place, each in runs.items()})
 
-        return run
+        return Value(unit.kinds[name], run)
 
     def call(self, given: Values) -> Any:
-        values = self.start | {k: _converted(self.kinds[k], v) for k, v in given.items()}
+        values = self.start | given
         self.run(values)
         return values[self.name]
 
 
-def _at(values: list[Any], index: int) -> int:
-    if not 0 <= index < len(values):
-        raise IndexError(index)
-    return index
+def _kind(node: Any) -> str:
+    kind = node.text.decode()
+    refuse(kind not in ZERO, f"{kind} is no type")
+    return kind
+
+
+def _check_name(name: str) -> None:
+    wrong = not NAME.fullmatch(name) or name in RESERVED or "_to_" in name
+    refuse(wrong, f"{name} is no name")
 
 
 class Program:
-    """The units of a source text; the last is a function block."""
+    """The units of a source text; the last, and no other, is a function block."""
 
     def __init__(self, source: bytes) -> None:
+        text = source.decode("ascii")
+        refuse("(*" in re.sub(r"\(\*.*?\*\)", "", text, flags=re.DOTALL), "a comment without end")
+        for found in re.findall(r"\(\*(.*?)\*\)", text, flags=re.DOTALL):
+            refuse("(*" in found, "a comment in another")
         root = PARSER.parse(source).root_node
         if root.has_error:
-            raise SyntaxError("\n".join(errors(root)))
+            raise Refused("\n".join(errors(root)))
         self.units: dict[str, Unit] = {}
         for node in _named(root):
-            if node.type != "empty_statement":
-                unit = Unit(self, node)
-                self.units[unit.name] = unit
+            refuse(node.type == "empty_statement", "; after a unit")
+            unit = Unit(self, node)
+            self.units[unit.name] = unit
         self.block = unit
+        functions = [unit for unit in self.units.values() if unit.is_function]
+        refuse(len(functions) != len(self.units) - 1 or unit.is_function, "one block, at the end")
+
+    def interface(self) -> list[tuple[str, str]]:
+        """Return names and types of the inputs and the outputs of the block."""
+        block = self.block
+        return [(name, block.kinds[name]) for name in (*block.inputs, *block.outputs)]
 
     def instance(self) -> Callable[..., Values]:
-        """Return a new instance of the block: called with inputs, it returns all its variables."""
-        values = {k: list(v) if isinstance(v, list) else v for k, v in self.block.start.items()}
+        """Return a new instance of the block: called with inputs, it returns all its variables.
+
+        A TIME is given in milliseconds.
+        """
+        block = self.block
+        values = {k: list(v) if isinstance(v, list) else v for k, v in block.start.items()}
 
         def call(*inputs: float) -> Values:
-            for name, value in zip(self.block.inputs, inputs, strict=True):
-                values[name] = _converted(self.block.kinds[name], value)
-            self.block.run(values)
+            for name, value in zip(block.inputs, inputs, strict=True):
+                kind = block.kinds[name]
+                if kind in WHOLE:
+                    assert value == int(value)
+                    values[name] = _in_range(kind, int(value))
+                elif kind == "TIME":
+                    values[name] = _in_range(kind, round(value * MS))
+                else:
+                    values[name] = REALS[kind](value)
+            with np.errstate(all="ignore"):
+                block.run(values)
             return values
 
         return call
@@ -311,20 +499,49 @@ def errors(node: Any) -> list[str]:
 
 
 def source(plan, **options):
-    (text,) = target.files(plan, golden_vectors(plan), **options).files.values()
+    """Return the text of an export, in its dialect."""
+    return _text_of(target.files(plan, golden_vectors(plan), **options))
+
+
+def _text_of(exported):
+    (text,) = (text for name, text in exported.files.items() if not name.endswith(".xml"))
     return text
 
 
-def check(plan, golden=None, **options):
-    golden = golden_vectors(plan) if golden is None else golden
-    text = source(plan, **options)
+def program(plan, **options):
+    """Return the strictly compiled text of an export; of Siemens SCL what it is in IEC 61131-3."""
+    return _compiled(source(plan, **options), options)
+
+
+def _compiled(text, options):
     assert max(map(len, text.decode("ascii").splitlines())) < 100
-    call = Program(text).instance()
-    controls = plan.policy.controls.tolist()
-    outputs = None
+    return Program(to_iec(text) if options.get("dialect") == "siemens" else text)
+
+
+def check(plan, golden=None, **options):
+    """Compare symbols, statuses and controls with golden vectors.
+
+    Return how many there were, and which symbols.
+    """
+    vectors = golden_vectors(plan)
+    exported = target.files(plan, vectors, **options)
+    golden = exported.golden or vectors if golden is None else golden
+    made = _compiled(_text_of(exported), options)
+    real, reading = options.get("real", "LREAL"), options.get("readings", "real")
+    inputs = plan.policy.alphabet.inputs
+    kinds = [kind for _, kind in made.interface()]
+    timed = ["TIME"] * (plan.dwell > 0)
+    expected = [real if reading == "real" else reading] * plan.n + timed + ["INT", "INT"]
+    assert kinds == expected + [real] * len(inputs)
+    names = made.block.outputs[2:]
+    controls = plan.policy.controls
+    controls = controls.astype(np.float32 if real == "REAL" else float).tolist()
+    cycle = [10**9] * (plan.dwell > 0)
+    call = made.instance()
+    seen = set()
     for state, label, status in zip(golden.readings.tolist(), golden.labels, golden.statuses):
-        found = call(*state)
-        if outputs is None:
-            outputs = list(found)[plan.n + 2 : plan.n + 2 + len(controls[0])]
+        found = call(*state, *cycle)
         assert (found["symbol"], found["status"]) == (label, status), state
-        assert [found[name] for name in outputs] == controls[label]
+        assert [float(found[name]) for name in names] == controls[label]
+        seen.add(int(label))
+    return len(golden), seen

@@ -1,5 +1,6 @@
 """Simulators and linters that run the Verilog of an export."""
 
+import re
 import shutil
 import subprocess
 
@@ -39,4 +40,8 @@ def check(folder, plan, **options):
     finite = int((golden.statuses != 2).sum())
     assert simulate(folder, files) == f"PASS: {finite} vectors\n"
     assert run(folder, "verilator", "--lint-only", "-Wall", name) == ""
+    said = re.findall(r"^// Symbol (\d+): .*\((.*)\)$", files[name].decode(), re.M)
+    controls = [[float(value) for value in values.split(", ")] for _, values in said]
+    assert [int(k) for k, _ in said] == list(range(plan.labels))
+    assert controls == plan.policy.controls.tolist()
     return files[name].decode()

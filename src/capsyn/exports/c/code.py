@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.exports.c.language import LONGEST_PREFIX, RESERVED, comment, literal, z_type
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
@@ -19,9 +20,9 @@ from capsyn.exports.plan import Plan
 class Code:
     """What the files of an export have in common, with the options of the target.
 
-    Files and functions are called `prefix`, and should have been called `wanted`. The `tree` is the
-    one that is written: over the `faces` of each axis, where these are looked up in tables of
-    floats. `axes` say how counts become steps; there are none where readings are real numbers.
+    Files and functions are called `prefix`, and should have been called `wanted`. The `tree`, or
+    cells, is what is written: over the `faces` of each axis, where these are looked up in tables
+    of floats. `axes` say how counts become steps; there are none where readings are real numbers.
     """
 
     plan: Plan
@@ -31,7 +32,7 @@ class Code:
     tick: float
     prefix: str
     wanted: str
-    tree: SplitTree
+    tree: CellTree | SplitTree
     faces: list[np.ndarray] | None
     axes: list[CountAxis]
 
@@ -43,12 +44,12 @@ class Code:
         wanted = wanted_name(name, plan.policy.name)
         prefix = file_name(name, wanted)[:LONGEST_PREFIX]
         (prefix,) = identifiers([prefix], RESERVED, fold=True)
-        tree, faces = plan.tree.cells, None
-        if tree.depth == 0:
+        tree, faces = plan.cells, None
+        if isinstance(tree, SplitTree) and tree.depth == 0:
             style = "nested"  # nothing to look up
         if arithmetic == "float":
             check_single_precision(plan, tree)
-            if style != "nested" or len(tree.planes):
+            if style != "nested" or tree.has_planes:
                 tree, faces = ranked(tree, plan.policy.domain)
         axes = [] if readings == "real" else count_axes(plan, readings)
         return Code(plan, style, arithmetic, readings, tick, prefix, wanted, tree, faces, axes)
@@ -56,7 +57,7 @@ class Code:
     @property
     def direct(self) -> bool:
         """Whether the tree compares states themselves."""
-        lattice = self.arithmetic == "lattice" or len(self.tree.planes)
+        lattice = self.arithmetic == "lattice" or self.tree.has_planes
         return self.style == "nested" and not lattice
 
     @property
@@ -95,9 +96,14 @@ class Code:
         """Return the comment that a file begins with."""
         return comment([*self.plan.header, f"Target c, {self.style}, {self.arithmetic}: {role}."])
 
+    @property
+    def guards(self) -> bool:
+        """Whether some of the code needs doubles of 53 bits, and the rest does without."""
+        return self.arithmetic == "lattice" and not self.axes
+
     def guarded(self, text: str) -> str:
-        """Return text for compilers whose double has 53 bits, as what follows needs them."""
-        if self.arithmetic != "lattice" or self.axes:
+        """Return text for compilers whose double has 53 bits, if it needs them."""
+        if not self.guards:
             return text
         guard = f"#ifndef {self.prefix.upper()}_NO_DOUBLE /* else only steps can be decided */"
         return f"\n{guard}\n{text}\n#endif\n"

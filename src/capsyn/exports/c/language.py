@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ KEYWORDS = frozenset(
 )
 """Words of C."""
 RESERVED = KEYWORDS | frozenset(
-    "bool true false main example "
+    "bool true false main example arduino "
     "and or not xor class new delete this template typename namespace operator private protected "
     "public friend virtual explicit export using try catch throw "
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal "
@@ -34,6 +35,7 @@ BYTES_IN_LINE = 22
 """Entries of a table of bytes in a line."""
 ENTRIES = {
     "BYTE": "pgm_read_byte(place)",
+    "INT8": "((int8_t)pgm_read_byte(place))",
     "INT16": "((int16_t)pgm_read_word(place))",
     "INT32": "((int32_t)pgm_read_dword(place))",
     "FLOAT": "pgm_read_float(place)",
@@ -69,10 +71,25 @@ def macros(reads: Iterable[str]) -> str:
     return f"""#if defined(__AVR__) /* tables stay in program memory */
 #include <avr/pgmspace.h>
 #define CAPSYN_ROM PROGMEM
+#define CAPSYN_COPY(to, place) ((void)memcpy_P(&(to), (place), sizeof(to)))
 {flash}#else
 #define CAPSYN_ROM
+#define CAPSYN_COPY(to, place) ((to) = *(place))
 {plain}#endif
 """
+
+
+def with_called(functions: Sequence[str], body: str) -> str:
+    """Return a body behind those of some functions that it calls, itself or through others.
+
+    Each function is a definition that begins with ``static``; callees stand before callers.
+    """
+    text = body
+    for function in reversed(functions):
+        (name,) = re.findall(r"^static [^(]*?(\w+)\(", function, re.M)
+        if re.search(rf"\b{name}\(", text):
+            text = function + text
+    return text
 
 
 def literal(value: float, real: str) -> str:

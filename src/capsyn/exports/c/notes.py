@@ -50,16 +50,16 @@ def remarks(code: Code) -> tuple[str, ...]:
 def heavy_tables(code: Code) -> str | None:
     """Return a warning where tables of counts take more than the tree, else none."""
     plan, sizes = code.plan, [axis.table_bytes for axis in code.axes]
-    tree = packed_bytes(plan.tree.cells)
-    if sum(sizes) <= max(tree, TOLD_COUNTS):
+    rest = packed_bytes(plan.cells)
+    if sum(sizes) <= max(rest, TOLD_COUNTS):
         return None
     i = int(np.argmax(sizes))
     name = plan.policy.domain.names[i]
     why = "counts fall on faces of its lattice" if code.axes[i].line else "no line gives its steps"
     warning = f"tables of `readings` {code.readings} take {sizes[i]:,} bytes for axis '{name}'"
-    warning += f" (the tree: {tree:,}), since {why}: "
+    warning += f" (the {plan.cells.kind}: {rest:,}), since {why}: "
     offset = plan.offset.copy()
-    step = plan.policy.domain.widths[i] / plan.tree.cells.counts[i]
+    step = plan.policy.domain.widths[i] / plan.counts[i]
     offset[i] += min(abs(plan.scale[i]), step) / 2  # between faces
     with contextlib.suppress(ProblemError):  # counts may no more reach every step
         (moved,) = count_axes(dataclasses.replace(plan, offset=offset), code.readings, [i])
@@ -73,17 +73,18 @@ def heavy_tables(code: Code) -> str | None:
 def notes(code: Code) -> list[str]:
     """Return what a user must know, as lines."""
     plan, arithmetic = code.plan, code.arithmetic
-    counts = ", ".join(map(str, plan.tree.cells.counts))
+    counts = ", ".join(map(str, plan.counts))
+    of_steps = "Cells hold whole steps: the" if plan.as_cells else "The tree compares steps: its"
     lines = [
         f"Quantisation: the axes have {counts} equal steps. Step k of an axis with C steps "
         "holds the states face(k) <= x < face(k + 1), where face(k) = lower + (upper - lower) "
         "* (k / C), rounded as written in double precision; the upper bound belongs to the "
-        "last step; periodic states are brought into [lower, upper) first. The tree compares "
-        "steps: its symbol is the same for all states of a step, and quantising changes the "
+        "last step; periodic states are brought into [lower, upper) first. "
+        f"{of_steps} symbol is the same for all states of a step, and quantising changes the "
         "symbol of 0 % of the states.",
     ]
     if arithmetic == "lattice":
-        lines.append(f"Steps are {z_type(plan.tree.cells.counts)}: 0 to C - 1 fit.")
+        lines.append(f"Steps are {z_type(plan.counts)}: 0 to C - 1 fit.")
     if arithmetic == "float":
         state, what = "the float state", "states"
         if plan.folded:

@@ -52,16 +52,20 @@ def _of_compiler(command: list[str], files: Files, prefix: str) -> dict[str, int
         for name in (f"{prefix}.h", f"{prefix}.c"):
             Path(directory, name).write_bytes(files[name])
         measured = _measure(command, Path(directory), prefix)
-        version = _run([command[0], "-dumpfullversion", "-dumpversion"], Path(directory))
-    compiler = f"{command[0]} {(version or '').strip()}".strip()
-    return {"compiler": compiler, **measured} if measured else {}
+    return {"compiler": version_of(command[0]), **measured} if measured else {}
 
 
-def _run(command: list[str], directory: Path) -> str | None:
+def version_of(compiler: str) -> str:
+    """Return the name and the version of a compiler."""
+    version = run_tool([compiler, "-dumpfullversion", "-dumpversion"], Path())
+    return f"{compiler} {(version or '').strip()}".strip()
+
+
+def run_tool(command: list[str], directory: Path, errors: int = subprocess.DEVNULL) -> str | None:
     """Return what a command says; none where it fails, is missing or does not end."""
     try:
         process = subprocess.Popen(
-            command, cwd=directory, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            command, cwd=directory, stdout=subprocess.PIPE, stderr=errors, text=True,
             start_new_session=True,
         )  # fmt: skip
     except OSError:
@@ -83,10 +87,10 @@ def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]
     compile_ = [*command, "-std=c99", "-Os", "-ffreestanding", "-fno-pic"]
     compile_.append("-fno-asynchronous-unwind-tables")
     apart = ["-ffunction-sections", "-fdata-sections", "-fstack-usage"]
-    if _run([*compile_, *apart, "-c", f"{prefix}.c", "-o", "code.o"], directory) is None:
+    if run_tool([*compile_, *apart, "-c", f"{prefix}.c", "-o", "code.o"], directory) is None:
         return {}
     source = (directory / f"{prefix}.c").read_text()
-    defined = (_run([f"{tool}nm", "code.o"], directory) or "").split()
+    defined = (run_tool([f"{tool}nm", "code.o"], directory) or "").split()
     public = f"{prefix}_symbol" in defined
     roots = [f"{prefix}_symbol"] if public else []
     roots += [f"{prefix}_decide"] if f"{prefix}_decide" in defined else []
@@ -118,8 +122,8 @@ def _linked(
     sections = []
     for link, name in ((own, "own.o"), (whole, "whole.elf")):
         text = None
-        if _run(link, directory) is not None:
-            text = _run([f"{tool}size", "-A", name], directory)
+        if run_tool(link, directory) is not None:
+            text = run_tool([f"{tool}size", "-A", name], directory)
         sections.append(_sections(text) if text else None)
     flash, ram = sections[0] or (0, 0)
     return flash, ram, sections[1][0] if sections[1] else None

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.c import dwell
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import Part, macros, rows
 from capsyn.exports.c.readings.places import counts_quantiser
 from capsyn.exports.c.readings.quantiser import state_quantiser
+from capsyn.exports.c.styles.cells import cells_style
 from capsyn.exports.c.styles.grid import grid
 from capsyn.exports.c.styles.nested import nearest, nested
 from capsyn.exports.c.styles.table import table
@@ -20,27 +22,39 @@ def source(code: Code) -> str:
     states = quantiser.text + _decide(code)
     if code.plan.dwell:
         hold = dwell.functions(code)
-        states += _step(code)
+        states += dwell.step(code)
     reads = decision.reads | quantiser.reads | hold.reads
-    if code.arithmetic == "lattice":
+    if code.guards:
         states = code.guarded(states.rstrip("\n"))
     return f"""{code.about("source")}
 #include "{code.prefix}.h"
 
 #include <stdbool.h>
 
-{macros(reads)}{_controls(code)}{decision.text}{hold.text}{states}"""
+{macros(reads)}{_control(code)}{decision.text}{hold.text}{states}"""
 
 
-def _controls(code: Code) -> str:
-    p, upper = code.prefix, code.prefix.upper()
-    entries = [
-        "{" + ", ".join(code.literal(v) for v in row) + "}" for row in code.plan.policy.controls
-    ]
-    return (
-        f"\nconst {code.real} {p}_controls[{upper}_SYMBOLS][{upper}_INPUTS] CAPSYN_ROM = {{\n"
-        f"{rows(entries, 4)}\n}};\n"
-    )
+def _control(code: Code) -> str:
+    """Return the function that gives the control of a symbol, with its table."""
+    plan, m, upper = code.plan, code.plan.policy.alphabet.m, code.prefix.upper()
+    entries = ["{" + ", ".join(code.literal(v) for v in row) + "}" for row in plan.policy.controls]
+    return f"""
+{code.real} {code.prefix}_control(int16_t symbol, uint16_t input)
+{{
+    static const {code.real} controls[{upper}_SYMBOLS][{upper}_INPUTS] CAPSYN_ROM = {{
+{rows(entries)}
+    }};
+    uint16_t row = {plan.safe}u;
+    {code.real} control = {code.literal(0.0)};
+    if ((uint16_t)symbol < {plan.labels}u) {{
+        row = (uint16_t)symbol;
+    }}
+    if (input < {m}u) {{
+        CAPSYN_COPY(control, &controls[row][input]);
+    }}
+    return control;
+}}
+"""
 
 
 def _decision(code: Code) -> Part:
@@ -49,6 +63,8 @@ def _decision(code: Code) -> Part:
     argument = f"const {code.real} x[{n}]" if code.direct else f"const {code.integer} z[{n}]"
     static = "" if code.arithmetic == "lattice" else "static "
     opening = f"{static}int16_t {p}_symbol({argument})"
+    if isinstance(code.tree, CellTree):
+        return cells_style(code.tree, p, opening, public=not static)
     if code.style == "grid":
         return grid(code.tree, p, opening)
     public, planes = opening, not static and len(code.tree.planes)
@@ -94,17 +110,5 @@ int16_t {p}_decide(const {code.reading} x[{plan.n}], {p}_status *status)
         symbol = {p}_symbol(places);
 {gap}    }}
     return symbol;
-}}
-"""
-
-
-def _step(code: Code) -> str:
-    p, n = code.prefix, code.plan.n
-    return f"""
-int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,
-    {p}_status *status)
-{{
-    const int16_t symbol = {p}_decide(x, status);
-    return {p}_hold(state, symbol, now);
 }}
 """

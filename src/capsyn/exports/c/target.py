@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import ProblemError, warn
 from capsyn.exports.c.code import Code
-from capsyn.exports.c.header import cmake, example, header
 from capsyn.exports.c.notes import heavy_tables, remarks
+from capsyn.exports.c.packages import PACKAGES, packaged
 from capsyn.exports.c.readings.counts import READINGS, golden_counts
 from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.c.sizes import sizes
-from capsyn.exports.c.source import source
+from capsyn.exports.c.styles.cells import cells_bytes
+from capsyn.exports.c.styles.stream import stream, table_bytes
+from capsyn.exports.c.timing.slowest import slowest
 from capsyn.exports.golden import Golden
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import Plan, tree_within
 from capsyn.exports.target import Exported, Target
-from capsyn.validation import finite_number, one_of
+from capsyn.validation import finite_number, one_of, true_or_false
 
-STYLES = ("table", "nested", "grid")
+STYLES = ("table", "nested", "grid", "cells")
+BYTES_A_NODE = 3
+"""Fewer bytes than a node of a tree with oblique splits takes in style table."""
 ARITHMETICS = ("lattice", "double", "float")
 
 
@@ -28,9 +35,13 @@ class Options:
 
     Parameters
     ----------
-    style : "table", "nested" or "grid"
-        A stream of bits (smallest), nested conditions, or a dense table of labels (fastest; up to
-        65,536 cells).
+    style : "table", "nested", "grid" or "cells", optional
+        The tree as a stream of bits (smallest), as nested conditions, or as a dense table of labels
+        (fastest; up to 65,536 cells); or the cells of the policy as they are, with the rows of
+        affine leaves. The stream is that of the tree or of an ordered decision diagram, which has
+        equal subtrees once; of one half where the symbols of the other follow by reflection:
+        whatever takes fewest bytes. Default: table, but cells for affine leaves where these take
+        fewer bytes.
     arithmetic : "lattice", "double" or "float"
         What a decision is made on: lattice steps, which a function gives for states in double
         precision; states in double precision; or in single precision.
@@ -47,46 +58,82 @@ class Options:
     name : str, optional
         What files and functions are called, made an identifier. Default: the policy's name.
     tick : float
-        Unit of the time that a dwell time is measured in [s].
+        Unit of the time that a dwell time is measured in [s], whatever the policy's unit of time.
+    package : "cmake" or "arduino"
+        How the files are laid out: header and source with a project of CMake, or an Arduino
+        library, a folder of the export's name for the sketchbook's ``libraries``.
+    cycles : bool
+        Whether ``measured.json`` says how long a decision takes at most, ``worst``: cycles of an
+        AVR and instructions of a Cortex-M3, where their compilers and emulators are installed.
     """
 
-    style: str = "table"
+    style: str | None = None
     arithmetic: str = "lattice"
     readings: str = "real"
     name: str | None = None
     tick: float = 1e-6
+    package: str = "cmake"
+    cycles: bool = False
 
 
 def export(plan: Plan, golden: Golden, options: Options) -> Exported:
-    """Return a header, a source, a snippet for CMake and an example."""
-    style, arithmetic, readings = options.style, options.arithmetic, options.readings
-    one_of("style", style, list(STYLES))
+    """Return a header, a source, an example, and what packages them."""
+    arithmetic, readings = options.arithmetic, options.readings
+    options = dataclasses.replace(options, style=_style(plan, options.style))
+    plan = plan.written(options.style == "cells")
     one_of("arithmetic", arithmetic, list(ARITHMETICS))
     one_of("readings", readings, list(READINGS))
+    one_of("package", options.package, list(PACKAGES))
     if readings != "real" and arithmetic != "lattice":
         raise ProblemError(f"`readings` {readings} needs `arithmetic` lattice; got {arithmetic}")
-    tick = finite_number("tick", options.tick, above=0.0)
+    finite_number("tick", options.tick, above=0.0)
+    true_or_false("cycles", options.cycles)
     if plan.labels > 1 << 15:
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
-    code = Code.of(plan, style, arithmetic, readings, options.name, tick)
-    files = {
-        f"{code.prefix}.h": header(code).encode(),
-        f"{code.prefix}.c": source(code).encode(),
-        "example.c": example(code).encode(),
-        "CMakeLists.txt": cmake(code).encode(),
-    }
+    code = _code(plan, options)
     vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
     if code.axes:
         vectors = golden_counts(plan, code.axes, readings)
         if heavy := heavy_tables(code):
             warn(heavy)
-    return Exported(files, code.renamed, remarks(code), code.changed, vectors)
+    written = stream(code.tree).figures if code.style == "table" else None
+    files, chosen = packaged(code, options.package), {"style": options.style}
+    return Exported(
+        files, code.renamed, remarks(code), code.changed, vectors, written, plan, chosen
+    )
 
 
-def measure(files: Files) -> dict[str, Any]:
-    """Return what the code takes, by processor; see `sizes`."""
-    (header,) = (name for name in files if name.endswith(".h"))
-    return {**sizes(files, header.removesuffix(".h"))}
+def _style(plan: Plan, style: str | None) -> str:
+    """Return the style that is asked for, or that of the fewest bytes."""
+    cells = plan.policy.cells
+    if style is not None:
+        one_of("style", style, list(STYLES))
+        if style == "cells" and not isinstance(cells, CellTree):
+            raise ProblemError(f"`style` cells is for policies of cells; got {plan.policy!r}")
+        return style
+    if isinstance(cells, CellTree) and cells.affine is not None:
+        size = cells_bytes(cells)
+        tree = tree_within(plan.policy, size // BYTES_A_NODE)
+        if tree is None or table_bytes(tree.cells) > size:
+            return "cells"
+    return "table"
+
+
+def measure(plan: Plan, golden: Golden, exported: Exported, options: Options) -> dict[str, Any]:
+    """Return what the code takes, by processor; see `sizes`, and ``worst``: see `slowest`."""
+    own = (".h", ".c")
+    files = {Path(n).name: text for n, text in exported.files.items() if Path(n).suffix in own}
+    code = _code(plan, options)
+    measured: dict[str, Any] = {**sizes(files, code.prefix)}
+    if options.cycles:
+        measured["worst"] = slowest(code, files, golden)
+    return measured
+
+
+def _code(plan: Plan, options: Options) -> Code:
+    o = options
+    assert o.style is not None
+    return Code.of(plan, o.style, o.arithmetic, o.readings, o.name, float(o.tick))
 
 
 TARGET = Target(export, Options, measure=measure)

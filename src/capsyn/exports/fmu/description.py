@@ -10,6 +10,7 @@ from xml.sax.xmlreader import AttributesImpl
 from capsyn.exports.c.language import KEYWORDS
 from capsyn.exports.identifiers import identifiers
 from capsyn.exports.plan import Plan
+from capsyn.modelling.time_unit import from_seconds
 from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
@@ -27,6 +28,7 @@ def description(plan: Plan, name: str, guid: str) -> bytes:
     """Return the description of a unit of a name."""
     variables = [*_states(plan), *_controls(plan), *_own(plan)]
     units = sorted({unit for (kind,) in variables if (unit := kind.get("unit"))})
+    definitions = _element("UnitDefinitions", {}, *(_unit(plan, unit) for unit in units))
     abilities = dict(
         modelIdentifier=name,
         canHandleVariableCommunicationStepSize="true",
@@ -47,7 +49,7 @@ def description(plan: Plan, name: str, guid: str) -> bytes:
             variableNamingConvention="flat",
         ),
         _in_lines(_element("CoSimulation", abilities, sources)),
-        _in_lines(_element("UnitDefinitions", {}, *(Element("Unit", name=u) for u in units))),
+        _in_lines(definitions),
         _in_lines(_element("ModelVariables", {}, *variables)),
         _structure(plan),
     )
@@ -83,7 +85,7 @@ def _own(plan: Plan) -> list[Element]:
     """Return the variables of every unit."""
     symbols = ", ".join(f"{k}: {text}" for k, text in enumerate(plan.symbol_names))
     statuses = "0: the state is in the domain, 1: outside, 2: a component is NaN or infinite"
-    dwell = _real("s", start=repr(plan.dwell), min="0")
+    dwell = _real("s", start=repr(plan.dwell_s), min="0", **_display(plan))
     place = plan.n + plan.policy.alphabet.m
     about = "Least time between switches of the control"
     return [
@@ -91,6 +93,22 @@ def _own(plan: Plan) -> list[Element]:
         _variable("status", 1, "output", "discrete", Element("Integer"), statuses),
         _variable("min_dwell", place, "parameter", "fixed", dwell, about),
     ]
+
+
+def _display(plan: Plan) -> dict[str, str]:
+    """Return the attributes by which a time in seconds is displayed in another unit, if it is."""
+    unit = plan.policy.time_unit
+    return {} if unit == "s" else {"displayUnit": unit}
+
+
+def _unit(plan: Plan, name: str) -> Element:
+    """Return a unit; that of time says how to display the model's own."""
+    unit = plan.policy.time_unit
+    if name != "s" or unit == "s":
+        return Element("Unit", name=name)
+    factor = repr(from_seconds(1.0, unit))
+    shown = Element("DisplayUnit", name=unit, factor=factor)
+    return _element("Unit", {"name": "s"}, Element("BaseUnit", s="1"), shown)
 
 
 def _structure(plan: Plan) -> Element:

@@ -63,8 +63,51 @@ static int step(int i, double x) {
     return k;
 }
 
+#ifdef CELLS
+/* Down to a leaf; up to DEFAULT it is a label, else that of its largest row, of equals the first. */
+static int label_of(const int *z) {
+    int i, row, label, most = 0, size[STATES];
+    long at = 0, child;
+    for (i = 0; i < STATES; ++i) {
+        size[i] = ROOT_SIZES[i];
+        at = at * PARTITIONS[i] + z[i] / size[i];
+    }
+    while (ENTRIES[at] >= 0) {
+        for (child = 0, i = 0; i < STATES; ++i) {
+            if (CELLS == 2 && !(SPLITS[at] >> i & 1)) continue;
+            size[i] /= REFINEMENT[i];
+            child = child * REFINEMENT[i] + z[i] / size[i] % REFINEMENT[i];
+        }
+        at = ENTRIES[at] + child;
+    }
+    at = -1 - ENTRIES[at];
+    if (at <= DEFAULT) return (int)at;
+    at -= DEFAULT + 1;
+    for (row = ROW_STARTS[at], label = -1; row < ROW_STARTS[at + 1]; ++row) {
+        int value = ROW_CONSTANTS[row];
+        for (i = 0; i < STATES; ++i) value += ROW_SLOPES[(long)row * STATES + i] * z[i];
+        if (label < 0 || value > most) {
+            most = value;
+            label = ROW_SYMBOLS[row];
+        }
+    }
+    return label;
+}
+#else
+static int label_of(const int *z) {
+    int i, node = 0;
+    while (SPLIT[node] >= 0) {
+        int value = 0;
+        if (SPLIT[node] < STATES) value = z[SPLIT[node]];
+        else for (i = 0; i < STATES; ++i) value += PLANES[SPLIT[node] - STATES][i] * z[i];
+        node = value >= THRESHOLD[node] ? SECOND[node] : node + 1;
+    }
+    return THRESHOLD[node];
+}
+#endif
+
 static int decide(const Real *inputs, int *status) {
-    int i, z[STATES], node = 0;
+    int i, z[STATES], label;
     double x[STATES];
     *status = INSIDE;
     for (i = 0; i < STATES; ++i) {
@@ -78,25 +121,21 @@ static int decide(const Real *inputs, int *status) {
     }
     if (*status == OUTSIDE && !NEAREST) return SAFE;
     for (i = 0; i < STATES; ++i) z[i] = step(i, x[i]);
-    while (SPLIT[node] >= 0) {
-        int value = 0;
-        if (SPLIT[node] < STATES) value = z[SPLIT[node]];
-        else for (i = 0; i < STATES; ++i) value += PLANES[SPLIT[node] - STATES][i] * z[i];
-        node = value >= THRESHOLD[node] ? SECOND[node] : node + 1;
-    }
-    if (THRESHOLD[node] == GAP) {
+    label = label_of(z);
+    if (label == GAP) {
         *status = OUTSIDE;
         return SAFE;
     }
-    return THRESHOLD[node];
+    return label;
 }
 
 static void decide_now(policy *p) {
     const int symbol = decide(p->inputs, &p->status);
+    const int waits = p->status == INSIDE || (p->status == OUTSIDE && !OUTSIDE_AT_ONCE);
     int i, same = p->symbol >= 0;
     for (i = 0; same && i < CONTROLS; ++i) same = CONTROL[symbol][i] == CONTROL[p->symbol][i];
     if (same) p->symbol = symbol;
-    else if (p->symbol < 0 || p->time - p->since >= p->dwell * (1.0 - 1e-6)) {
+    else if (p->symbol < 0 || !waits || p->time - p->since >= p->dwell * (1.0 - 1e-6)) {
         p->symbol = symbol;
         p->since = p->time;
     }

@@ -1,8 +1,9 @@
-"""Target ``fmu``: an FMI 2.0 co-simulation unit with its C source and a binary of this platform.
+"""Target ``fmu``: an FMI 2.0 co-simulation unit with its C source and binaries of platforms.
 
 Inputs are readings of the states, outputs the control vector, the symbol and the status. A step
 decides from the inputs at its begin and holds the control over it; inputs that are set afterwards
-show in the outputs at once. The parameter ``min_dwell`` overrides the policy's.
+show in the outputs at once. The parameter ``min_dwell`` overrides the policy's. It is in seconds,
+as all time of FMI is; tools can display it in the policy's unit.
 """
 
 from __future__ import annotations
@@ -10,35 +11,33 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
-import subprocess
 import sys
-import tempfile
 import textwrap
 import uuid
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.packing import smallest_type
+from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import KernelBuildError, ProblemError, warn
 from capsyn.exports.c.language import KEYWORDS
+from capsyn.exports.constants import cell_tables
+from capsyn.exports.fmu.build import ENDINGS, build, own_platform
 from capsyn.exports.fmu.description import description, variable_names
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, renamed
-from capsyn.exports.plan import Files, Plan
+from capsyn.exports.plan import OUTSIDE, Files, Plan
 from capsyn.exports.target import Exported, Target
 from capsyn.native.build import find_compiler
 from capsyn.policies.file import content_hash
 from capsyn.validation import describe
 from capsyn.version import __version__
-
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
-BUILD_SECONDS = 120
-"""Longest that the compiler may take."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +51,14 @@ class Options:
     sources_only : bool
         Whether to leave out the binary; the unit then runs where its importer can build sources.
         So it is, with a warning, where there is no compiler or no name for the platform.
+    platforms : "host", "all", or one or more of "linux64", "win64", "darwin64"
+        Platforms of the binaries. Those of others than this one are made by the package ziglang
+        (``pip install ziglang``); that of ``darwin64`` is then for both kinds of Macs.
     """
 
     name: str | None = None
     sources_only: bool = False
+    platforms: str | Sequence[str] = "host"
 
 
 def export(plan: Plan, golden: Golden, options: Options) -> Exported:
@@ -64,12 +67,13 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         raise ProblemError(
             f"`sources_only` must be true or false; got {describe(options.sources_only)}"
         )
+    platforms = _platforms(options)
     name = file_name(options.name, plan.policy.name, KEYWORDS)
     guid = "{" + _guid(plan) + "}"
     source = _source(plan, guid)
     content = {"modelDescription.xml": description(plan, name, guid), f"sources/{name}.c": source}
     if not options.sources_only:
-        content |= _binary(name, source)
+        content |= build(name, source, platforms) if platforms else _of_host(name, source)
     names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
     return Exported({f"{name}.fmu": _zip(content)}, renamed(names, variable_names(plan)))
 
@@ -79,7 +83,7 @@ TARGET = Target(export, Options)
 
 def _guid(plan: Plan) -> str:
     """Return an identifier of what the unit does, made from the policy and the plan."""
-    parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.scale.tolist()]
+    parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.at_once, plan.scale.tolist()]
     parts += [plan.offset.tolist(), __version__]
     digits = hashlib.sha256(repr(parts).encode()).hexdigest()
     return str(uuid.UUID(digits[:32]))
@@ -97,33 +101,37 @@ def _zip(content: dict[str, bytes]) -> bytes:
     return buffer.getvalue()
 
 
-def _binary(name: str, source: bytes) -> Files:
-    """Return the shared library of this platform by its place; nothing where it cannot be built."""
-    ending = {"linux": "so", "darwin": "dylib"}.get(sys.platform)
-    if ending is None or platform.machine() not in ("x86_64", "AMD64"):
+def _platforms(options: Options) -> tuple[str, ...]:
+    """Return the platforms that are asked for by name; none for this one, whichever it is."""
+    given = options.platforms
+    if isinstance(given, str):
+        given = {"host": (), "all": tuple(ENDINGS)}.get(given, (given,))
+        known = all(name in ENDINGS for name in given)
+    else:
+        known = isinstance(given, Sequence) and len(given) > 0
+        known = known and all(isinstance(name, str) and name in ENDINGS for name in given)
+    if not known:
+        raise ProblemError(
+            f"`platforms` must be host, all, or one or more of {', '.join(ENDINGS)}; "
+            f"got {describe(options.platforms)}"
+        )
+    if given and options.sources_only:
+        raise ProblemError("`platforms` and `sources_only` exclude each other; got both")
+    return tuple(name for name in ENDINGS if name in given)
+
+
+def _of_host(name: str, source: bytes) -> Files:
+    """Return the library of this platform by its place; nothing where it cannot be built."""
+    own = own_platform()
+    if own is None:
         _warn(f"FMI 2.0 has no name for {sys.platform} {platform.machine()}")
         return {}
     try:
-        command = find_compiler().command
+        find_compiler()
     except KernelBuildError as error:
         _warn(str(error))
         return {}
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory, f"{name}.c")
-        path.write_bytes(source)
-        # names without a directory: the place leaves no trace in the library
-        run = [*command, *FLAGS, path.name, "-o", f"{name}.{ending}", "-lm"]
-        try:
-            subprocess.run(
-                run, cwd=directory, check=True, capture_output=True, timeout=BUILD_SECONDS
-            )
-        except subprocess.SubprocessError as error:
-            output = (getattr(error, "stderr", None) or b"").decode(errors="replace")
-            raise KernelBuildError(
-                f"the compiler failed on the source of the FMU: {output.strip() or error}", run
-            ) from None
-        data = path.with_suffix(f".{ending}").read_bytes()
-    return {f"binaries/{sys.platform}64/{name}.{ending}": data}
+    return build(name, source, [own])
 
 
 def _warn(reason: str) -> None:
@@ -132,9 +140,7 @@ def _warn(reason: str) -> None:
 
 def _source(plan: Plan, guid: str) -> bytes:
     """Return the C source: what the policy is, as constants and tables, then what it does."""
-    policy, tree = plan.policy, plan.tree.cells
-    domain = policy.domain
-    planes = tree.planes if len(tree.planes) else np.zeros((1, domain.n), dtype=np.int32)
+    policy, domain = plan.policy, plan.policy.domain
     lines = [f"/* {line.replace('*/', '* /').replace('/*', '/ *')} */" for line in plan.header]
     lines += [
         "#include <stdint.h>",
@@ -145,23 +151,50 @@ def _source(plan: Plan, guid: str) -> bytes:
         f"#define SAFE {plan.safe}",
         f"#define NEAREST {int(plan.nearest)}",
         f"#define GAP {plan.gap}",
-        f"#define DWELL {plan.dwell!r}",
+        f"#define DWELL {plan.dwell_s!r}",
+        f"#define OUTSIDE_AT_ONCE {int(OUTSIDE in plan.at_once)}",
         "",
         _table("double", "LOWER[STATES]", domain.lower.tolist()),
         _table("double", "UPPER[STATES]", domain.upper.tolist()),
         _table("int", "PERIODIC[STATES]", [int(p) for p in domain.periodic]),
         _table("double", "SCALE[STATES]", plan.scale.tolist()),
         _table("double", "OFFSET[STATES]", plan.offset.tolist()),
-        _table("int32_t", "COUNTS[STATES]", tree.counts),
+        _table("int32_t", "COUNTS[STATES]", plan.counts),
         _table("double", f"CONTROL[{plan.labels}][CONTROLS]", policy.controls.tolist()),
-        _table("int32_t", f"SPLIT[{tree.node_count}]", tree.split.tolist()),
-        _table("int32_t", f"THRESHOLD[{tree.node_count}]", tree.threshold.tolist()),
-        _table("int32_t", f"SECOND[{tree.node_count}]", tree.second.tolist()),
-        _table("int32_t", f"PLANES[{len(planes)}][STATES]", planes.tolist()),
+        *_arrays(plan),
         "",
     ]
     body = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
     return ("\n".join(lines) + "\n" + body).encode()
+
+
+def _arrays(plan: Plan) -> list[str]:
+    """Return what lookups need of the cells or the tree, as they are written."""
+    cells = plan.cells
+    return _nodes(cells) if isinstance(cells, SplitTree) else _cells(cells, plan.default)
+
+
+def _nodes(tree: SplitTree) -> list[str]:
+    planes = tree.planes if len(tree.planes) else np.zeros((1, tree.n), dtype=np.int32)
+    return [
+        _table("int32_t", f"SPLIT[{tree.node_count}]", tree.split.tolist()),
+        _table("int32_t", f"THRESHOLD[{tree.node_count}]", tree.threshold.tolist()),
+        _table("int32_t", f"SECOND[{tree.node_count}]", tree.second.tolist()),
+        _table("int32_t", f"PLANES[{len(planes)}][STATES]", planes.tolist()),
+    ]
+
+
+def _cells(cells: CellTree, default: int) -> list[str]:
+    none = np.zeros(1, dtype=np.int32)
+    tables = ((name, array if len(array) else none) for name, array, _ in cell_tables(cells))
+    return [
+        f"#define CELLS {1 if cells.splits is None else 2}",
+        f"#define DEFAULT {default}",
+        *(
+            _table(f"{smallest_type(array)}_t", f"{name}[{len(array)}]", array.tolist())
+            for name, array in tables
+        ),
+    ]
 
 
 def _table(kind: str, name: str, values: Sequence[Any]) -> str:

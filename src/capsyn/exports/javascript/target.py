@@ -31,26 +31,14 @@ export function decide(state) {
   const inside = x.every((v, i) => PERIODIC[i] || (v >= LOWER[i] && v <= UPPER[i]));
   if (!inside && !NEAREST) return [SAFE, OUTSIDE];
   const z = quantise(x);
-  let i = 0;
-  while (SPLIT[i] >= 0) {
-    let value = z[SPLIT[i]];
-    if (SPLIT[i] >= z.length) {
-      const plane = PLANES[SPLIT[i] - z.length];
-      value = 0;
-      for (let j = 0; j < z.length; j++) value += plane[j] * z[j];
-    }
-    i = value >= THRESHOLD[i] ? SECOND[i] : i + 1;
-  }
-  if (THRESHOLD[i] === GAP) return [SAFE, OUTSIDE];
-  return [THRESHOLD[i], inside ? OK : OUTSIDE];
-}
+WALK}
 
 /** Return the control vector of a state [input units]. */
 export function control(state) {
   return CONTROLS[decide(state)[0]];
 }
 
-/** The policy with a least time between switches, MIN_DWELL by default [s]. */
+/** The policy with a least time between switches, MIN_DWELL by default [time unit]. */
 export class Controller {
   constructor(minDwell = MIN_DWELL) {
     this.minDwell = minDwell;
@@ -64,8 +52,9 @@ export class Controller {
   }
 
   /**
-   * Return [symbol, status] at a time [s]; a control is held for minDwell before another. Times do
-   * not decrease; a millionth of the dwell time is allowed for their rounding.
+   * Return [symbol, status] at a time [time unit]; a control is held for minDwell before another.
+   * Times do not decrease; a millionth of the dwell time is allowed for their rounding. The symbol
+   * of a state whose status is in AT_ONCE does not wait, and is held anew.
    */
   step(state, time) {
     const [symbol, status] = decide(state);
@@ -73,7 +62,8 @@ export class Controller {
       CONTROLS[symbol].every((v, i) => v === CONTROLS[this.symbol][i]);
     if (same) {
       this.symbol = symbol;
-    } else if (this.symbol === null || time - this.since >= this.minDwell * (1 - 1e-6)) {
+    } else if (this.symbol === null || AT_ONCE.includes(status) ||
+        time - this.since >= this.minDwell * (1 - 1e-6)) {
       this.symbol = symbol;
       this.since = time;
     }
@@ -87,6 +77,62 @@ export class Controller {
 }
 """
 
+WALK = """\
+  let i = 0;
+  while (SPLIT[i] >= 0) {
+    let value = z[SPLIT[i]];
+    if (SPLIT[i] >= z.length) {
+      const plane = PLANES[SPLIT[i] - z.length];
+      value = 0;
+      for (let j = 0; j < z.length; j++) value += plane[j] * z[j];
+    }
+    i = value >= THRESHOLD[i] ? SECOND[i] : i + 1;
+  }
+  if (THRESHOLD[i] === GAP) return [SAFE, OUTSIDE];
+  return [THRESHOLD[i], inside ? OK : OUTSIDE];
+"""
+"""Through the nodes of a tree."""
+CELLS_WALK = """\
+  const symbol = largest(leaf(z), z);
+  if (symbol === GAP) return [SAFE, OUTSIDE];
+  return [symbol, inside ? OK : OUTSIDE];
+"""
+CELLS = """
+/** Return the number of the leaf that holds lattice steps. */
+function leaf(z) {
+  const size = Array.from(ROOT_SIZES);
+  let at = 0;
+  for (let i = 0; i < z.length; i++) at = at * PARTITIONS[i] + Math.floor(z[i] / size[i]);
+  while (ENTRIES[at] >= 0) {
+    let child = 0;
+    for (let i = 0; i < z.length; i++) {
+      if (SPLITS.length && !((SPLITS[at] >> i) & 1)) continue;
+      size[i] /= REFINEMENT[i];
+      child = child * REFINEMENT[i] + (Math.floor(z[i] / size[i]) % REFINEMENT[i]);
+    }
+    at = ENTRIES[at] + child;
+  }
+  return -1 - ENTRIES[at];
+}
+
+/** Return the symbol of a leaf at lattice steps: of equal rows that of the first. */
+function largest(leaf, z) {
+  if (leaf <= DEFAULT) return leaf;
+  const place = leaf - DEFAULT - 1;
+  let best = 0, most = -Infinity;
+  for (let row = ROW_STARTS[place]; row < ROW_STARTS[place + 1]; row++) {
+    let value = ROW_CONSTANTS[row];
+    for (let i = 0; i < z.length; i++) value += ROW_SLOPES[row * z.length + i] * z[i];
+    if (value > most) {
+      most = value;
+      best = ROW_SYMBOLS[row];
+    }
+  }
+  return best;
+}
+"""
+"""Functions that give the label of cells."""
+
 
 def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     """Return an ES module, ``NAME.mjs``."""
@@ -98,7 +144,9 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
         lines += [f"// {note}", f"const {constant} ="]
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
     lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text()
-    text = "\n".join([*lines, "", lattice]) + CODE
+    code = CELLS + CODE.replace("WALK", CELLS_WALK) if plan.as_cells else CODE.replace("WALK", WALK)
+    code = code.replace("[time unit]", f"[{plan.policy.time_unit}]")
+    text = "\n".join([*lines, "", lattice]) + code
     return Exported({f"{file_name(options.name, plan.policy.name)}.mjs": text.encode()})
 
 

@@ -7,6 +7,9 @@ import re
 from importlib import resources
 from typing import Any
 
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.split_tree import SplitTree
+from capsyn.exports.constants import cell_tables
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
@@ -14,7 +17,7 @@ from capsyn.exports.target import Exported, NameOption, Target
 from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
-FORMAT, VERSION = "capsyn-policy-json", 1
+FORMAT, VERSION, CELLS_VERSION = "capsyn-policy-json", 1, 2
 SCHEMA = "capsyn-policy.schema.json"
 QUANTISER = (
     "All arithmetic is IEEE 754 double precision, rounded after each operation as written.",
@@ -29,13 +32,35 @@ QUANTISER = (
     "face(k) = lower + (upper - lower) * (k / steps). The lattice step z of the axis is the "
     "largest whole number 0 <= z < steps with z = 0 or face(z) <= x.",
 )
+GAP = (
+    "If the symbol is outside.gap, where there is one, the symbol is outside.safe and the status "
+    "1.",
+)
 WALK = (
     "Start at node 0. A node i with split[i] = -1 is a leaf; its symbol is threshold[i].",
     "Else the node compares v = z[split[i]] where split[i] is below the number n of states, and "
     "v = sum of planes[split[i] - n][j] * z[j] over the states j otherwise.",
     "Go on with node second[i] if v >= threshold[i], else with node i + 1.",
-    "If the symbol is outside.gap, where there is one, the symbol is outside.safe and the status "
-    "1.",
+    *GAP,
+)
+CELLS_WALK = (
+    "Start with size[j] = root_sizes[j] for each state j, and with entry i = 0; then for each j in "
+    "order i = i * partitions[j] + floor(z[j] / size[j]).",
+    "While entries[i] >= 0: let c = 0; for each j in order, but, where splits is not empty, only "
+    "those whose bit 2^j is in splits[i]: size[j] = size[j] / refinement[j], then c = c * "
+    "refinement[j] + floor(z[j] / size[j]) modulo refinement[j]; then i = entries[i] + c.",
+    "The leaf is -1 - entries[i]. Up to default it is the symbol.",
+    "Else let a be the leaf less default, less 1. Rows r = row_starts[a] .. row_starts[a + 1] - 1 "
+    "have values row_constants[r] + sum of row_slopes[r * n + j] * z[j] over the n states j. The "
+    "symbol is row_symbols[r] of the row with the largest value, of equals that of the first.",
+    *GAP,
+)
+
+DWELL = (
+    "A decision that is run in a loop keeps a control for min_dwell before it takes another: a "
+    "symbol with another control than that in force is taken only where so much time has passed "
+    "since the last change of the control, or where the status is in at_once.",
+    "A symbol with the same control is taken, and changes nothing. The first symbol is taken.",
 )
 
 
@@ -53,7 +78,7 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
 
 def document(plan: Plan) -> dict[str, Any]:
     """Return the policy as plain data."""
-    policy, tree = plan.policy, plan.tree.cells
+    policy, cells = plan.policy, plan.cells
     domain, alphabet = policy.domain, policy.alphabet
     states = zip(
         domain.names,
@@ -61,7 +86,7 @@ def document(plan: Plan) -> dict[str, Any]:
         domain.lower.tolist(),
         domain.upper.tolist(),
         domain.periodic,
-        tree.counts,
+        plan.counts,
         plan.scale.tolist(),
         plan.offset.tolist(),
     )
@@ -69,7 +94,7 @@ def document(plan: Plan) -> dict[str, Any]:
     return {
         "$schema": SCHEMA,
         "format": FORMAT,
-        "version": VERSION,
+        "version": CELLS_VERSION if plan.as_cells else VERSION,
         "generator": f"capsyn {__version__}",
         "header": list(plan.header),
         "name": policy.name,
@@ -85,21 +110,32 @@ def document(plan: Plan) -> dict[str, Any]:
         "default": plan.default,
         "outside": {"rule": "nearest" if plan.nearest else "safe", "safe": plan.safe}
         | ({"gap": plan.gap} if plan.policy.gaps else {}),
+        **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
         "min_dwell": plan.dwell,
+        "at_once": list(plan.at_once),
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
-        "guarantee": plan.tree.guarantee.to_json() | {"text": plan.tree.guarantee.text},
+        "guarantee": plan.guarantee.to_json() | {"text": plan.guarantee.text},
         "quantiser": list(QUANTISER),
-        "walk": list(WALK),
-        "tree": {
-            "nodes": tree.node_count,
-            "depth": tree.depth,
-            "split": tree.split.tolist(),
-            "threshold": tree.threshold.tolist(),
-            "second": tree.second.tolist(),
-            "planes": tree.planes.tolist(),
-        },
+        "walk": list(CELLS_WALK if plan.as_cells else WALK),
+        "dwell": list(DWELL),
+        cells.kind: _tree(cells) if isinstance(cells, SplitTree) else _cells(cells),
     }
+
+
+def _tree(tree: SplitTree) -> dict[str, Any]:
+    return {
+        "nodes": tree.node_count,
+        "depth": tree.depth,
+        "split": tree.split.tolist(),
+        "threshold": tree.threshold.tolist(),
+        "second": tree.second.tolist(),
+        "planes": tree.planes.tolist(),
+    }
+
+
+def _cells(cells: CellTree) -> dict[str, Any]:
+    return {name.lower(): array.tolist() for name, array, _ in cell_tables(cells)}
 
 
 TARGET = Target(export)

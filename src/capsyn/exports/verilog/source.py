@@ -7,14 +7,16 @@ from collections.abc import Iterator, Sequence
 from decimal import Decimal
 
 from capsyn.errors import ProblemError
+from capsyn.exports.plan import OUTSIDE
 from capsyn.exports.text import broken
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import Port, fold, width_of
 from capsyn.exports.verilog.tree import combinational, pipelined
 from capsyn.exports.verilog.words import comment, signed
+from capsyn.modelling.time_unit import PER_SECOND
 
 UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-"""Units of time, and how many of each a second has."""
+"""Units that a dwell time is told in, and how many of each a second has."""
 
 
 def source(module: Module, about: Sequence[str]) -> list[str]:
@@ -77,22 +79,24 @@ def _bounds(module: Module, port: Port) -> str:
 def _interface(module: Module) -> list[str]:
     lines = [f"module {module.name}"]
     if module.dwell:
-        exact = Decimal(f"{module.plan.dwell:.12g}")  # 0.1 * 3 is 0.3
+        said, unit = Decimal(f"{module.plan.dwell:.12g}"), module.plan.policy.time_unit
+        over, under = PER_SECOND[unit]
+        exact = said * over / under  # in seconds; 0.1 * 3 is 0.3
         fits = ((name, k) for name, k in UNITS.items() if exact * k == int(exact * k))
-        label, unit = next(fits, ("ns", UNITS["ns"]))
-        amount = math.ceil(exact * unit)
-        if amount * module.clock // unit >= 2**63:
+        label, parts = next(fits, ("ns", UNITS["ns"]))
+        amount = math.ceil(exact * parts)
+        if amount * module.clock // parts >= 2**63:
             raise ProblemError(
-                f"`dwell` must be less than 2^63 clocks of {module.clock} Hz; got {exact} s"
+                f"`dwell` must be less than 2^63 clocks of {module.clock} Hz; got {said} {unit}"
             )
         lines += ["#(", f"    parameter [63:0] CLOCK_HZ = 64'd{module.clock},"]
         lines.append(f"    // at least {amount} {label} between switches, in whole clocks")
-        seconds, rest = (f"64'd{k}" for k in divmod(amount, unit))
-        one = f"64'd{unit}"  # products of remainders only, so that 64 bits hold them
+        seconds, rest = (f"64'd{k}" for k in divmod(amount, parts))
+        one = f"64'd{parts}"  # products of remainders only, so that 64 bits hold them
         lines += [
             "    parameter [63:0] DWELL_CYCLES =",
             f"        CLOCK_HZ * {seconds} + CLOCK_HZ / {one} * {rest}",
-            f"        + (CLOCK_HZ % {one} * {rest} + 64'd{unit - 1}) / {one}",
+            f"        + (CLOCK_HZ % {one} * {rest} + 64'd{parts - 1}) / {one}",
             ")",
         ]
     lines.append("(")
@@ -184,6 +188,9 @@ def _end(module: Module) -> list[str]:
         lines += [f"    assign symbol = {wanted};"]
         lines += [f"    assign outside = {outside};"] * module.tells
         return lines + ["    assign valid_out = valid_end;"] * module.clocked
+    free = "held >= DWELL_CYCLES"
+    if module.tells and OUTSIDE in plan.at_once:
+        free = f"({free} || {outside})"
     tests = ["wanted != symbol_held"]
     for k, j in plan.same_control:
         one, other = f"{module.symbol_bits}'d{k}", f"{module.symbol_bits}'d{j}"
@@ -209,9 +216,9 @@ def _end(module: Module) -> list[str]:
         "            if (held < DWELL_CYCLES) held <= held + 64'd1;",
         "            if (valid_end) begin",
         "                started <= 1'b1;",
-        "                if (!started || !changes || held >= DWELL_CYCLES)",
+        f"                if (!started || !changes || {free})",
         "                    symbol_held <= wanted;",
-        "                if (!started || (changes && held >= DWELL_CYCLES)) held <= 64'd1;",
+        f"                if (!started || (changes && {free})) held <= 64'd1;",
         "            end",
         "        end",
         "    end",

@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from capsyn.compression.compress import WAYS_OUT
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
-from capsyn.exports.plan import Plan
+from capsyn.exports.plan import MOST_NODES, Plan, tree_within
 from capsyn.exports.target import Exported, Target
 from capsyn.exports.verilog.bench import bench
 from capsyn.exports.verilog.module import Module
@@ -68,6 +69,12 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     one_of("inputs", options.inputs, ["lattice", "fixed"])
     ports = options.ports(plan)
     clock = math.ceil(finite_number("clock_hz", options.clock_hz, above=0.0))
+    if tree_within(plan.policy, MOST_NODES) is None:
+        raise ProblemError(
+            "target verilog writes trees alone, and that of this policy with affine leaves has "
+            f"more than {MOST_NODES:,} nodes: {WAYS_OUT}"
+        )
+    plan = plan.written(as_cells=False)
     module = Module.of(plan, ports, options.pipeline, clock, options.name)
     test_bench, vectors, about, at_ports = bench(module, golden)
     text = "\n".join(source(module, about)) + "\n"
@@ -76,7 +83,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         f"{module.name}_tb.v": test_bench,
         f"{module.name}.mem": vectors,
     }
-    return Exported(files, module.renamed, changed=module.changed, golden=at_ports)
+    return Exported(files, module.renamed, changed=module.changed, golden=at_ports, plan=plan)
 
 
-TARGET = Target(export, Options)
+TARGET = Target(export, Options, cells=False)

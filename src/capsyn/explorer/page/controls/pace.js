@@ -1,6 +1,6 @@
 const USUAL_SAMPLES = 60_000;
 
-/** Return the usual duration [s] of a closed loop. */
+/** Return the usual duration of a closed loop. */
 export const usualDuration = data =>
   Number(Math.min((data.horizon ?? 1) * 10, USUAL_SAMPLES / data.rate).toPrecision(1));
 

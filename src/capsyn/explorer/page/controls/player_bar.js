@@ -1,15 +1,16 @@
 import { byId, element, labelled } from "../dom/elements.js";
-import { short } from "../dom/text.js";
+import { short, timeUnit } from "../dom/text.js";
 import { longest } from "../state/tracks.js";
 import { pace } from "./pace.js";
 
-/** Speeds of the player, in seconds of the system per second where runs take about ten. */
+/** Speeds of the player, in time of the system per second where runs take about ten. */
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10];
 
 /** Return the bar of the player, {sync, toggle, rewind}: play, reset, speed, and where it is. */
 export function makePlayerBar(app) {
-  const { player } = app, unit = pace(app.data);
-  player.speed = unit;
+  const { player } = app, usual = pace(app.data), unit = timeUnit(app.data);
+  const speedText = v => (unit === "s" ? `${short(v)}×` : `${short(v)} ${unit}/s`);
+  player.speed = usual;
   const toggle = () => (player.playing ? player.pause() : player.play());
   const rewind = () => {
     player.pause();
@@ -20,7 +21,7 @@ export function makePlayerBar(app) {
   const speed = element("select", {
     id: "speed", onchange: () => (player.speed = Number(speed.value)),
   }, SPEEDS.map(v =>
-    element("option", { value: v * unit, selected: v === 1 }, `${short(v * unit)}×`)));
+    element("option", { value: v * usual, selected: v === 1 }, speedText(v * usual))));
   const scrub = element("input", {
     id: "scrub", type: "range", min: 0, max: 1, step: 0.001, value: 0, "aria-label": "Time",
     oninput: () => player.seek(Number(scrub.value) * longest(app.tracks)),
@@ -34,8 +35,8 @@ export function makePlayerBar(app) {
     for (const control of [play, reset, scrub]) control.disabled = !length;
     scrub.value = String(length ? player.time / length : 0);
     const digits = length ? Math.min(Math.max(3 - Math.ceil(Math.log10(length)), 0), 12) : 2;
-    time.textContent = `${player.time.toFixed(digits)} s`;
-    scrub.setAttribute("aria-valuetext", `${time.textContent} of ${short(length)} s`);
+    time.textContent = `${player.time.toFixed(digits)} ${unit}`;
+    scrub.setAttribute("aria-valuetext", `${time.textContent} of ${short(length)} ${unit}`);
   }
   return { sync, toggle, rewind };
 }

@@ -1,17 +1,19 @@
 import { byId, element, labelled } from "../dom/elements.js";
-import { short, whole } from "../dom/text.js";
+import { short, timeUnit, whole } from "../dom/text.js";
 import { rerun } from "../state/trajectories.js";
 import { usualDuration } from "./pace.js";
 
 const MOST_SAMPLES = 400_000, MOST_STEPS = 10_000_000;
-/** Numbers: their name, unit, and what they are. */
+/** Numbers: their name, unit with that of time in place of T, and what they are. */
 const FIELDS = {
-  duration: ["duration", "s", "How long each trajectory is"],
-  rate: ["sample rate", "1/s", "How often the policy is asked"],
+  duration: ["duration", "T", "How long each trajectory is"],
+  rate: ["sample rate", "1/T", "How often the policy is asked"],
   noise: ["noise", "%", "Standard deviation of the measured states, in % of their widths"],
-  delay: ["delay", "ms", "From a sample until its control acts"],
-  dwell: ["least dwell", "s", "Least time between switches"],
+  delay: ["delay", "T", "From a sample until its control acts"],
+  dwell: ["least dwell", "T", "Least time between switches"],
 };
+/** The unit that a delay is given in, and how many of it the unit of time has. */
+const delayUnit = unit => (unit === "s" ? ["ms", 1000] : [unit, 1]);
 /** Those that must be above 0. */
 const POSITIVE = ["duration", "rate"];
 
@@ -24,14 +26,21 @@ export function makeSettings(app) {
   const { data } = app, form = {
     app, fields: {}, problem: element("p", { id: "problem", role: "alert" }),
     outside: makeOutside(app),
+    atOnce: element("input", {
+      id: "set-at-once", type: "checkbox", checked: data.outside_at_once ?? false,
+      title: "Whether the symbol of a state outside does not wait for the least dwell",
+      onchange: () => rerun(app),
+    }),
     stop: element("input", { id: "set-stop", type: "checkbox", onchange: () => rerun(app) }),
     keep: element("input", { id: "keep", type: "checkbox" }),
   };
   const { rate, min_dwell: dwell } = data;
   const values = { duration: usualDuration(data), rate, noise: 0, delay: 0, dwell };
+  byId("settings").classList.toggle("wide", timeUnit(data) !== "s");
   byId("settings").append(...[
     ...Object.keys(FIELDS).map(name => makeField(form, name, values[name])),
     labelled("outside", form.outside),
+    labelled("outside at once", form.atOnce),
     data.target && labelled("stop at target", form.stop),
     labelled("keep earlier", form.keep),
     form.problem,
@@ -44,7 +53,8 @@ export function makeSettings(app) {
 }
 
 function makeField(form, name, value) {
-  const [text, unit, title] = FIELDS[name];
+  const [text, kind, title] = FIELDS[name], time = timeUnit(form.app.data);
+  const unit = name === "delay" ? delayUnit(time)[0] : kind.replace("T", time);
   const input = form.fields[name] = element("input", {
     id: `set-${name}`, type: "number", value, min: 0, step: "any", required: true, title,
     oninput: () => optionsOf(form), onchange: () => rerun(form.app), "data-name": text,
@@ -77,7 +87,8 @@ function complain({ fields, problem }, text, ...wrong) {
 }
 
 function optionsOf(form) {
-  const { app, fields, outside, stop } = form, { lower, upper } = app.data.domain, values = {};
+  const { app, fields, outside, atOnce, stop } = form, { lower, upper } = app.data.domain;
+  const values = {};
   for (const [name, input] of Object.entries(fields)) {
     const value = input.valueAsNumber, positive = POSITIVE.includes(name);
     if (!(positive ? value > 0 : value >= 0) || !Number.isFinite(value)) {
@@ -102,22 +113,26 @@ function optionsOf(form) {
     duration,
     rate,
     noise: lower.map((low, i) => (noise / 100) * (upper[i] - low)),
-    delay: delay / 1000,
+    delay: delay / delayUnit(timeUnit(app.data))[1],
     minDwell: dwell,
     outside: rule === "error" || rule === "nearest" ? rule : Number(rule),
+    outsideAtOnce: atOnce.checked,
     stopAtTarget: stop.checked,
   };
 }
 
-function summary({ rate, noise, delay, minDwell, outside }, data) {
+function summary({ rate, noise, delay, minDwell, outside, outsideAtOnce }, data) {
+  const unit = timeUnit(data), [late, parts] = delayUnit(unit);
   const { lower, upper } = data.domain;
   const rule = typeof outside === "string" ? outside : data.symbols.at(outside);
   const share = noise.length ? noise[0] / (upper[0] - lower[0]) : 0;
   return [
-    rate !== data.rate && `${short(rate)} Hz`,
+    rate !== data.rate && `${short(rate)} ${unit === "s" ? "Hz" : `1/${unit}`}`,
     share > 0 && `noise ${short(100 * share)} %`,
-    delay > 0 && `delay ${short(delay * 1000)} ms`,
-    minDwell !== data.min_dwell && `dwell ${short(minDwell)} s`,
+    delay > 0 && `delay ${short(delay * parts)} ${late}`,
+    minDwell !== data.min_dwell && `dwell ${short(minDwell)} ${unit}`,
     outside !== data.outside && `outside ${rule}`,
+    outsideAtOnce !== (data.outside_at_once ?? false) &&
+      `outside ${outsideAtOnce ? "at once" : "waits"}`,
   ].filter(Boolean).join(", ");
 }

@@ -26,6 +26,9 @@ export const unitText = unit =>
 /** Return a name with its unit in brackets. */
 export const withUnit = (name, unit) => (unit ? `${name} [${unitText(unit)}]` : name);
 
+/** Return the unit that a policy counts time in. */
+export const timeUnit = data => data.time_unit ?? "s";
+
 /** Return round tick values in [low, high], about `count` of them. */
 export function ticks(low, high, count) {
   const raw = (high - low) / Math.max(1, count), power = 10 ** Math.floor(Math.log10(raw));

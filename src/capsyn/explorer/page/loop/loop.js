@@ -11,12 +11,13 @@ const MOST_SAMPLES = 1e7;
  * `data` is that of `policy_data`, `lookup` that of `makeLookup`, `model` that of
  * `model_javascript`. What happens at a sample is told in `capsyn.simulation.closed_loop`.
  *
- * run(x0, {duration, rate, noise, seed, delay, minDwell, outside, substeps, stopAtTarget}): the
- * trajectory from a state, all of it at once. Defaults are the policy's own, with no noise (a
- * standard deviation [state units], or one per state) and no delay [s], for 5 s. It is
- * {t (K+1), x (K+1, n), u (K, m), symbols (K), cost (K+1), terminalCost, totalCost, ended, arrived,
- * switches, outside, rate, substeps}: K samples until it ended, matrices row by row; `ended` is
- * "time", "target", "left the domain" or "not finite"; `arrived` [s] is NaN if it did not.
+ * run(x0, {duration, rate, noise, seed, delay, minDwell, outside, outsideAtOnce, substeps,
+ * stopAtTarget}): the trajectory from a state, all of it at once, times in the policy's unit.
+ * Defaults are the policy's own, with no noise (a standard deviation [state units], or one per
+ * state) and no delay, for a time of 5. It is {t (K+1), x (K+1, n), u (K, m), symbols (K),
+ * cost (K+1), terminalCost, totalCost, ended, arrived, switches, outside, rate, substeps}: K
+ * samples until it ended, matrices row by row; `ended` is "time", "target", "left the domain" or
+ * "not finite"; `arrived` is NaN if it did not.
  *
  * substeps(rate): see `makeSubsteps`.
  */
@@ -40,7 +41,8 @@ function run(system, x0, options = {}) {
 /** The options of a run, whole numbers of samples where they are to be. */
 function settled({ data, lookup: { n }, widths, substeps: choose }, x0, {
   duration = 5, rate = data.rate, noise = 0, seed = 0, delay = 0, minDwell = data.min_dwell,
-  outside = data.outside, substeps = null, stopAtTarget = false,
+  outside = data.outside, outsideAtOnce = data.outside_at_once ?? false, substeps = null,
+  stopAtTarget = false,
 }) {
   const samples = roundEven(duration * rate), period = 1 / rate, { slack } = data;
   if (!(samples >= 1 && samples <= MOST_SAMPLES)) {
@@ -51,7 +53,7 @@ function settled({ data, lookup: { n }, widths, substeps: choose }, x0, {
   const left = late - whole * period, rest = left < slack * period ? 0 : left, now = period - rest;
   const deviations = widths.map((_, i) => (typeof noise === "number" ? noise : noise[i]));
   return {
-    samples, rate, outside, stopAtTarget, deviations,
+    samples, rate, outside, outsideAtOnce, stopAtTarget, deviations,
     steps: substeps ?? choose(rate).steps,
     dwell: Math.ceil(Math.min(minDwell * rate - slack, samples)),
     /** Samples that a control is late by, and from a sample the time until it acts and after it. */
@@ -91,15 +93,15 @@ function arrival({ model }, course, { samples, rate, stopAtTarget }, k) {
 }
 
 /** Measure the state at sample k, ask the policy; return why the trajectory ends there, or null. */
-function decide({ data, lookup }, course, { outside, deviations, normal, dwell }, k) {
-  const { x, measured } = course;
+function decide({ data, lookup }, course, settings, k) {
+  const { x, measured } = course, { outside, deviations, normal } = settings;
   for (let i = 0; i < x.length; i++) measured[i] = x[i] + (normal ? deviations[i] * normal() : 0);
   const seen = lookup.symbol(measured, outside);
   if (seen.status !== INSIDE) course.away += 1;
   if (seen.symbol === NONE) return seen.status === NOT_FINITE ? "not finite" : "left the domain";
   const first = course.symbol === NONE;
   const changes = first || differ(data.controls.at(seen.symbol), data.controls.at(course.symbol));
-  if (first || (changes && course.held >= dwell)) {
+  if (first || (changes && !waits(course, settings, seen.status))) {
     if (!first) course.switches += 1;
     course.held = 0;
   }
@@ -109,6 +111,12 @@ function decide({ data, lookup }, course, { outside, deviations, normal, dwell }
   const control = data.controls.at(course.symbol);
   course.u.set(control, k * control.length);
   return null;
+}
+
+/** Return whether a control waits until that in force has been held for the dwell time. */
+function waits({ held }, { dwell, outsideAtOnce }, status) {
+  const atOnce = status === NOT_FINITE || (status !== INSIDE && outsideAtOnce);
+  return !atOnce && held < dwell;
 }
 
 /** Go on to the next sample under the controls that act: decided before, or the default. */

@@ -1,14 +1,14 @@
 import { unpack } from "../policy/packed.js";
 
 /**
- * Return a function of the sample rate [1/s]: {steps, resolved}, the Runge-Kutta steps per sample
- * that `choose_substeps` in `capsyn.simulation.plant` takes, and whether their error is as small as
- * it should be. `widths` (n) are those of the domain, `advance` is that of `makeAdvance`.
+ * Return a function of the sample rate: {steps, resolved}, the Runge-Kutta steps per sample that
+ * `choose_substeps` in `capsyn.simulation.plant` takes, and whether their error is as small as it
+ * should be. `widths` (n) are those of the domain, `advance` is that of `makeAdvance`.
  */
 export function makeSubsteps({ sampled, controls }, widths, advance) {
   const n = widths.length, starts = unpack(sampled.states), chosen = new Map();
 
-  /** Where the states, row by row, are after a period [s], in widths of the domain. */
+  /** Where the states, row by row, are after a period, in widths of the domain. */
   function scaledEnds(period, steps) {
     const states = starts.slice(), cost = new Float64Array(1);
     for (let s = 0; s * n < states.length; s++) {

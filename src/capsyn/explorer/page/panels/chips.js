@@ -1,5 +1,5 @@
 import { byId, element } from "../dom/elements.js";
-import { counted, short } from "../dom/text.js";
+import { counted, short, timeUnit } from "../dom/text.js";
 import { choose, drop } from "../state/trajectories.js";
 
 const ENDS = {
@@ -52,13 +52,13 @@ function chipOf(app, track) {
 
 /** How a track went. */
 function sentence({ data, loop }, track) {
-  const at = short(track.t.at(-1));
+  const unit = timeUnit(data), at = `${short(track.t.at(-1))} ${unit}`;
   return [
     `Trajectory ${track.number} ${ENDS[track.ended]}` +
-      (track.ended === "time" ? ` (${at} s)` : ` at ${at} s`),
+      (track.ended === "time" ? ` (${at})` : ` at ${at}`),
     counted(track.switches, "switch", "switches"),
     data.target && (Number.isNaN(track.arrived) ? "target not reached"
-      : `target first reached at ${short(track.arrived)} s`),
+      : `target first reached at ${short(track.arrived)} ${unit}`),
     track.outside > 0 && `${counted(track.outside, "sample")} outside`,
     !loop.substeps(track.rate).resolved && "integration not resolved: raise the sample rate",
   ].filter(Boolean).join(" · ");

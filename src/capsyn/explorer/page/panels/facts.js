@@ -11,8 +11,7 @@ export function showTitle({ data, loop }) {
   byId("summary").textContent = [
     counted(n, "state"),
     counted(data.symbols.length - 1, "symbol"),
-    data.tree ? counted((data.tree.split.shape[0] + 1) / 2, "leaf", "leaves")
-      : counted(data.automaton.vertices.reduce((sum, v) => sum + v.cells, 0), "cell"),
+    data.tree ? counted(data.leaves, "leaf", "leaves") : counted(data.leaves, "cell"),
     data.statistics.solves && counted(data.statistics.solves, "solve"),
   ].filter(Boolean).join(" · ");
   classList.toggle("undrawn", !data.drawing);

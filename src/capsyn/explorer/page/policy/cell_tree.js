@@ -3,7 +3,8 @@ import { fill } from "./raster.js";
 
 /** A grid of trees; see `capsyn.cells.cell_tree.CellTree` for the arrays. */
 export class CellTree {
-  constructor({ partitions, refinement, max_level: maxLevel, ...packed }) {
+  /** Of a policy with so many labels: leaves beyond these are affine. */
+  constructor({ partitions, refinement, max_level: maxLevel, ...packed }, labels) {
     Object.assign(this, {
       partitions, refinement,
       entries: Int32Array.from(unpack(packed.entries)),
@@ -11,9 +12,14 @@ export class CellTree {
       perCell: packed.mixed_labels.shape[1],
       splits: packed.splits ? Uint16Array.from(unpack(packed.splits)) : null,
       rootSize: refinement.map(r => r ** maxLevel),
+      labels,
+      rows: packed.row_starts ? {
+        starts: unpack(packed.row_starts), symbols: unpack(packed.row_symbols),
+        constants: unpack(packed.row_constants), slopes: unpack(packed.row_slopes),
+      } : null,
     });
     /** The most times that a cell is split. */
-    this.levels = this.splits ? this.deepest() : maxLevel;
+    this.levels = this.splits || this.rows ? this.deepest() : maxLevel;
   }
 
   /** The axes that a cell is split along, as a bit mask. */
@@ -58,8 +64,27 @@ export class CellTree {
     return this.descend(z).place;
   }
 
-  label(place) {
-    return -1 - this.entries[place];
+  /** The label of lattice steps z in a leaf: of its rows the first of the largest. */
+  label(place, z) {
+    const leaf = -1 - this.entries[place];
+    if (leaf < this.labels) return leaf;
+    const { symbols, constants, slopes } = this.rows, [start, end] = this.rowsOf(leaf);
+    let best = symbols[start], most = -Infinity;
+    for (let row = start; row < end; row++) {
+      let value = constants[row];
+      for (let i = 0; i < z.length; i++) value += slopes[row * z.length + i] * z[i];
+      if (value > most) {
+        most = value;
+        best = symbols[row];
+      }
+    }
+    return best;
+  }
+
+  /** The first row of an affine leaf, and that of the next. */
+  rowsOf(leaf) {
+    const at = leaf - this.labels;
+    return [this.rows.starts[at], this.rows.starts[at + 1]];
   }
 
   /** The cell with lattice steps z: {place, level, low, high}, in steps. */
@@ -78,7 +103,10 @@ export class CellTree {
       if (mixed[middle] < place) first = middle + 1;
       else last = middle;
     }
-    if (mixed[first] !== place) return [this.label(place)];
+    if (mixed[first] !== place) {
+      const leaf = -1 - this.entries[place];
+      return leaf < this.labels ? [leaf] : [...this.rows.symbols.slice(...this.rowsOf(leaf))];
+    }
     const seen = [];
     for (let b = 0; b < perCell * bits; b++) {
       if ((words[first * perCell + Math.floor(b / bits)] >>> b % bits) & 1) seen.push(b);
@@ -87,12 +115,25 @@ export class CellTree {
   }
 
   /**
-   * Return `value(place, whole)` of the cells of a plane, row by row: `columns` and `rows` are
+   * Return `value(place, whole, z)` of the cells of a plane, row by row: `columns` and `rows` are
    * steps of its axes i and j, z has those of the others. Cells deeper than `depth` are not looked
-   * into.
+   * into. Of affine leaves it is asked at every step.
    */
   section({ z, i, j, columns, rows, depth, value }) {
     const { entries } = this, across = columns.length, grid = new Int32Array(across * rows.length);
+    const affine = -1 - this.labels;
+
+    /** Fill the part [a0, a1) x [b0, b1) of the grid, in an affine leaf. */
+    const each = (place, a0, a1, b0, b1) => {
+      const at = z.slice();
+      for (let b = b0; b < b1; b++) {
+        at[j] = rows[b];
+        for (let a = a0; a < a1; a++) {
+          at[i] = columns[a];
+          grid[b * across + a] = value(place, true, at);
+        }
+      }
+    };
 
     /** Fill the part [a0, a1) x [b0, b1) of the grid, cell by cell of a block from `start`. */
     const go = (start, level, size, bases, a0, a1, b0, b1) => {
@@ -110,7 +151,8 @@ export class CellTree {
           const x = digit(i, columns[a]), left = a;
           while (a < a1 && digit(i, columns[a]) === x) a += 1;
           const place = first + x * right + y * up, whole = entries[place] < 0;
-          if (whole || level >= depth) fill(grid, across, value(place, whole), left, a, low, b);
+          if (entries[place] <= affine) each(place, left, a, low, b);
+          else if (whole || level >= depth) fill(grid, across, value(place, whole), left, a, low, b);
           else {
             const parts = this.parts(this.axes(place));
             go(entries[place], level + 1, size.map((s, k) => s / parts[k]), parts, left, a, low, b);

@@ -12,7 +12,7 @@ import { DEFAULT, INSIDE, MIXED, NONE, OUTSIDE } from "./symbols.js";
  *
  * cell(x): the cell of a state in the domain, {leaf, level, lower, upper, symbol, allowed}, else
  * null: its place in the arrays, its level (of a decision tree the comparisons that led to it), its
- * corners (null where an oblique split cuts it), its symbol and the symbols seen in it.
+ * corners (null where an oblique split cuts it), the state's symbol and those seen in it.
  *
  * raster({axes: [i, j], fixed, bounds: [x0, x1, y0, y1], width, height, level}): the symbols at the
  * centres of pixels, row by row from y1 down, Int16Array. The other states have their values of
@@ -23,27 +23,28 @@ import { DEFAULT, INSIDE, MIXED, NONE, OUTSIDE } from "./symbols.js";
  */
 export function makeLookup(data) {
   const domain = new Domain(data.domain, data.counts), last = data.controls.length - 1;
-  const cells = data.tree ? new SplitTree(data.tree, domain.n) : new CellTree(data.cells);
+  const cells = data.tree ? new SplitTree(data.tree, domain.n) : new CellTree(data.cells, last + 1);
   const symbolOf = label => (label === last ? DEFAULT : label);
-  const pixelOf = (place, whole) => (whole ? symbolOf(cells.label(place)) : MIXED);
+  const pixelOf = (place, whole, z) => (whole ? symbolOf(cells.label(place, z)) : MIXED);
 
   function symbol(x, outside = data.outside) {
     const status = domain.status(x);
     if (status === INSIDE || (status === OUTSIDE && outside === "nearest")) {
-      return { symbol: symbolOf(cells.label(cells.find(domain.steps(x)))), status };
+      const z = domain.steps(x);
+      return { symbol: symbolOf(cells.label(cells.find(z), z)), status };
     }
     return { symbol: typeof outside === "number" ? outside : NONE, status };
   }
 
   function cell(x) {
     if (domain.status(x) !== INSIDE) return null;
-    const { place, level, low, high } = cells.cell(domain.steps(x), data.counts);
+    const z = domain.steps(x), { place, level, low, high } = cells.cell(z, data.counts);
     return {
       leaf: place,
       level,
       lower: low && low.map((k, i) => domain.face(i, k)),
       upper: high && high.map((k, i) => domain.face(i, k)),
-      symbol: symbolOf(cells.label(place)),
+      symbol: symbolOf(cells.label(place, z)),
       allowed: cells.allowed(place).map(symbolOf),
     };
   }

@@ -1,9 +1,11 @@
 import uPlot from "../../vendor/uPlot.esm.js";
-import { tickText } from "../dom/text.js";
+import { tickText, timeUnit } from "../dom/text.js";
 import { longest, ordered } from "../state/tracks.js";
 
 const HEIGHTS = { state: 96, input: 68, cost: 82 };
 const STRIP = 14, FOOT = 24, LEFT = 58, RIGHT = 20;
+/** Pixels beside the last time for each further letter of its unit. */
+const WIDER = 4;
 const FONT = "11px system-ui, sans-serif";
 /** Pieces of a curve whose least and greatest samples are drawn. */
 const PIECES = 600;
@@ -25,13 +27,14 @@ export function plotOptions(row, app, key, width, last) {
   const strip = row.kind === "symbols";
   const height = strip ? 10 + STRIP * app.tracks.length : HEIGHTS[row.kind];
   const times = () => [0, longest(app.tracks) || 1];
+  const right = RIGHT + WIDER * (timeUnit(app.data).length - 1);
   return {
-    width, height: height + (last ? FOOT : 0), padding: [strip ? 6 : 17, RIGHT, strip ? 2 : 0, 0],
+    width, height: height + (last ? FOOT : 0), padding: [strip ? 6 : 17, right, strip ? 2 : 0, 0],
     legend: { show: false },
     cursor: { sync: { key, scales: ["x", null] }, drag: { x: false, y: false }, y: false,
       points: { show: false } },
     scales: { x: { time: false, range: times }, y: { range: rangeOf(row) } },
-    axes: axesOf(row, app.theme, last),
+    axes: axesOf(row, app, last),
     series: [{}, ...ordered(app).map(track => ({
       stroke: app.theme.track(track.color), width: track === app.active ? 1.8 : 1.2,
       points: { show: false }, spanGaps: true,
@@ -41,14 +44,15 @@ export function plotOptions(row, app, key, width, last) {
   };
 }
 
-function axesOf(row, theme, last) {
+function axesOf(row, { data, theme }, last) {
+  const unit = timeUnit(data);
   const common = {
     stroke: theme.quiet, font: FONT,
     grid: { stroke: theme.faint, width: 1 }, ticks: { stroke: theme.faint, width: 1, size: 4 },
   };
   const across = {
     ...common, show: true, size: last ? FOOT : 4, space: 70, gap: 3,
-    values: last ? (_, ticks) => ticks.map(v => `${tickText(ticks)(v)} s`) : () => [],
+    values: last ? (_, ticks) => ticks.map(v => `${tickText(ticks)(v)} ${unit}`) : () => [],
   };
   if (row.kind === "symbols") {
     const none = { show: false };

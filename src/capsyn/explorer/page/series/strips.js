@@ -13,7 +13,7 @@ const ends = (plot, { symbols, rate }, each, k) =>
 /**
  * Return what a closed loop did in equal pieces of time: for each piece that it reached
  * {shares, changes, from, to}, the shares of its time by symbol, how often the symbol changed in
- * it, and the samples [from, to) that it meets. `track` has symbols and rate [1/s].
+ * it, and the samples [from, to) that it meets. `track` has symbols and rate.
  */
 function pieces({ symbols, rate }, length, count) {
   const reached = [], each = (length * rate) / count;

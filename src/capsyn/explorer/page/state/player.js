@@ -1,5 +1,5 @@
 /**
- * Return a clock that plays from 0 to `length()` seconds: {time, playing, speed, play, pause,
+ * Return a clock that plays from 0 to `length()`, `speed` a second: {time, playing, speed, play, pause,
  * seek}. It calls `moved()` when the time has changed, and when it starts or stops.
  */
 export function makePlayer(length, moved) {

@@ -1,4 +1,4 @@
-/** Return how long the longest of some tracks is [s]; 0 if there is none. */
+/** Return how long the longest of some tracks is; 0 if there is none. */
 export function longest(tracks) {
   return tracks.reduce((most, track) => Math.max(most, track.t.at(-1)), 0);
 }

@@ -28,6 +28,8 @@ from capsyn.random_streams import stream
 
 READINGS = ("real", "int16", "int32")
 """What readings may be."""
+BITS = {"int16": 16, "int32": 32, "INT": 16, "DINT": 32}
+"""Bits of counts, by the names of their types in C and in Structured Text."""
 WHOLE = 1e-3
 """Counts by which a turn may miss a whole number."""
 
@@ -106,17 +108,17 @@ def count_axes(plan: Plan, readings: str, numbers: Sequence[int] | None = None) 
         The integers do not reach the first and the last step of an axis, a count is wider than an
         axis, or a turn of a periodic axis is no whole number of counts.
     """
-    bits = limit_of(readings).bit_length()
-    return [_axis(plan, i, bits) for i in (range(plan.n) if numbers is None else numbers)]
+    return [_axis(plan, i, readings) for i in (range(plan.n) if numbers is None else numbers)]
 
 
 def limit_of(readings: str) -> int:
     """Return how many counts there are from 0 on."""
-    return 1 << (int(readings.removeprefix("int")) - 1)
+    return 1 << (BITS[readings] - 1)
 
 
-def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
-    domain, steps = plan.policy.domain, plan.tree.cells.counts[i]
+def _axis(plan: Plan, i: int, readings: str) -> CountAxis:
+    bits = BITS[readings]
+    domain, steps = plan.policy.domain, plan.counts[i]
     scale, offset = float(plan.scale[i]), float(plan.offset[i])
     lower, upper, name = float(domain.lower[i]), float(domain.upper[i]), domain.names[i]
     falling = scale < 0
@@ -136,7 +138,7 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
     most = max(map(abs, ends))
     if most > 1 << 50:
         raise ProblemError(
-            f"`readings` int{bits} does not reach axis '{name}', [{lower:g}, {upper:g}]: its "
+            f"`readings` {readings} does not reach axis '{name}', [{lower:g}, {upper:g}]: its "
             f"bounds are at counts of up to {most:.4g}"
         )
     faces = domain.faces(i, np.arange(1, steps), steps)
@@ -148,7 +150,7 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
                 f"got {abs(width / scale):.10g}"
             )
         if turn > 1 << min(bits, 31):
-            raise _narrow(bits, name, lower, upper, turn.bit_length())
+            raise _narrow(readings, name, lower, upper, turn.bit_length())
         near = int(min(-1 - e if falling else e for e in ends))
         start = int(least_reaching(states, np.array([lower]), near - 8, near + 8)[0])
         end = start + turn - 1
@@ -160,7 +162,7 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
         at = least_reaching(states, faces, low, high)
         if len(at) and (at[0] == low or at[-1] > high):
             needed = 1 + int(np.ceil(most)).bit_length()
-            raise _narrow(bits, name, lower, upper, needed)
+            raise _narrow(readings, name, lower, upper, needed)
         first = int(at[0]) - 1 if len(at) else 0
         top = int(at[-1]) - first if len(at) else 0
         changes = at - first
@@ -172,11 +174,12 @@ def _axis(plan: Plan, i: int, bits: int) -> CountAxis:
     return dataclasses.replace(axis, line=line_of(changes, top, coarse, axis.entry))
 
 
-def _narrow(bits: int, name: str, lower: float, upper: float, needed: int) -> ProblemError:
+def _narrow(readings: str, name: str, lower: float, upper: float, needed: int) -> ProblemError:
+    wider = "int32" if readings.startswith("int") else "DINT"
     return ProblemError(
-        f"`readings` int{bits} does not reach every step of axis '{name}', [{lower:g}, {upper:g}]: "
-        f"its counts need {needed} bits"
-        + ("; take int32" if bits < needed <= 32 else "; take a larger `scale`")
+        f"`readings` {readings} does not reach every step of axis '{name}', "
+        f"[{lower:g}, {upper:g}]: its counts need {needed} bits"
+        + (f"; take {wider}" if BITS[readings] < needed <= 32 else "; take a larger `scale`")
     )
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from capsyn.exports.c.code import Code
-from capsyn.exports.c.language import Part, rows, search
+from capsyn.exports.c.language import Part, rows, search, with_called
 from capsyn.exports.c.readings.counts import CountAxis, limit_of
 
 MOST_IN_LINE = 70
 """Characters of a function's name and arguments that stay in one line."""
+_FORMS = ((False, False), (False, True), (True, False), (True, True))
+"""Lines by whether their sums are wide and their ends held, in the order of their functions."""
 
 
 def counts_quantiser(code: Code, opening: str) -> Part:
@@ -19,14 +21,9 @@ def counts_quantiser(code: Code, opening: str) -> Part:
     tables = {name: table for i, axis in enumerate(axes) for name, table in _tables(i, axis)}
     wide = any(not -(1 << 15) <= entry < 1 << 15 for table in tables.values() for entry in table)
     kind = "INT32" if wide else "INT16"
-    lines = [axis.line for axis in axes if axis.line and axis.top]
-    text = _to_places(prefix, axes)
-    for form in sorted({(line.wide, line.last > 0) for line in lines}):
-        text += _line_step(prefix, integer, *form)
-    if any(line.listed for line in lines):
-        text += _listed(prefix, integer, kind)
-    if any(axis.line is None for axis in axes):
-        text += _table_step(prefix, integer, kind)
+    functions = _to_places(prefix)
+    functions += [_line_step(prefix, integer, *form) for form in _FORMS]
+    functions += [_listed(prefix, integer, kind), _table_step(prefix, integer, kind)]
     declared, body = [], []
     for name, entries in tables.items():
         declared.append(
@@ -52,7 +49,8 @@ def counts_quantiser(code: Code, opening: str) -> Part:
         body.append(f"    z[{i}] = {step};")
     declared.append(f"    {prefix}_status status = {prefix.upper()}_OK;")
     function = "\n".join([*declared, *body, "    return status;"])
-    return Part(f"{text}\n{opening}\n{{\n{function}\n}}\n", frozenset([kind] if tables else []))
+    text = with_called(functions, f"\n{opening}\n{{\n{function}\n}}\n")
+    return Part(text, frozenset([kind] if tables else []))
 
 
 def _tables(i: int, axis: CountAxis) -> list[tuple[str, list[int]]]:
@@ -97,11 +95,9 @@ def _step(prefix: str, i: int, axis: CountAxis, place: str, integer: str) -> str
     return f"({integer})({step})" if line.listed else step
 
 
-def _to_places(prefix: str, axes: list[CountAxis]) -> str:
+def _to_places(prefix: str) -> list[str]:
     """Return the functions that bring counts within the places of an axis, or into a turn."""
-    text = ""
-    if any(axis.line and axis.top and not axis.turn for axis in axes):
-        text += f"""
+    place = f"""
 /* Return how far a count is behind the first; of counts beyond either end those at the end. */
 static int32_t {prefix}_place(int32_t count, int32_t first, int32_t last)
 {{
@@ -116,8 +112,7 @@ static int32_t {prefix}_place(int32_t count, int32_t first, int32_t last)
     return place;
 }}
 """
-    if any(axis.turn & (axis.turn - 1) for axis in axes if axis.turn):
-        text += f"""
+    turned = f"""
 /* Return how far a count is behind the first, in its turn. */
 static int32_t {prefix}_turned(int32_t count, int32_t first, int32_t turn)
 {{
@@ -132,8 +127,7 @@ static int32_t {prefix}_turned(int32_t count, int32_t first, int32_t turn)
     return place;
 }}
 """
-    if any(axis.turn and not axis.turn & (axis.turn - 1) for axis in axes):
-        text += f"""
+    masked = f"""
 /* Return how far a count is behind the first, in its turn of 2^k counts. */
 static int32_t {prefix}_masked(int32_t count, uint32_t first, uint32_t mask)
 {{
@@ -141,7 +135,7 @@ static int32_t {prefix}_masked(int32_t count, uint32_t first, uint32_t mask)
     return (int32_t)place;
 }}
 """
-    return text
+    return [place, turned, masked]
 
 
 def _line_name(wide: bool, held: bool) -> str:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from capsyn.exports.c.code import Code
-from capsyn.exports.c.language import Part, round_up, rows, search, z_type
+from capsyn.exports.c.language import Part, round_up, rows, search, with_called, z_type
 from capsyn.modelling.domain import Box
 
 
@@ -40,8 +40,8 @@ def state_quantiser(code: Code, opening: str) -> Part:
         "    }",
         "    return status;",
     ]
-    text = _functions(code) + "\n".join(["", opening, "{", *body, "}", ""])
-    return Part(text, frozenset() if code.faces is None else frozenset({"FLOAT"}))
+    text = with_called(_functions(code), "\n".join(["", opening, "{", *body, "}", ""]))
+    return Part(text, frozenset({"FLOAT"} if any(map(len, code.faces or ())) else ()))
 
 
 def _bounds(code: Code) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -58,17 +58,17 @@ def _wraps(code: Code, i: int) -> bool:
     return periodic and (code.faces is None or len(code.faces[i]) > 0)
 
 
-def _functions(code: Code) -> str:
+def _functions(code: Code) -> list[str]:
+    """Return what a quantiser may call, callees first."""
     domain, counts = code.plan.policy.domain, code.tree.counts
     prefix, real, most = code.prefix, code.real, "FLT_MAX" if code.real == "float" else "DBL_MAX"
-    text = f"""
+    finite = f"""
 static bool {prefix}_finite({real} x)
 {{
     return (x >= -{most}) && (x <= {most});
 }}
 """
-    if code.plan.folded:
-        text += f"""
+    scaled = f"""
 /* Return the state of a reading; volatile: rounded before the sum. */
 static {real} {prefix}_scaled({real} reading, {real} scale, {real} offset)
 {{
@@ -76,13 +76,10 @@ static {real} {prefix}_scaled({real} reading, {real} scale, {real} offset)
     return part + offset;
 }}
 """
-    if any(_wraps(code, i) for i in range(code.plan.n)):
-        text += _wrap(prefix, real)
+    steps = _step(prefix, code.integer, margin(domain, counts))
     if code.faces is not None:
-        text += _rank(prefix, max(map(len, code.faces)) + 1)
-    elif not code.direct:
-        text += _step(prefix, code.integer, margin(domain, counts))
-    return text
+        steps = [_rank(prefix, max(map(len, code.faces)) + 1)]
+    return [finite, scaled, _wrap(prefix, real), *steps]
 
 
 def _declarations(code: Code) -> list[str]:
@@ -114,7 +111,7 @@ def _outside(code: Code, i: int) -> Iterator[str]:
 
 def _place(code: Code, i: int) -> Iterator[str]:
     """Yield what gives the place of a finite state on an axis."""
-    domain, count = code.plan.policy.domain, code.plan.tree.cells.counts[i]
+    domain, count = code.plan.policy.domain, code.plan.counts[i]
     lower, upper, _ = _bounds(code)
     single = code.real == "float"
     width = float(upper[i]) - float(lower[i]) if single else float(domain.widths[i])
@@ -188,16 +185,17 @@ def margin(domain: Box, counts: Sequence[int]) -> float:
     return near if near < 0.5 else 1.0
 
 
-def _step(prefix: str, integer: str, near: float) -> str:
+def _step(prefix: str, integer: str, near: float) -> list[str]:
     least, most = (0.5, 0.5) if near < 0.5 else (0.0, 1.0)  # places that need no correction
-    return f"""
+    face = f"""
 /* Return the place of a face; volatile: rounded before the sum. */
 static double {prefix}_face(double lower, double width, {integer} k, {integer} count)
 {{
     const volatile double part = width * ((double)k / (double)count);
     return lower + part;
 }}
-
+"""
+    corrected = f"""
 /* Return the step that holds x, which is step k or a neighbour. */
 static {integer} {prefix}_corrected(double x, double lower, double width, {integer} k,
     {integer} count)
@@ -213,7 +211,8 @@ static {integer} {prefix}_corrected(double x, double lower, double width, {integ
     }}
     return step;
 }}
-
+"""
+    step = f"""
 /* Return the step that holds x; of states beyond the axis the nearest. */
 static {integer} {prefix}_axis_step(double x, double lower, double width, double scale,
     {integer} count)
@@ -235,6 +234,7 @@ static {integer} {prefix}_axis_step(double x, double lower, double width, double
     return k;
 }}
 """
+    return [face, corrected, step]
 
 
 def _rank(prefix: str, count: int) -> str:

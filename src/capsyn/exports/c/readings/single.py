@@ -6,11 +6,13 @@ import dataclasses
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
 from capsyn.exports.c.language import round_up
 from capsyn.exports.golden import Golden, decide
 from capsyn.exports.plan import Plan
+from capsyn.exports.ranks import ranked_tree
 from capsyn.modelling.domain import Box
 
 SAMPLES = 20_000
@@ -21,8 +23,16 @@ MOST_FACES = 16_000
 """Most faces in tables of floats: 64 kB are what 16 bits can point at."""
 
 
-def check_single_precision(plan: Plan, tree: SplitTree) -> None:
-    """Raise `ProblemError` where single precision does not hold what the plan is made of."""
+def check_single_precision(
+    plan: Plan,
+    tree: CellTree | SplitTree,
+    option: str = "`arithmetic` float",
+    other: str = "double",
+) -> None:
+    """Raise `ProblemError` where single precision does not hold what the plan is made of.
+
+    Errors name the `option` that asks for it, and the `other` value to take.
+    """
     domain = plan.policy.domain
     parts = {"`scale`": plan.scale, "`offset`": plan.offset, "controls": plan.policy.controls}
     for name, values in parts.items():
@@ -31,16 +41,16 @@ def check_single_precision(plan: Plan, tree: SplitTree) -> None:
         lost = ~np.isfinite(single) | ((single == 0) & (values != 0))
         if lost.any():
             raise ProblemError(
-                f"`arithmetic` float needs {name} between 1.5e-45 and 3.4e38 in size, or 0; "
-                f"got {float(values[lost][0])!r}; take double"
+                f"{option} needs {name} between 1.5e-45 and 3.4e38 in size, or 0; "
+                f"got {float(values[lost][0])!r}; take {other}"
             )
     for i, count in enumerate(tree.counts):
         lower, upper = float(domain.lower[i]), float(domain.upper[i])
         bounds, largest = f"axis '{domain.names[i]}', in [{lower!r}, {upper!r}]", max(-lower, upper)
         if domain.periodic[i] and largest > LARGEST_PERIODIC:
             raise ProblemError(
-                f"`arithmetic` float needs bounds of a periodic axis within "
-                f"+-{LARGEST_PERIODIC:g}; got {bounds}; take double"
+                f"{option} needs bounds of a periodic axis within "
+                f"+-{LARGEST_PERIODIC:g}; got {bounds}; take {other}"
             )
         apart = count < 1 << 25 and largest < 3e38
         if apart:
@@ -48,33 +58,28 @@ def check_single_precision(plan: Plan, tree: SplitTree) -> None:
             apart = bool((np.diff(faces) > 0).all())
         if not apart:
             raise ProblemError(
-                f"`arithmetic` float does not tell the {count} steps of {bounds} apart: "
-                "it has 24 bits; take double"
+                f"{option} does not tell the {count} steps of {bounds} apart: "
+                f"it has 24 bits; take {other}"
             )
 
 
-def ranked(tree: SplitTree, domain: Box) -> tuple[SplitTree, list[np.ndarray]]:
+def ranked(
+    tree: CellTree | SplitTree, domain: Box
+) -> tuple[CellTree | SplitTree, list[np.ndarray]]:
     """Return a tree over those faces alone that it compares with, and the faces of each axis.
 
-    A tree with oblique splits is the same, with all faces, up to `MOST_FACES`.
+    Cells and a tree with oblique splits are the same, with all faces, up to `MOST_FACES`.
     """
     total = sum(tree.counts) - tree.n
-    if len(tree.planes) and total > MOST_FACES:
+    if (isinstance(tree, CellTree) or tree.has_planes) and total > MOST_FACES:
+        what = "cells" if isinstance(tree, CellTree) else "a tree with oblique splits"
         raise ProblemError(
-            f"`arithmetic` float tabulates all {total:,} faces of a tree with oblique splits; more "
-            f"than {MOST_FACES:,} are too many: take lattice, with readings int16 where there are "
+            f"`arithmetic` float tabulates all {total:,} faces of {what}; more than "
+            f"{MOST_FACES:,} are too many: take lattice, with readings int16 where there are "
             "no doubles"
         )
-    numbers = [np.arange(1, count) for count in tree.counts]
-    threshold = tree.threshold.copy()
-    if not len(tree.planes):
-        for i in range(tree.n):
-            at = tree.split == i
-            numbers[i], rank = np.unique(tree.threshold[at], return_inverse=True)
-            threshold[at] = rank.ravel() + 1
-    counts = tuple(len(k) + 1 for k in numbers)
-    faces = [domain.faces(i, k, tree.counts[i]) for i, k in enumerate(numbers)]
-    return SplitTree(counts, tree.split, threshold, tree.second, tree.planes), faces
+    smaller, numbers = ranked_tree(tree)
+    return smaller, [domain.faces(i, k, tree.counts[i]) for i, k in enumerate(numbers)]
 
 
 def decide_single(plan: Plan, readings: np.ndarray) -> Golden:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.exports.c.language import Part, literal, round_up, z_type
 from capsyn.modelling.domain import Box
@@ -68,11 +69,11 @@ def nested(
     return Part("".join(reversed(functions)))
 
 
-def nearest(tree: SplitTree, prefix: str, opening: str) -> str:
+def nearest(tree: CellTree | SplitTree, prefix: str, opening: str) -> str:
     """Return the function ``opening(z)`` that gives ``<prefix>_within`` steps within the lattice.
 
-    A tree that compares axes alone gives the symbol of the nearest step anyway, one with planes
-    does not.
+    A tree that compares axes alone gives the symbol of the nearest step anyway, cells and a tree
+    with planes do not.
     """
     integer = z_type(tree.counts)
     lines = [

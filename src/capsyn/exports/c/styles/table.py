@@ -1,139 +1,15 @@
-"""C style ``table``: the tree as one stream of bits in depth-first order, read by windows.
-
-A node is ``1 cut [skip] first second`` or ``0 label``; fields have their lowest bit first. A cut is
-an axis and a threshold or, where the tree has oblique splits, a row of a table of planes. A skip is
-the number of bits of the first subtree; only nodes above a certain depth carry one: below, a first
-subtree is passed over node by node. A window of some bytes from any bit on holds a whole node.
-"""
+"""C style ``table``: the tree as one stream of bits in depth-first order, read by windows."""
 
 from __future__ import annotations
 
-import bisect
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
-from capsyn.cells.split_tree import LEAF, SplitTree
-from capsyn.exports.c.language import Part, byte_rows, rows, z_type
-
-MOST_READ, READS_PER_LEVEL = 64, 7
-"""Nodes that a decision reads at most, if the tree's depth lets it: so many, or per level."""
-WINDOW_BITS = {2: 9, 3: 17, 4: 25, 8: 57}
-"""Bits that a window of some bytes holds from any bit on."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """How the nodes of a tree are written: those above depth `skips` carry a skip.
-
-    `axis`, `threshold` (or the row of a plane), `label` and `skip` are bits of the fields; `sizes`
-    (K,) those of the first subtree of each inner node. `cuts`, pairs of a split and a threshold,
-    are the rows of the table of planes, where the tree has oblique splits.
-    """
-
-    skips: int
-    axis: int
-    threshold: int
-    label: int
-    skip: int
-    sizes: np.ndarray
-    cuts: tuple[tuple[int, int], ...]
-
-    @property
-    def node(self) -> int:
-        """Bits of an inner node without its skip."""
-        return 1 + self.axis + self.threshold
-
-    @property
-    def apart(self) -> bool:
-        """Whether a skip takes a window of its own."""
-        both = self.node + self.skip
-        return self.node <= 25 < both <= 50 or both > WINDOW_BITS[8]
-
-    @property
-    def window(self) -> int:
-        """Bytes of a window."""
-        needs = (self.node, self.skip) if self.apart else (self.node + self.skip,)
-        return min(b for b, bits in WINDOW_BITS.items() if bits >= max(*needs, 1 + self.label))
-
-
-def nodes_read(tree: SplitTree, skips: int) -> int:
-    """Return the nodes that a decision reads at most where nodes above a depth carry skips."""
-    read = np.ones(tree.node_count, dtype=np.int64)
-    nodes = np.zeros(1, dtype=np.int32)
-    for depth in range(tree.depth):
-        nodes = nodes[tree.split[nodes] != LEAF]
-        first, second = tree.first[nodes], tree.second[nodes]
-        read[first] = read[second] = read[nodes] + 1
-        if depth >= skips:
-            read[second] += second - first
-        nodes = np.concatenate([first, second])
-    return int(read.max())
-
-
-def best_skips(tree: SplitTree) -> int:
-    """Return the least depth of skips with few enough nodes read, else the tree's own."""
-    if len(tree.planes):
-        return tree.depth
-    # the more nodes carry skips, the fewer are read
-    depths, most = range(tree.depth), most_read(tree)
-    return bisect.bisect_left(depths, True, key=lambda skips: nodes_read(tree, skips) <= most)
-
-
-def most_read(tree: SplitTree) -> int:
-    """Return how many nodes a decision may read, which the skips see to."""
-    return max(MOST_READ, READS_PER_LEVEL * tree.depth)
-
-
-def layout(tree: SplitTree, skips: int, skip: int = 0) -> Layout:
-    """Return how the nodes of a tree are written, with at least some bits for a skip."""
-    inner = tree.split != LEAF
-    cuts: tuple[tuple[int, int], ...] = ()
-    axis, threshold = (tree.n - 1).bit_length(), int(tree.threshold[inner].max(initial=0))
-    if len(tree.planes):
-        cuts = tuple(sorted(set(zip(tree.split[inner].tolist(), tree.threshold[inner].tolist()))))
-        axis, threshold = 0, len(cuts) - 1
-    label = int(tree.threshold[~inner].max()).bit_length()
-    node = 1 + axis + threshold.bit_length()
-    carries = inner & (tree.depths < skips)
-    while True:
-        own = np.where(inner, node + skip * carries, 1 + label)
-        ends = np.concatenate([[0], np.cumsum(own)])
-        sizes = np.where(inner, ends[tree.second] - ends[tree.first], 0)
-        if int(sizes[carries].max(initial=0)).bit_length() <= skip:
-            return Layout(skips, axis, threshold.bit_length(), label, skip, sizes, cuts)
-        skip += 1
-
-
-def encode(tree: SplitTree, form: Layout) -> bytes:
-    """Return the stream of bits, padded so that windows never read beyond it."""
-    at = value = 0
-
-    def put(number: int, width: int) -> None:
-        nonlocal at, value
-        value |= number << at
-        at += width
-
-    places = {cut: row for row, cut in enumerate(form.cuts)}
-    split, threshold = tree.split.tolist(), tree.threshold.tolist()
-    depths, sizes = tree.depths.tolist(), form.sizes.tolist()
-    pieces = []
-    for i in range(tree.node_count):
-        if split[i] == LEAF:
-            put(threshold[i] << 1, 1 + form.label)
-        else:
-            put(1, 1)
-            if places:
-                put(places[split[i], threshold[i]], form.threshold)
-            else:
-                put(split[i], form.axis)
-                put(threshold[i], form.threshold)
-            if depths[i] < form.skips:
-                put(sizes[i], form.skip)
-        while at >= 8:  # whole bytes leave
-            pieces.append(value & 255)
-            value, at = value >> 8, at - 8
-    return bytes(pieces) + bytes([value]) * (at > 0) + bytes(form.window - 1)
+from capsyn.cells.split_tree import SplitTree
+from capsyn.exports.c.language import Part, byte_rows, comment, rows, z_type
+from capsyn.exports.c.styles.mirrors import Mirror, middle
+from capsyn.exports.c.styles.stream import Layout, Stream, stream
 
 
 def table(tree: SplitTree, prefix: str, opening: str) -> Part:
@@ -141,8 +17,18 @@ def table(tree: SplitTree, prefix: str, opening: str) -> Part:
 
     The tree must have splits.
     """
-    form = layout(tree, best_skips(tree))
-    data = encode(tree, form)
+    found = stream(tree)
+    if not found.mirrors:
+        return _lookup(found, prefix, opening)
+    z = z_type(tree.counts)
+    part = _lookup(found, prefix, f"static int16_t {prefix}_half(const {z} z[{tree.n}])")
+    text, reads = _mirrored(found.mirrors, tree, prefix, opening)
+    return replace(part, text=part.text + text, reads=part.reads | reads)
+
+
+def _lookup(found: Stream, prefix: str, opening: str) -> Part:
+    """Return the function ``opening(z)`` that looks steps up in a stream, with its table."""
+    form, data, tree = found.form, found.data, found.diagram.tree
     word = {2: "uint16_t", 3: "uint32_t", 4: "uint32_t", 8: "uint64_t"}[form.window]
     suffix = {"uint16_t": "u", "uint32_t": "uL", "uint64_t": "uLL"}[word]
     place = "uint16_t" if 8 * len(data) < 1 << 16 else "uint32_t"
@@ -150,7 +36,7 @@ def table(tree: SplitTree, prefix: str, opening: str) -> Part:
     def field(shift: int, width: int) -> str:
         return f"((window >> {shift}u) & {(1 << width) - 1}{suffix})"
 
-    text = _window(data, form.window, word, place, prefix)
+    text = f"\n{comment(_told(found))}\n" + _window(data, form.window, word, place, prefix)
     reads, cut = {"BYTE"}, ""
     if form.cuts:
         planes, kinds = _planes(tree, form, prefix)
@@ -170,6 +56,15 @@ def table(tree: SplitTree, prefix: str, opening: str) -> Part:
     label = field(1, form.label) if form.label else "0u"
     depth = "    uint16_t depth = 0u;\n" if some else ""
     deeper = "        ++depth;\n" if some else ""
+    refers = follow = ""
+    if form.reference:
+        refers = f"(window & {(2 << form.label) - 1}{suffix}) == {form.refers << 1}{suffix}"
+        below = f"            depth = {form.skips}u;\n" if some else ""
+        follow = (
+            f"        if ({refers}) {{\n"
+            f"            at = ({place}){field(1 + form.label, form.reference)};\n{below}"
+            f"            window = {prefix}_window(at);\n        }}\n"
+        )
     text += f"""
 {opening}
 {{
@@ -178,13 +73,64 @@ def table(tree: SplitTree, prefix: str, opening: str) -> Part:
     {word} window = {prefix}_window(at);
     while ((window & 1u) == 1u) {{
 {cut}        const bool beyond = {beyond};
-{_advance(tree, form, prefix, place, skip)}{deeper}        window = {prefix}_window(at);
-    }}
+{_advance(tree, form, prefix, place, skip, refers)}{deeper}        window = {prefix}_window(at);
+{follow}    }}
     label = (uint16_t){label};
     return (int16_t)label;
 }}
 """
     return Part(text, frozenset(reads))
+
+
+def _mirrored(
+    mirrors: tuple[Mirror, ...], tree: SplitTree, prefix: str, opening: str
+) -> tuple[str, set[str]]:
+    """Return the function ``opening(z)`` that looks up reflected steps, and what it reads."""
+    z, tables, reads = z_type(tree.counts), "", set()
+    before, after = "", ""
+    for mirror in mirrors:
+        beyond = f"z[{mirror.pivot}] >= {middle(tree, mirror)}"
+        lines = []
+        for a in mirror.axes:  # whole numbers within the type, wherever z lies
+            inner = f"y[{a}]" if a == mirror.pivot else f"((y[{a}] > 0) ? y[{a}] : 0)"
+            lines.append(f"        y[{a}] = ({z})({tree.counts[a] - 1} - {inner});\n")
+        before += f"    if ({beyond}) {{\n{''.join(lines)}    }}\n"
+        if not mirror.turns:
+            continue
+        turned = f"{mirror.reversal} - label"
+        if mirror.reversal is None:
+            name = f"{prefix}_turned_{mirror.pivot}"
+            entries = [max(label, 0) for label in mirror.turned]
+            tables += (
+                f"    static const uint8_t {name}[{len(entries)}] CAPSYN_ROM = {{\n"
+                f"{byte_rows(bytes(entries))}\n    }};\n"
+            )
+            turned, reads = f"CAPSYN_BYTE(&{name}[label])", {"BYTE"}
+        after += f"    if ({beyond}) {{\n        label = (int16_t)({turned});\n    }}\n"
+    copies = "".join(f"    y[{a}] = z[{a}];\n" for a in range(tree.n))
+    text = f"""
+/* The tree is that of one half: steps beyond the middle are reflected. */
+{opening}
+{{
+{tables}    {z} y[{tree.n}];
+    int16_t label;
+{copies}{before}    label = {prefix}_half(y);
+{after}    return label;
+}}
+"""
+    return text, reads
+
+
+def _told(found: Stream) -> list[str]:
+    """Return what the bits are, as lines."""
+    figures = found.figures
+    text = f"The tree is written as {figures['nodes']} nodes"
+    if figures["references"]:
+        text += f", {figures['references']} of them references to subtrees that stand elsewhere"
+    if figures["mirrors"]:
+        halves = "; ".join(", ".join(map(str, axes)) for axes in figures["mirrors"])
+        text += f", without what follows from reflection (axes {halves})"
+    return [f"{text}. A decision reads at most {figures['nodes_read']}."]
 
 
 def _window(data: bytes, size: int, word: str, place: str, prefix: str) -> str:
@@ -233,27 +179,13 @@ static bool {prefix}_beyond(const {z_type(tree.counts)} z[{tree.n}], uint16_t ro
     return text, {kind, "INT32"}
 
 
-def _advance(tree: SplitTree, form: Layout, prefix: str, place: str, skip: str) -> str:
+def _advance(tree: SplitTree, form: Layout, prefix: str, place: str, skip: str, refers: str) -> str:
     """Return the statements that go on to the first or the second child."""
     jump = f"if (beyond) {{\n    at += ({place}){skip};\n}}\n"
     if form.skips >= tree.depth:
         lines = f"at += {form.node + form.skip}u;\n{jump}"
     else:
-        over = f"""if (beyond) {{
-    {place} open = 1u; /* pass over the first subtree */
-    while (open > 0u) {{
-        if (({prefix}_window(at) & 1u) == 1u) {{
-            at += {form.node}u;
-            ++open;
-        }} else {{
-            at += {1 + form.label}u;
-            --open;
-        }}
-    }}
-}} else {{
-    /* the first subtree comes next */
-}}
-"""
+        over = _pass_over(form, prefix, place, refers)
         lines = f"at += {form.node}u;\n"
         if form.skips:
             inner = f"at += {form.skip}u;\n{jump}"
@@ -262,3 +194,27 @@ def _advance(tree: SplitTree, form: Layout, prefix: str, place: str, skip: str) 
         else:
             lines += over
     return "".join(f"        {line}\n" for line in lines.splitlines())
+
+
+def _pass_over(form: Layout, prefix: str, place: str, refers: str) -> str:
+    """Return the statement that passes over the first subtree where that is asked for."""
+    look, inner, reference = "", f"({prefix}_window(at) & 1u) == 1u", ""
+    if refers:
+        look, inner = f"        window = {prefix}_window(at);\n", "(window & 1u) == 1u"
+        onward = f"                at += {form.reference}u;\n"
+        reference = f"            if ({refers}) {{\n{onward}            }}\n"
+    return f"""if (beyond) {{
+    {place} open = 1u; /* pass over the first subtree */
+    while (open > 0u) {{
+{look}        if ({inner}) {{
+            at += {form.node}u;
+            ++open;
+        }} else {{
+            at += {1 + form.label}u;
+            --open;
+{reference}        }}
+    }}
+}} else {{
+    /* the first subtree comes next */
+}}
+"""

@@ -1,0 +1,166 @@
+"""How the files of an export in C are laid out: for CMake, or as an Arduino library."""
+
+from __future__ import annotations
+
+from capsyn.exports.c.code import Code
+from capsyn.exports.c.header import header
+from capsyn.exports.c.source import source
+from capsyn.exports.plan import Files
+from capsyn.version import __version__
+
+PACKAGES = ("cmake", "arduino")
+
+
+def packaged(code: Code, package: str) -> Files:
+    """Return all files of an export; those of an Arduino library are in a folder of its name."""
+    p = code.prefix
+    if package == "cmake":
+        places, more = f"{p}", {"example/main.c": _program(code), "CMakeLists.txt": _cmake(code)}
+    else:
+        places = f"{p}/src/{p}"
+        more = {
+            f"{p}/library.properties": _properties(code),
+            f"{p}/keywords.txt": _keywords(code),
+            f"{p}/examples/{p}/{p}.ino": _sketch(code),
+        }
+    texts = {f"{places}.h": header(code), f"{places}.c": source(code), **more}
+    return {name: text.encode() for name, text in texts.items()}
+
+
+def _cmake(code: Code) -> str:
+    """Return the text of ``CMakeLists.txt``, whose target others take as ``NAME::NAME``."""
+    p, about = code.prefix, "\n".join(f"# {line}" for line in code.plan.header)
+    return f"""{about}
+cmake_minimum_required(VERSION 3.10)
+project({p} C)
+include(GNUInstallDirs)
+add_library({p} STATIC {p}.c)
+add_library({p}::{p} ALIAS {p})
+set_target_properties({p} PROPERTIES C_STANDARD 99 C_STANDARD_REQUIRED ON)
+target_include_directories({p} PUBLIC
+    $<BUILD_INTERFACE:${{CMAKE_CURRENT_SOURCE_DIR}}>
+    $<INSTALL_INTERFACE:${{CMAKE_INSTALL_INCLUDEDIR}}>)
+# what a program does not use is left out by -Wl,--gc-sections
+target_compile_options({p} PRIVATE -ffunction-sections -fdata-sections)
+# find_package({p} CONFIG) of other projects finds what is installed
+install(TARGETS {p} EXPORT {p}
+    ARCHIVE DESTINATION ${{CMAKE_INSTALL_LIBDIR}}
+    INCLUDES DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
+install(FILES {p}.h DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
+install(EXPORT {p} FILE {p}Config.cmake NAMESPACE {p}::
+    DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/cmake/{p})
+"""
+
+
+def _middle(code: Code) -> str:
+    """Return readings in the middle of the domain, as entries of an array."""
+    plan, domain = code.plan, code.plan.policy.domain
+    middle = ((domain.lower + domain.widths / 2) - plan.offset) / plan.scale
+    return ", ".join(str(round(v)) if code.axes else code.literal(v) for v in middle)
+
+
+def _program(code: Code) -> str:
+    """Return a program that decides at the middle of the domain."""
+    plan, p = code.plan, code.prefix
+    declare = f"    {p}_state state;\n" if plan.dwell else ""
+    call = f"    symbol = {p}_decide(x, &status);\n"
+    if plan.dwell:
+        call = f"    {p}_init(&state);\n    symbol = {p}_step(&state, x, 0u, &status);\n"
+    first = ("(double)" if code.real == "float" else "") + f"{p}_control(symbol, 0u)"
+    return f"""{code.about("example")}
+#include <stdio.h>
+
+#include "{p}.h"
+
+int main(void)
+{{
+    const {code.reading} x[{plan.n}] = {{{_middle(code)}}};
+    {p}_status status;
+    int16_t symbol;
+{declare}{call}    (void)printf("symbol %d, status %d\\n", (int)symbol, (int)status);
+    (void)printf("control %g\\n", {first});
+    return 0;
+}}
+"""
+
+
+def _properties(code: Code) -> str:
+    """Return the text of ``library.properties``, with every field that must be.
+
+    Who publishes the library puts in author, maintainer and url.
+    """
+    p, policy = code.prefix, code.plan.policy
+    states = ", ".join(policy.domain.names)
+    lines = {
+        "name": p,
+        "version": __version__,
+        "author": "capsyn",
+        "maintainer": "capsyn",
+        "sentence": f"The control alphabet policy {policy.name}.",
+        "paragraph": f"{code.plan.labels} symbols, decided from {states}.",
+        "category": "Device Control",
+        "url": "https://example.com/",
+        "architectures": "*",
+        "includes": f"{p}.h",
+    }
+    return "".join(f"{name}={' '.join(text.split())}\n" for name, text in lines.items())
+
+
+def _keywords(code: Code) -> str:
+    """Return the text of ``keywords.txt``, by which the editor colours names."""
+    p, upper = code.prefix, code.prefix.upper()
+    types, functions = ["status"], ["control", "decide"]
+    if code.arithmetic == "lattice":
+        functions += ["symbol", "quantise"]
+    if code.plan.dwell:
+        types, functions = [*types, "state"], [*functions, "init", "hold", "take", "step"]
+    kinds = {"KEYWORD1": [f"{p}_{name}" for name in types]}
+    kinds["KEYWORD2"] = [f"{p}_{name}" for name in functions]
+    kinds["LITERAL1"] = [f"{upper}_{name}" for name in ("OK", "OUTSIDE", "NOT_FINITE")]
+    kinds["LITERAL1"] += [f"{upper}_SYMBOL_{name}" for name in code.symbols]
+    return "".join(f"{word}\t{kind}\n" for kind, words in kinds.items() for word in words)
+
+
+def _sketch(code: Code) -> str:
+    """Return a sketch that prints the control in the middle of the domain."""
+    plan, p, n = code.plan, code.prefix, code.plan.n
+    init, asked, lattice = "", f"{p}_decide(x, &status)", f"{p}_symbol(z)"
+    globals_ = ""
+    if plan.dwell:
+        clock = {1e-6: "micros()", 1e-3: "millis()"}.get(code.tick, "ticks")
+        globals_ = f"\nstatic {p}_state state;\n"
+        if clock == "ticks":
+            globals_ += (
+                f"static uint32_t ticks = 0; /* yours: advance it every {code.tick!r} s */\n"
+            )
+        init = f"    {p}_init(&state);\n"
+        asked = f"{p}_step(&state, x, {clock}, &status)"
+        lattice = f"{p}_hold(&state, {lattice}, {clock})"
+    reading = f"""\
+    const {code.reading} x[{n}] = {{{_middle(code)}}}; /* yours: what sensors say */
+    {p}_status status;
+    const int16_t symbol = {asked};
+"""
+    if code.guards:
+        steps = ", ".join(str(count // 2) for count in code.tree.counts)
+        reading = f"""\
+#ifdef {p.upper()}_NO_DOUBLE /* as on AVR: from lattice steps alone */
+    const {code.integer} z[{n}] = {{{steps}}}; /* yours: made of what sensors say */
+    const int16_t symbol = {lattice};
+#else
+{reading}#endif
+"""
+    return f"""{code.about("example")}
+#include <{p}.h>
+{globals_}
+void setup()
+{{
+    Serial.begin(9600);
+{init}}}
+
+void loop()
+{{
+{reading}    Serial.println({p}_control(symbol, 0));
+    delay(100);
+}}
+"""

@@ -1,0 +1,1 @@
+"""How long decisions of exported C take on emulated processors."""
