@@ -24,14 +24,13 @@ from capsyn.compression.complexity import complexity
 from capsyn.compression.curve import size_curve
 from capsyn.compression.proof import prove
 from capsyn.errors import ProblemError
-from capsyn.exports.c.target import TARGET
 from capsyn.exports.export import TARGETS, all_targets
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.report import report
 from support.exports.c_machines import Library
-from support.exports.c_plans import assert_golden
+from support.exports.c_plans import assert_golden, files
 from support.exports.policies import made_by, module
 from support.processes.command_line import capsyn, error_of
 from support.trees import GRIDS, random_affine_policy
@@ -92,8 +91,11 @@ def test_exported_c_gives_the_same_symbols_without_overflow(name, level, tmp_pat
     plan = Plan.of(synthesize(problems.get(name), leaves="affine", max_level=level))
     golden = golden_vectors(plan)
     options = ["-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover"]
-    library = Library(TARGET.files(plan, golden).files, tmp_path, plan.n, "gcc", options)
-    assert_golden(library, golden, True)
+    for style in ("cells", "table"):
+        library = Library(
+            files(plan, golden, style=style), tmp_path / style, plan.n, "gcc", options
+        )
+        assert_golden(library, golden, True)
 
 
 def test_what_a_policy_of_affine_leaves_cannot_do_is_one_line(pendulum):

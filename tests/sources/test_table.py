@@ -15,13 +15,13 @@ import capsyn
 from capsyn import Alphabet, Policy, compress, problems
 from capsyn.compression.proof import prove
 from capsyn.errors import OutsideDomainError, PolicyFormatError, ProblemError
-from capsyn.exports.c.target import TARGET
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
 from capsyn.modelling.transcription import transcribe
 from capsyn.sources.table import Table
 from capsyn.verification.agreement import agreement
 from support.exports.c_machines import Library
+from support.exports.c_plans import files
 from support.exports.policies import RUNNERS, assert_equal
 from support.exports.verilog import check as check_verilog
 from support.policy_files import refuse, rewrite
@@ -204,7 +204,7 @@ def test_golden_vectors_tell_gaps(safe):
 def test_c_gives_the_status_in_gaps(style, arithmetic, tmp_path):
     plan = Plan.of(random_table((13, 9), seed=2).policy(outside=1))
     golden = golden_vectors(plan)
-    made = TARGET.files(plan, golden, style=style, arithmetic=arithmetic).files
+    made = files(plan, golden, style=style, arithmetic=arithmetic)
     library = Library(made, tmp_path, plan.n)
     with np.errstate(over="ignore"):
         states = golden.states.astype(library.real).astype(float)
