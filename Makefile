@@ -5,8 +5,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
-  cppcheck gcc-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr binutils cmake \
-  iverilog verilator yosys graphviz nodejs chromium fonts-dejavu-core
+  cppcheck gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr \
+  binutils cmake iverilog verilator yosys graphviz nodejs chromium fonts-dejavu-core
 
 .PHONY: help demo test check bench docs figures page strip debian clean
 

@@ -46,6 +46,51 @@ def test_a_tree_file_works_wherever_a_policy_file_does(pendulum, tmp_path):
     assert "agreement" in Policy.load(tree).evidence
 
 
+FEATURES = """
+import casadi as ca
+features = {
+    "energy": lambda x: 2 * x[1] ** 2 + 19.62 * (ca.cos(x[0]) - 1),
+    "cos(theta) * omega": lambda x: ca.cos(x[0]) * x[1],
+}
+more = features | {"log": lambda x: ca.log(x[1])}
+number = 3
+"""
+
+
+def test_features_come_from_a_file(pendulum, tmp_path):
+    (tmp_path / "law.py").write_text(FEATURES)
+    tree = tmp_path / "t.cap"
+    out, _ = capsyn("compress", pendulum, "--features", tmp_path / "law.py", "-o", tree)
+    assert "features     energy, cos(theta) * omega: " in out and "(proved)" in out
+    policy, made = Policy.load(pendulum), Policy.load(tree)
+    states = policy.domain.sample(5000, 1)
+    np.testing.assert_array_equal(made(states), policy(states))
+    data = json.loads(capsyn("info", tree, "--json")[0])
+    assert data["features"]["names"] == ["energy", "cos(theta) * omega"]
+    for command in (
+        ("query", tree, "3.0", "0.5"),
+        ("plot", tree, "-o", tmp_path / "t.png"),
+        ("simulate", tree, "--x0", "3,0", "--duration", "1"),
+        ("verify", tree, "--monte-carlo", "5", "--within", "1", "--agreement", "1000", "--save"),
+        ("export", tree, "--to", "python", "-o", tmp_path / "made"),
+    ):
+        capsyn(*command)
+    assert "agreement" in Policy.load(tree).evidence
+    for given, message in (
+        ("law.py:number", "'law.py' must hold a dict of functions named 'number'"),
+        ("law.py:none", "'law.py' must hold a dict of functions named 'none'"),
+        ("law", "features must be given as FILE.py or FILE.py:NAME; got 'law'"),
+        ("law.py:more", "`features['log']` must be a number below 1e+150 all over the domain"),
+        ("no.py", "there is no file 'no.py'"),
+    ):
+        command = ("compress", pendulum, "--features", given, "-o", tmp_path / "no.cap")
+        assert message in error_of(*command, cwd=tmp_path)
+    assert not (tmp_path / "no.cap").exists()
+    assert "takes no --features" in error_of(
+        "compress", pendulum, "--curve", "--features", tmp_path / "law.py"
+    )
+
+
 def test_freedom_is_judged_and_smaller(pendulum, tmp_path):
     sizes = {}
     for price in ("0", "0.5", "10"):

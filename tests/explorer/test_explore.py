@@ -14,6 +14,7 @@ from capsyn import Alphabet, Box, Policy, compress, explore, simulate, subdivide
 from capsyn.errors import ProblemError
 from capsyn.explorer.explore import page
 from support.explorer.page import OUTPUT, Shown, chromium, hex_color, synthesized
+from support.features import exact
 from support.processes.command_line import capsyn as run_capsyn
 from support.processes.command_line import run_apart
 from support.trees import random_policy
@@ -62,6 +63,18 @@ def test_the_page_is_one_small_file_and_the_same_every_time(tmp_path):
     links = set(re.findall(r"https?://[^\s\"'`]*", outside))
     assert "Permission is hereby granted" in text and "Leon Sorokin" in text
     assert links <= {"https://github.com/leeoniya/uPlot"}  # in the note of its licence
+
+
+def test_a_tree_with_features_is_evaluated_on_its_page(show):
+    tree = exact()
+    shown = show(tree)
+    shown.page.uncheck("#outlines")
+    shown.assert_map()
+    for state in tree.domain.sample(8, 2):
+        pointed = shown.hover(state)
+        assert pointed["symbol"] == tree(pointed["state"])
+    assert shown.active["samples"] > 0
+    assert "cos(theta) * omega" in shown.page.text_content("body")
 
 
 def test_pointing_shows_what_the_policy_says(show):

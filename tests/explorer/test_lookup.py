@@ -11,12 +11,14 @@ from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import OutsideDomainError
 from support.explorer.node import BEGIN, node, texts
 from support.exports.policies import built_in, oblique
+from support.features import exact
 from support.trees import GRIDS, random_affine_policy, random_policy, random_tree, states_at_faces
 
 LOOKUP = (
     'import { makeLookup } from "./explorer/page/policy/lookup.js";'
+    'import { features } from "./features.js";'
     + BEGIN
-    + "const lookup = makeLookup(input.policy);"
+    + "const lookup = makeLookup(input.policy, features);"
 )
 INSIDE, OUTSIDE, NOT_FINITE = 0, 1, 2
 
@@ -61,6 +63,7 @@ POLICIES = {
     "cart-pole": lambda: built_in("cart-pole"),
     "exact": lambda: compress(built_in("cart-pendulum-4"), "exact"),
     "oblique": oblique,
+    "features": exact,
     "periodic 1-D": lambda: random_policy(2, periodic=True),
     "many symbols": many_symbols,
     **{
@@ -224,7 +227,8 @@ def seen_at_level(policy, states, level):
 
 @pytest.mark.parametrize(
     "name",
-    ["cart-pendulum", "cart-pole", "exact", "oblique", "oblique 4-D", "random 6", "random 7"]
+    ["cart-pendulum", "cart-pole", "exact", "features", "oblique", "oblique 4-D"]
+    + ["random 6", "random 7"]
     + [f"random {grid} adaptive" for grid in (3, 6, 7)]
     + ["affine 3", "affine 3 adaptive", "affine 6 adaptive"],
 )

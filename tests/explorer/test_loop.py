@@ -9,9 +9,10 @@ from hypothesis import given, settings
 
 from capsyn import Alphabet, Ball, Box, Problem, SsacSettings, simulate, synthesize
 from capsyn.errors import CapsynWarning, ProblemError
-from capsyn.explorer.program_javascript import HELPERS, model_javascript, program_javascript
+from capsyn.explorer.program_javascript import model_javascript, program_javascript
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Program
+from capsyn.programs.texts import JAVASCRIPT
 from capsyn.simulation.plant import choose_substeps, plant_of
 from support.explorer.node import BEGIN, node, texts
 from support.exports.policies import built_in
@@ -31,7 +32,7 @@ SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, 2.5, -2.5, 3.7, 1e-9, -1e200, 1e300, np.in
 
 def run_programs(directory, programs, states):
     """Return what programs ``x -> y`` give in JavaScript at states (K, n): [(K, outputs), ..]."""
-    helpers = "".join(f"const m_{name} = {text};\n" for name, text in HELPERS.items())
+    helpers = "".join(f"const m_{name} = {text};\n" for name, text in JAVASCRIPT.items())
     functions = [program_javascript(p, f"f{k}") for k, p in enumerate(programs)]
     code = BEGIN + helpers + "".join(functions)
     code += f"""

@@ -125,7 +125,7 @@ def test_json_follows_its_schema(policy, tmp_path):
         == [data["tree"]["nodes"]] * 2
     )
     assert ("time_unit" in data) == (policy is in_days)
-    wrongs = [{"version": 2}, {"sha256": "x"}, {"min_dwell": -1}, {"more": 1}, {"symbols": []}]
+    wrongs = [{"version": 1}, {"sha256": "x"}, {"min_dwell": -1}, {"more": 1}, {"symbols": []}]
     for wrong in (*wrongs, {"time_unit": "m"}, {"at_once": [0]}):
         with pytest.raises(jsonschema.ValidationError):
             validator(schema).validate(data | wrong)

@@ -19,13 +19,13 @@ TOP = Path(__file__).parents[2]
 ORDER = """
 errors validation random_streams statistics version
 
-programs: operations program builder intervals expansion model step_doubling
+programs: operations program texts builder intervals expansion model step_doubling
 native: build compiled source
 modelling: domain alphabet settings targets grid time_unit problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
-cells: masks row_table affine_leaves boxes cell_tree split_tree faces packing work
+cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree faces packing work
 policies: lookup outside guarantee colors picture file policy single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
@@ -36,14 +36,15 @@ synthesis: remote_labels labelling synthesize
 sources: callables finite_control_set table text scots grid_files
 verification: bisection loop_derivative lyapunov agreement trials monte_carlo sentences
 integrations: gymnasium control
-compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree proof
-    judge compress curve complexity
+compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree
+compression.features: growing space cell_fit controller_fit
+compression: proof judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target certificate identifiers text crossings ranks
+exports: plan constants golden target certificate identifiers text crossings ranks feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
-    styles.grid styles.cells readings.single readings.lines readings.counts code readings.places
-    readings.quantiser notes dwell header source packages sizes timing.programs timing.emulators
-    timing.states timing.slowest target
+    styles.grid styles.cells readings.single readings.lines readings.counts features code
+    readings.places readings.quantiser notes dwell header source packages sizes timing.programs
+    timing.emulators timing.states timing.slowest target
 exports.structured_text: words lines pou cells block cuts functions steps hold source siemens
     plcopen target
 exports.verilog: words ports module tree bench source target

@@ -46,6 +46,7 @@ class CellTree:
 
     kind: ClassVar[str] = "cells"
     planes_are: ClassVar[str] = "affine leaves"
+    compiled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.mixed_labels.ndim == 1:  # as files have one word, whatever is in force

@@ -69,10 +69,13 @@ def members(sets: np.ndarray, count: int) -> np.ndarray:
     return words >> (symbols % bits).astype(sets.dtype) & sets.dtype.type(1) != 0
 
 
-def masks_of_members(held: np.ndarray) -> np.ndarray:
-    """Return the sets (..., W) uint64 that hold the symbols where `held` (..., S) is true."""
+def masks_of_members(held: np.ndarray, words: int | None = None) -> np.ndarray:
+    """Return the sets (..., W) uint64 that hold the symbols where `held` (..., S) is true.
+
+    By default they have as few words as hold them.
+    """
     count = held.shape[-1]
-    sets = np.zeros((*held.shape[:-1], word_count(count)), dtype=np.uint64)
+    sets = np.zeros((*held.shape[:-1], words or word_count(count)), dtype=np.uint64)
     for symbol in range(count):
         word, bit = _bit(sets, symbol)
         sets[..., word] |= np.where(held[..., symbol], bit, np.uint64(0))
@@ -216,7 +219,8 @@ def masks_of_scores(label: Callable[[np.ndarray], np.ndarray], n_symbols: int) -
     def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         scores = _checked_scores(label(states), len(states), n_symbols)
         finite = np.isfinite(scores).all(axis=1)
-        masks = masks_of_members(scores == scores.max(axis=1, keepdims=True))
+        best = scores == scores.max(axis=1, keepdims=True)
+        masks = masks_of_members(best, word_count(n_symbols + 1))
         masks[~finite] = 0
         return masks, scores[:, None]
 

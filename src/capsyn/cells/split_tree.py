@@ -48,6 +48,7 @@ class SplitTree:
     kind: ClassVar[str] = "tree"
     planes_are: ClassVar[str] = "oblique splits"
     nested: ClassVar[bool] = False
+    compiled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         keep_read_only(self, *TREE_ARRAYS)

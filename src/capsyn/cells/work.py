@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +24,18 @@ class Work:
     steps: np.ndarray
 
 
-def work_of(cells: CellTree) -> Work:
-    """Return what lookups in cells take."""
+class Leaves(NamedTuple):
+    """All leaf cells, those with most rows first, of these the deepest."""
+
+    places: np.ndarray  # (M,): their entries
+    lower: np.ndarray  # (M, n): lower corners [lattice steps]
+    sizes: np.ndarray  # (M, n): edge lengths [lattice steps]
+    levels: np.ndarray  # (M,): that are passed on the way
+    rows: np.ndarray  # (M,): that are evaluated
+
+
+def heaviest_leaves(cells: CellTree) -> Leaves:
+    """Return all leaves of cells in the order of the work that they take."""
     leaves = list(cells.leaves())
     levels = np.repeat([some.level for some in leaves], [len(some.places) for some in leaves])
     places, lower, sizes = (
@@ -35,12 +46,18 @@ def work_of(cells: CellTree) -> Work:
     if cells.affine is not None:
         leaf = cells.labels_at(places) - cells.affine.first
         rows[leaf >= 0] = np.diff(cells.affine.starts)[leaf[leaf >= 0]]
-    volumes = np.prod(sizes, axis=1, dtype=float)
-    heaviest = np.lexsort((levels, rows))[-1]
+    order = np.lexsort((-levels, -rows))
+    return Leaves(*(array[order] for array in (places, lower, sizes, levels, rows)))
+
+
+def work_of(cells: CellTree) -> Work:
+    """Return what lookups in cells take."""
+    leaves = heaviest_leaves(cells)
+    volumes = np.prod(leaves.sizes, axis=1, dtype=float)
     return Work(
-        int(levels.max()),
-        float(np.average(levels, weights=volumes)),
-        int(rows.max()),
-        float(np.average(rows, weights=volumes)),
-        lower[heaviest] + sizes[heaviest] // 2,
+        int(leaves.levels.max()),
+        float(np.average(leaves.levels, weights=volumes)),
+        int(leaves.rows[0]),
+        float(np.average(leaves.rows, weights=volumes)),
+        leaves.lower[0] + leaves.sizes[0] // 2,
     )

@@ -33,6 +33,10 @@ class CompressOptions:
     node_price: float | None = option(
         "For freedom: finest cells of disagreement that a node less is worth [default: 0.5]."
     )
+    features: str | None = option(
+        "Functions of the state that splits may compare: a dict `features` in the file, by name.",
+        metavar="FILE.py[:NAME]",
+    )
     curve: bool = option("Size against agreement, by mode and level.", "--curve", default=False)
     states: int = option("Random states that trees are judged at.", default=100_000)
     seed: Seed = 0
@@ -52,6 +56,7 @@ def compress(file: File, options: CompressOptions, as_json: Json = False) -> Non
 
 
 def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
+    from capsyn.cli.problem_finder import find_features
     from capsyn.compression.compress import compress
     from capsyn.execution.files import check_writable
     from capsyn.policies.policy import Policy
@@ -64,9 +69,12 @@ def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
     if Path(path).resolve() == Path(file).resolve():
         raise ProblemError(f"the output must be another file than the policy; got '{path}'")
     policy = Policy.load(file)
+    features = None if options.features is None else find_features(options.features)
     with working(f"compressing, mode {options.mode}"):
         names = "mode agreement level node_price states seed backend".split()
-        tree = compress(policy, **{name: getattr(options, name) for name in names})
+        tree = compress(
+            policy, **{name: getattr(options, name) for name in names}, features=features
+        )
     tree.save(path)
     data = report(tree) | {"file": path}
     show(as_json, data, lambda: print_compression(data, report(policy)), f"wrote {path}")
@@ -85,6 +93,7 @@ def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
         "--agreement": options.agreement,
         "--level": options.level,
         "--node-price": options.node_price,
+        "--features": options.features,
     }
     wrong = [name for name, value in for_one.items() if value is not None]
     if wrong or options.mode != "exact":

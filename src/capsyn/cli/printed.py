@@ -158,6 +158,14 @@ def _print_tree(data: dict[str, Any]) -> None:
         f"{data['nodes']:,} nodes, {data['depth']} comparisons at most{planes}, on {grid} steps; "
         f"{data['packed_bytes']:,} bytes packed",
     )
+    if data["features"]:
+        margin = data["features"]["margin"]
+        near = "" if margin is None else f"; at least {margin:.1e} of their span from thresholds"
+        print_line(
+            "features",
+            f"{', '.join(data['features']['names'])}: {data['features']['operations']} "
+            f"operations at the centre of a step{near}",
+        )
     print_line("guarantee", data["guarantee"]["text"])
 
 

@@ -68,6 +68,27 @@ def find_function(text: str, others: tuple[type, ...] = ()) -> Any:
     return function
 
 
+def find_features(text: str) -> dict[str, Any]:
+    """Return the functions that ``path/to/file.py[:name]`` or ``package.module:name`` holds.
+
+    They are a dict of functions by name, called ``features`` unless given.
+
+    Raises
+    ------
+    ProblemError
+        There is none, or the file fails.
+    """
+    place, colon, name = text.rpartition(":")
+    if not colon or name.endswith(".py"):
+        place, name = text, "features"
+    if not place.endswith(".py") and not colon:
+        raise ProblemError(f"features must be given as FILE.py or FILE.py:NAME; got '{text}'")
+    features = getattr(_load(place), name, None)
+    if not isinstance(features, dict):
+        raise ProblemError(f"'{place}' must hold a dict of functions named '{name}'")
+    return features
+
+
 def _load(place: str) -> ModuleType:
     """Return the module that a file or a dotted name makes; files beside it can be imported."""
     path = Path(place)

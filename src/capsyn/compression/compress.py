@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.compression.affine_tree import MAX_NODES, affine_tree
 from capsyn.compression.coarsening import cut_off
+from capsyn.compression.features.cell_fit import MOST_CELLS, fit_cells
+from capsyn.compression.features.space import LEAST_MARGIN, Functions, Space, check_functions
 from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
 from capsyn.compression.judge import Judge
-from capsyn.compression.oblique import fit_tree
+from capsyn.compression.oblique import Fit, fine_lattice, fit_tree
 from capsyn.compression.proof import prove
 from capsyn.errors import ProblemError, warn
 from capsyn.policies.file import content_hash
@@ -22,6 +27,10 @@ from capsyn.verification.agreement import Controller
 
 FREE_PRICES = (16.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.05)
 """Finest cells of disagreement that a node is worth, from the smallest tree on."""
+DEFAULT_AGREEMENT = 0.99
+"""That of mode linear."""
+FEATURE_STEPS = 4096
+"""Most lattice steps along an axis of a tree of mode linear with features."""
 NODE_PRICE = 0.5
 """That of mode freedom where no agreement is asked for."""
 MAX_STATES = 10_000_000
@@ -52,6 +61,7 @@ def compress(
     states: int = 100_000,
     seed: int = 0,
     controller: Controller | None = None,
+    features: Functions | None = None,
     backend: str = "auto",
 ) -> DecisionTree:
     """Return a small decision tree that does the work of a policy.
@@ -81,6 +91,11 @@ def compress(
     controller : callable, optional
         What trees are fitted to and judged by: states (B, n) to symbol indices (B,), -1 for the
         default. Default: sSAC with the policy's own model, or the policy where that has none.
+    features : dict of functions, optional
+        Functions of the state by name, in CasADi's terms like a problem's, that splits may compare
+        beside the states: ``{"energy": lambda x: ...}``. They are evaluated at the centres of the
+        steps of the tree's lattice, and those that a tree does not use are dropped. Not with
+        `level`, `node_price`, or, in mode ``freedom``, `agreement`.
     backend : "auto", "c" or "numpy"
         How sSAC is solved.
 
@@ -93,7 +108,8 @@ def compress(
     -----
     CapsynWarning
         `agreement` was not reached, and the best tree found is returned; or it is finer than the
-        cells of a policy without a controller, so that the tree follows their stairs.
+        cells of a policy without a controller, so that the tree follows their stairs. `features`
+        make no tree smaller, and one without is returned; or one comes very near to a threshold.
 
     Raises
     ------
@@ -101,7 +117,11 @@ def compress(
         An argument that cannot be used.
     """
     cells = cell_tree(policy)
-    _check_mode(policy, mode, agreement=agreement, level=level, node_price=node_price)
+    options = {"agreement": agreement, "level": level, "node_price": node_price}
+    _check_mode(policy, mode, options)
+    if features is not None:
+        check_functions(features)
+        _check_features(cells, mode, options)
     if agreement is not None:
         agreement = finite_number("agreement", agreement, above=0.0)
         if agreement >= 1:
@@ -116,11 +136,14 @@ def compress(
     states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, BACKENDS)
+    if features is not None:
+        judge = Judge.of(policy, states, seed, backend, controller)
+        return _told(judge, feature_tree(judge, mode, features, agreement))
     if mode == "exact":
         return exact_tree(policy, level)
     judge = Judge.of(policy, states, seed, backend, controller)
     if mode == "linear":
-        target = 0.99 if agreement is None else agreement
+        target = DEFAULT_AGREEMENT if agreement is None else agreement
         if judge.source is None and policy.mixed_share > 1 - target:
             warn(
                 f"cells whose test points disagree cover {policy.mixed_share:.2%} of the volume: "
@@ -132,12 +155,64 @@ def compress(
         (tree,) = free_trees(judge, level, (node_price,))
     else:
         tree = _smallest_free_tree(judge, level, agreement)
+    return _told(judge, tree)
+
+
+def _told(judge: Judge, tree: DecisionTree) -> DecisionTree:
+    """Return a tree, with a warning where it misses its target, or features need a check."""
+    if isinstance(tree.cells, FeatureTree):
+        margin = tree.cells.features.margin
+        if margin is not None and margin < LEAST_MARGIN:
+            warn(
+                f"a feature comes as near as {margin:.1e} of its span to a threshold: targets that "
+                "round otherwise may give another symbol there"
+            )
     if not tree.guarantee.reached:
         warn(judge.advice(tree))
     return tree
 
 
-def _check_mode(policy: Policy, mode: str, **options: Any) -> None:
+def feature_tree(
+    judge: Judge, mode: str, functions: Functions, agreement: float | None
+) -> DecisionTree:
+    """Return the tree of a mode whose splits may compare features, judged."""
+    from capsyn.compression.features.controller_fit import fit_controller
+
+    policy = judge.policy
+    if mode == "linear":
+        target = DEFAULT_AGREEMENT if agreement is None else agreement
+        space = Space.of(functions, policy.domain, fine_lattice(policy.domain, FEATURE_STEPS))
+        labels = len(policy.alphabet) + 1
+        fit = fit_controller(judge.masks, space, labels, target, judge.seed, judge.states)
+        return _linear(judge, fit, target)
+    plain = exact_tree(policy) if mode == "exact" else next(free_trees(judge, None, (NODE_PRICE,)))
+    space = Space.of(functions, policy.domain, cell_tree(policy).counts)
+    cells = fit_cells(policy, space, mode == "freedom", plain.node_count)
+    if cells is None:
+        warn(f"no tree with `features` is smaller than the {plain.node_count} nodes without")
+        return plain
+    claim = Guarantee(mode, content_hash(policy))
+    tree = DecisionTree.of(policy, cells, claim)
+    tree = dataclasses.replace(
+        tree, guarantee=dataclasses.replace(claim, changed=prove(tree, policy))
+    )
+    return tree if mode == "exact" else judge.judged(tree, None)
+
+
+def _check_features(cells: CellTree, mode: str, options: dict[str, Any]) -> None:
+    """Raise `ProblemError` unless cells have a tree with features of a mode with such options."""
+    for name, value in options.items():
+        if value is not None and mode != "linear":
+            raise ProblemError(f"`{name}` is not for mode {mode} with `features`; got {value!r}")
+    if mode != "linear" and (cells.affine is not None or math.prod(cells.counts) > MOST_CELLS):
+        raise ProblemError(
+            f"`features` in mode {mode} are for at most {MOST_CELLS:,} finest cells, of one symbol "
+            f"each; mode linear has no such limit; got {math.prod(cells.counts):,}"
+            + (" and affine leaves" if cells.affine is not None else "")
+        )
+
+
+def _check_mode(policy: Policy, mode: str, options: dict[str, Any]) -> None:
     """Raise `ProblemError` unless a policy has a tree of a mode with such options."""
     one_of("mode", mode, list(MODES))
     level = options["level"]
@@ -238,7 +313,12 @@ def linear_tree(judge: Judge, target: float) -> DecisionTree:
     """Return the tree of mode linear that `fit_tree` finds for a target, judged."""
     policy = judge.policy
     labels, kept = len(policy.alphabet) + 1, {"seed": judge.seed, "states": judge.states}
-    fit = fit_tree(judge.masks, policy.domain, labels, target, **kept)
+    return _linear(judge, fit_tree(judge.masks, policy.domain, labels, target, **kept), target)
+
+
+def _linear(judge: Judge, fit: Fit, target: float) -> DecisionTree:
+    """Return a tree fitted to a controller, judged."""
+    policy = judge.policy
     tree = DecisionTree.of(policy, fit.tree, Guarantee("linear", content_hash(policy)))
     changed = 1.0 - judge.compare(tree, with_policy=True).share
     return judge.with_counts(tree, target, fit.judged, fit.right, changed=changed)

@@ -268,11 +268,11 @@ class _Search:
         return Samples((self._locate(samples.states) + 0.5) / self._counts, samples.right)
 
 
-def fine_lattice(domain: Box) -> tuple[int, ...]:
-    """Return the lattice steps of a tree along each axis: powers of two, at most `STEPS`."""
+def fine_lattice(domain: Box, most: int = STEPS) -> tuple[int, ...]:
+    """Return the lattice steps of a tree along each axis: powers of two, at most `most`."""
     counts = []
     for axis in range(domain.n):
-        count = STEPS
+        count = most
         while count > 1:
             try:
                 domain.check_resolution([count if i == axis else 1 for i in range(domain.n)])
@@ -293,7 +293,7 @@ def to_lattice(root: Node, counts: tuple[int, ...]) -> SplitTree:
         if not node.children:
             return LEAF, node.label, []
         assert node.plane is not None
-        a, c = _integer_plane(node.plane, counts)
+        a, c = integer_plane(node.plane, counts)
         axis, *others = (i for i, coefficient in enumerate(a) if coefficient)
         if others:
             return a, c, node.children
@@ -304,7 +304,7 @@ def to_lattice(root: Node, counts: tuple[int, ...]) -> SplitTree:
     return depth_first(counts, root, look)
 
 
-def _integer_plane(plane: Plane, counts: tuple[int, ...]) -> tuple[list[int], int]:
+def integer_plane(plane: Plane, counts: tuple[int, ...]) -> tuple[list[int], int]:
     """Return coefficients (n,) and threshold, as integers without a common divisor."""
     slope = plane[0] / np.array(counts)
     scale = min(MAX_COEFFICIENT / np.abs(slope).max(), MAX_SUM / (np.abs(slope) * counts).sum())

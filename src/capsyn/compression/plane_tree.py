@@ -141,6 +141,7 @@ def refine(root: Node, samples: Samples) -> list[Link]:
     left, the cheapest first.
     """
     links: list[Link] = []
+    axes = samples.states.shape[1] if samples.axes is None else samples.axes
 
     def visit(node: Node, rows: np.ndarray) -> None:
         right = samples.right[rows]
@@ -156,7 +157,7 @@ def refine(root: Node, samples: Samples) -> list[Link]:
         good = [right[every, child.labels(states)] for child in node.children]
         matters = good[0] != good[1]
         hopeless = np.count_nonzero(~(good[0] | good[1]))
-        wrong = hopeless + _fit_split(node, states[matters], good[1][matters])
+        wrong = hopeless + _fit_split(node, states[matters], good[1][matters], axes)
         substitutes = [Node(label), *node.children]
         errors = [len(rows) - np.count_nonzero(right[:, label])]
         errors += [len(rows) - np.count_nonzero(x) for x in good]
@@ -187,8 +188,11 @@ def prune(links: list[Link], allowed: float) -> None:
         link.node.become(link.substitute)
 
 
-def _fit_split(node: Node, states: np.ndarray, second: np.ndarray) -> int:
-    """Fit a split to states that belong to its second child or not; return its errors."""
+def _fit_split(node: Node, states: np.ndarray, second: np.ndarray, axes: int) -> int:
+    """Fit a split to states that belong to its second child or not; return its errors.
+
+    A plane may combine the first `axes` coordinates, or those after them.
+    """
     n = states.shape[1]
     assert node.plane is not None
     distance = distances(states, node.plane)
@@ -200,14 +204,18 @@ def _fit_split(node: Node, states: np.ndarray, second: np.ndarray) -> int:
     if along:
         shift, saved = best_shift(distance, second)
         node.plane, wrong = (node.plane[0], node.plane[1] + shift), wrong - saved
-    if n == 1:
+    part = slice(axes, n) if node.plane[0][axes:].any() else slice(0, axes)
+    if part.stop - part.start == 1:
         return wrong
     worth = OBLIQUE_WORTH * wrong if along else 0.0
     for band in BANDS:
         near = np.flatnonzero(np.abs(distances(states, node.plane)) < band)[:BAND_STATES]
         if len(near) <= 4 * n or second[near].all() or not second[near].any():
             continue
-        plane = separating_plane(states[near], second[near], node.plane)
+        start = node.plane[0][part], node.plane[1]
+        normal, offset = separating_plane(states[near][:, part], second[near], start)
+        plane = np.zeros(n), offset
+        plane[0][part] = normal
         distance = distances(states, plane)
         near = np.abs(distance) < band
         shift, saved = best_shift(distance[near], second[near])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from capsyn.cells.boxes import Boxes
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree, lattice_chunks
 from capsyn.cells.masks import holds
 from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.compression.affine_tree import affine_tree
@@ -55,6 +58,8 @@ def prove(tree: Policy, policy: Policy) -> float:
     level = tree.guarantee.level
     base = policy if level is None else cut_off(policy, level)
     left = cell_tree(base)
+    if isinstance(tree.cells, FeatureTree):
+        return _prove_steps(tree.cells, policy, tree.guarantee.mode == "freedom")
     if tree.cells.counts != left.counts or tree.domain != policy.domain:
         raise ProblemError(f"`tree` must be on the lattice of `policy`; got {tree!r}")
     boxes = left.boxes()
@@ -67,6 +72,22 @@ def prove(tree: Policy, policy: Policy) -> float:
     finer = tree.cells.refined(cells.counts)
     changed = changed_cells(finer, cells).sum()
     return float(changed / np.prod(cells.counts, dtype=float))
+
+
+def _prove_steps(tree: FeatureTree, policy: Policy, freedom: bool) -> float:
+    """Return the share that a tree with features changes; each finest cell is looked up in both."""
+    cells, allowed = cell_tree(policy), allowed_masks(policy, freedom)
+    if tree.counts != cells.counts:
+        raise ProblemError(f"`tree` must be on the lattice of `policy`; got {tree.counts}")
+    changed = 0
+    for steps in lattice_chunks(cells.counts):
+        entries, labels = cells.find(steps), tree.labels(steps)
+        wrong = np.flatnonzero(~holds(allowed[entries], labels))
+        if len(wrong):
+            at = steps[wrong[0]].tolist()
+            raise ProblemError(f"`tree` does not keep its word: step {at} gets another symbol")
+        changed += int(np.count_nonzero(labels != cells.labels_at(entries)))
+    return changed / math.prod(cells.counts)
 
 
 def _prove_affine(tree: DecisionTree, cells: CellTree) -> None:

@@ -46,6 +46,7 @@ class Samples:
 
     states: np.ndarray  # (B, n)
     right: np.ndarray  # (B, L) bool: whether each label is right at each state
+    axes: int | None = None  # planes combine so many first coordinates, or the rest; None: all
 
     def __len__(self) -> int:
         return len(self.states)
@@ -56,7 +57,7 @@ class Samples:
 
     def first(self, count: int) -> Samples:
         """Return the first samples, at most `count`."""
-        return Samples(self.states[:count], self.right[:count])
+        return Samples(self.states[:count], self.right[:count], self.axes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,7 @@ from capsyn.native.compiled import compiled
 from capsyn.policies.lookup import TreeArguments
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import Model
+from capsyn.programs.program import Program
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, state_array
 
 POLICY_STEPS = 100
@@ -340,7 +341,7 @@ def online_controller(
     assert chosen.steps is not None
     if isinstance(background, Policy) and (said is None or said.steps is None):
         chosen = dataclasses.replace(chosen, steps=max(chosen.steps, POLICY_STEPS))
-    kernel = compiled(lambda: ActionKernel.build(model, sac), backend, "solving")
+    kernel = _kernel(model, sac, background, backend)
     formulation = dataclasses.replace(formulation, settings=chosen)
     return OnlineController(
         method,
@@ -353,6 +354,15 @@ def online_controller(
         NumpyActions(formulation, chooser, sac),
         source.time_unit,
     )
+
+
+def _kernel(
+    model: Model, sac: Program | None, background: Any, backend: str
+) -> ActionKernel | None:
+    """Return the kernel of a controller; None where NumPy does the work."""
+    if isinstance(background, Policy) and not background.cells.compiled:
+        return None
+    return compiled(lambda: ActionKernel.build(model, sac), backend, "solving")
 
 
 def _defaults(

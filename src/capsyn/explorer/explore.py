@@ -16,7 +16,7 @@ from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
 from capsyn.explorer.formulas import formulas
 from capsyn.explorer.page_data import page_data
-from capsyn.explorer.program_javascript import model_javascript
+from capsyn.explorer.program_javascript import features_javascript, model_javascript
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
@@ -61,7 +61,9 @@ def page(policy: Policy, drawing: str | None = None) -> str:
     model = model_javascript(policy).removeprefix("export ").strip()
     notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"
     code = _resource("page.js").strip()
-    script = "\n".join([notice, model, code, "capsynPage.start(model);"])
+    features = features_javascript(policy).removeprefix("export ").strip()
+    begin = f"capsynPage.start(model{', features' if features else ''});"
+    script = "\n".join(filter(None, [notice, model, features, code, begin]))
     parts = {
         "TITLE": html.escape(f"{policy.name} - capsyn"),
         "SECURITY": html.escape(

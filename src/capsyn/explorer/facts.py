@@ -39,6 +39,7 @@ def _size(data: dict[str, Any]) -> list[Row]:
         oblique = f", {data['planes']:,} of them oblique" if data["planes"] else ""
         return [
             ("nodes", f"{data['nodes']:,}{oblique}"),
+            *([("features", ", ".join(data["features"]["names"]))] if data["features"] else ()),
             ("comparisons", f"{data['depth']} at most"),
             ("lattice", f"{grid} steps"),
             ("packed", f"{data['packed_bytes']:,} bytes"),

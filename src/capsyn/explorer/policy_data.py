@@ -31,6 +31,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     - ``counts``: steps of the lattice along each axis;
     - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
     - ``tree``: arrays of a decision tree, else None;
+    - ``features``: names and thresholds of a tree's features, or None; see `features_javascript`;
     - ``rate``: sample rate [1 / time unit] of closed loops for which none is given;
     - ``slack``: samples by which a time that should be a whole number of them may be off;
     - ``sampled``: what the steps of closed loops are chosen by, see `choose_substeps`; None where
@@ -39,7 +40,9 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     Arrays are ``{"dtype", "shape", "base64"}``, little-endian, in the smallest integers that hold
     them. The sets of labels seen in mixed cells are bit masks of 32-bit words, lowest word first.
     """
-    data = content_of(policy)
+    data = {"features": None} | content_of(policy)
+    if data["features"]:
+        data["features"] = {key: data["features"][key] for key in ("names", "thresholds")}
     model, structure = data.pop("model"), {k: data.pop(k) for k in STRUCTURE if k in data}
     arrays = policy.cells.arrays()
     if isinstance(policy.cells, CellTree):

@@ -14,6 +14,7 @@ from capsyn.exports.plan import Plan
 from capsyn.exports.target import Exported
 from capsyn.policies.file import content_hash
 from capsyn.policies.policy import DecisionTree
+from capsyn.policies.report import feature_figures
 
 
 def certificate(
@@ -23,8 +24,8 @@ def certificate(
 
     Of a tree ``comparisons`` is exact: most of them, lattice steps ``at`` which there are so many,
     and the mean over the volume; the last two are None where splits are oblique. ``tree_bytes``
-    counts the tree's arrays in the smallest integers that hold them; ``written`` is there where the
-    target writes the tree in another form, see `Exported`. Of
+    counts the tree's arrays in the smallest integers that hold them; ``features`` are there where
+    the tree has any, and ``written`` where the target writes it in another form, see `Exported`. Of
     cells there are ``levels`` that are passed and ``rows_evaluated``, most and mean over the
     volume, ``cells_bytes`` as those of a tree, and ``worst``, lattice steps of a leaf with the most
     rows, of these the deepest. ``changed_by_rounding`` is the share of random states whose symbol
@@ -47,15 +48,17 @@ def certificate(
         "guarantee": plan.guarantee.text,
         "changed_by_rounding": exported.changed,
         "renamed": dict(exported.renamed),
-        "notes": list(exported.notes),
+        "notes": [*plan.notes, *exported.notes],
     }
 
 
 def _of_tree(tree: DecisionTree) -> dict[str, Any]:
+    features = feature_figures(tree.cells)
     return {
         "nodes": tree.node_count,
         "comparisons": {"most": tree.depth, "at": deepest_steps(tree), "mean": mean_depth(tree)},
         "planes": len(tree.cells.planes),
+        **({} if features is None else {"features": features}),
         "lattice": list(tree.cells.counts),
         "tree_bytes": packed_bytes(tree.cells),
     }

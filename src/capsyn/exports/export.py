@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.errors import ProblemError
 from capsyn.exports.certificate import certificate
 from capsyn.exports.golden import Golden, golden_vectors
@@ -42,12 +43,17 @@ def _load(name: str) -> Target:
 
 
 def all_targets(policy: Policy) -> tuple[str, ...]:
-    """Return the targets that a policy can be exported to; not all take planes, or many nodes."""
+    """Return the targets that a policy can be exported to.
+
+    Not all take planes, features, or many nodes.
+    """
     targets = {name: _load(name) for name in TARGETS}
     if policy.has_planes:
         small = tree_within(policy, MOST_NODES) is not None
         targets = {k: target for k, target in targets.items() if target.planes}
         targets = {k: target for k, target in targets.items() if small or target.cells}
+    if isinstance(policy.cells, FeatureTree):
+        targets = {k: target for k, target in targets.items() if target.features}
     return tuple(targets)
 
 
@@ -138,17 +144,21 @@ def export(
 def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) -> Files:
     """Return all files of one target, with vectors, costs and what is measured."""
     target = _load(name)
+    if isinstance(plan.policy.cells, FeatureTree) and not target.features:
+        able = ", ".join(x for x in TARGETS if _load(x).features)
+        raise ProblemError(f"target {name} takes no tree with features; these do: {able}")
     chosen = target.options(**options)
     exported = target.export(plan, golden, chosen)
     plan, chosen = exported.plan or plan, dataclasses.replace(chosen, **exported.chosen)
     for file in {GOLDEN, CERTIFICATE, MEASURED} & set(exported.files):
         raise ProblemError(f"`name` must be another: the export has a {file} of its own")
-    vectors = (exported.golden or golden).to_csv(plan)
-    exported = dataclasses.replace(exported, files=exported.files | {GOLDEN: vectors})
-    costs = certificate(plan, exported, name, vars(chosen))
-    files = exported.files | {CERTIFICATE: _json(costs)}
+    vectors, beside = (exported.golden or golden).to_csv(plan), exported.beside
+    files = exported.files | {beside + GOLDEN: vectors}
+    exported = dataclasses.replace(exported, files=files)
+    files = files | {beside + CERTIFICATE: _json(certificate(plan, exported, name, vars(chosen)))}
     if target.measure is not None:
-        files[MEASURED] = _json(target.measure(plan, exported.golden or golden, exported, chosen))
+        measured = target.measure(plan, exported.golden or golden, exported, chosen)
+        files[beside + MEASURED] = _json(measured)
     return files
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.compression.compress import affine_tree_of, tree_of
 from capsyn.errors import ProblemError
@@ -98,11 +99,13 @@ class Plan:
         at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
         true_or_false("outside_at_once", at_once)
         _check_readings(policy.domain, policy.cells.counts, *factors)
+        least_time = finite_number("dwell", policy.min_dwell if dwell is None else dwell, least=0.0)
+        finite_number("dwell in seconds", to_seconds(least_time, policy.time_unit))
         return Plan(
             policy,
             chosen % (labels + 1),
             policy.outside == "nearest",
-            policy.min_dwell if dwell is None else finite_number("dwell", dwell, least=0.0),
+            least_time,
             at_once,
             factors[0],
             factors[1],
@@ -164,6 +167,18 @@ class Plan:
     def gap(self) -> int:
         """Label of cells whose states are outside and get the safe symbol; -1 for none."""
         return self.default if self.policy.gaps else -1
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user must be told, whatever the target."""
+        controls = self.policy.controls
+        if self.safe < self.default or (controls[:-1] == controls[-1]).all(axis=1).any():
+            return ()
+        value = ", ".join(f"{v:g}" for v in controls[-1].tolist())
+        return (
+            f"the safe symbol is the default control ({value}), which is no symbol of the "
+            "alphabet: a reading that is not finite would apply it; `safe` takes a symbol",
+        )
 
     @property
     def same_control(self) -> list[tuple[int, int]]:
@@ -234,6 +249,8 @@ class Plan:
                 f"{settings.precision} precision"
             )
         lines.append(_structure(self))
+        if isinstance(policy.cells, FeatureTree):
+            lines.append(f"Features: {', '.join(policy.cells.features.names)}")
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
         return tuple(lines)
 
@@ -283,7 +300,7 @@ def _check_readings(
 
 def _symbol(safe: object, alphabet: Alphabet) -> int:
     """Return the index of a safe symbol, -1 for the default control."""
-    if isinstance(safe, str) and safe == "default" or safe == len(alphabet):
+    if safe in ("default", len(alphabet), str(len(alphabet))) and safe not in alphabet.names:
         return -1
     try:
         chosen = check_outside(safe, alphabet)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from capsyn.exports.constants import constants, tables
+from capsyn.exports.feature_texts import features_of, python_ranks
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
@@ -156,6 +157,8 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     file = f"{file_name(options.name, plan.policy.name, KEYWORDS)}.py"
     code = CELLS + CODE.replace("WALK", CELLS_WALK) if plan.as_cells else CODE.replace("WALK", WALK)
     code = code.replace("[time unit]", f"[{plan.policy.time_unit}]")
+    if features := features_of(plan.cells):
+        code = python_ranks(features) + code.replace("quantise(x)", "with_ranks(quantise(x))")
     return Exported({file: ("\n".join(lines) + code).encode()})
 
 
@@ -171,4 +174,4 @@ def _tuple(name: str, values: Sequence[Any]) -> str:
     return "\n    ".join([f"{name} = (", *(f"{item}," for item in items)]) + "\n)"
 
 
-TARGET = Target(export)
+TARGET = Target(export, features=True)

@@ -18,9 +18,10 @@ class Exported:
     the share of random states in the domain whose symbol is another than the policy's, as numbers
     are rounded for the target; None: no state at all, since the target rounds to the policy's own
     lattice. `golden` are vectors of readings as the target holds them; None: those of the plan.
-    `written` says how the tree is written where that is not as it is, as plain data. `plan` is the
-    plan as it was written, where a tree was taken for cells, or cells for a tree, and `chosen` what
-    the target took for options that were left to it.
+    `written` says how the tree is written where that is not as it is, as plain data. `beside` is
+    the folder, with a slash at its end, of vectors and costs. `plan` is the plan as it was written,
+    where a tree was taken for cells, or cells for a tree, and `chosen` what the target took for
+    options that were left to it.
     """
 
     files: Files
@@ -29,6 +30,7 @@ class Exported:
     changed: float | None = None
     golden: Golden | None = None
     written: Mapping[str, Any] | None = None
+    beside: str = ""
     plan: Plan | None = None
     chosen: Mapping[str, Any] = field(default_factory=dict)
 
@@ -51,14 +53,16 @@ class Target:
     """A language that policies are exported to.
 
     ``export(plan, golden, options)`` makes its files; `options` is a frozen dataclass, each with a
-    default. `planes` is whether it takes trees with oblique splits, `cells` whether it writes the
-    cells of a policy with affine leaves instead of a tree. ``measure(plan, golden, exported,
-    options)`` gives what is measured of its files here, as plain data; None: nothing.
+    default. `planes` is whether it takes trees with oblique splits, `features` whether it takes
+    those with features, `cells` whether it writes the cells of a policy with affine leaves instead
+    of a tree. ``measure(plan, golden, exported, options)`` gives what is measured of its files
+    here, as plain data; None: nothing.
     """
 
     export: Callable[[Plan, Golden, Any], Exported]
     options: type = NameOption
     planes: bool = True
+    features: bool = False
     cells: bool = True
     measure: Callable[[Plan, Golden, Exported, Any], dict[str, Any]] | None = None
 

@@ -94,3 +94,10 @@ def grid_places(shape: Sequence[int] | np.ndarray) -> np.ndarray:
     """Return the integer positions (cells, n) of a block of cells in C order."""
     block = tuple(int(k) for k in shape)
     return np.stack(np.unravel_index(np.arange(math.prod(block)), block), axis=1)
+
+
+def places_or_some(shape: Sequence[int], most: int) -> np.ndarray:
+    """Return all integer positions (cells, n) of a block, or `most` random ones if it has more."""
+    if math.prod(shape) <= most:
+        return grid_places(shape)
+    return np.random.default_rng(0).integers(shape, size=(most, len(shape)))

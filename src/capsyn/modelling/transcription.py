@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -88,6 +88,31 @@ def user_program(
     casadi_function(name, arguments, value)  # no foreign symbols
     results = [value] + ([_gradient(value, arguments[0])] if len(outputs) > 1 else [])
     return program_from_casadi(name, ca.Function(name, arguments, results), inputs, outputs)
+
+
+def feature_program(
+    features: Mapping[str, Callable[[Any], Any]], domain: Box, counts: Sequence[int]
+) -> Program:
+    """Return the program of features at the centres of lattice steps.
+
+    It takes steps (n,) of a lattice of `counts` (n,) in the domain and gives the values of all
+    features (K,), each a function of the state by its name. Errors are those of `expression`.
+    """
+    z = ca.SX.sym("z", domain.n)
+    x = domain.lower + (z + 0.5) * (domain.widths / np.array(counts))
+    values = []
+    for name, function in features.items():
+        value = expression(f"features[{name!r}]", function, [x], 1)
+        foreign = ca.Function("feature", [z], [value], {"allow_free": True}).get_free()
+        if foreign:
+            raise ProblemError(
+                f"`features[{name!r}]` must use only its argument; it uses the undeclared symbol "
+                f"'{foreign[0]}'"
+            )
+        values.append(value)
+    ports = (("z", domain.n),), (("features", len(values)),)
+    column = ca.densify(ca.vertcat(*values))
+    return program_from_casadi("features", ca.Function("features", [z], [column]), *ports)
 
 
 def transcribe(problem: Problem) -> Model:

@@ -17,6 +17,7 @@ import numpy as np
 
 from capsyn.cells.affine_leaves import ROW_ARRAYS, AffineLeaves
 from capsyn.cells.cell_tree import CELL_ARRAYS, SPLIT_ARRAYS, CellTree
+from capsyn.cells.feature_tree import Features, FeatureTree
 from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.execution.answers import digest
@@ -34,9 +35,10 @@ from capsyn.validation import describe, whole_numbers
 Made = TypeVar("Made")
 
 FORMAT = "capsyn-policy"
-VERSION = 6
+VERSION = 7
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
-split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6."""
+split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6, trees
+with features 7."""
 ARRAYS = [
     set(TREE_ARRAYS),
     *({*CELL_ARRAYS, *rows, *splits} for rows in ((), ROW_ARRAYS) for splits in ((), SPLIT_ARRAYS)),
@@ -48,8 +50,8 @@ KEYS = set(
 )
 CELL_KEYS = KEYS | {"partitions", "refinement", "max_level"}
 TREE_KEYS = KEYS | {"counts", "guarantee"}
-RARE_KEYS = {"gaps", "time_unit", "outside_at_once"}
-"""Keys that are there where they say something else than False, and s."""
+RARE_KEYS = {"gaps", "time_unit", "outside_at_once", "features"}
+"""Keys that are there where they say something else than False, s, and none."""
 STATISTICS: dict[str, tuple[type, ...]] = {
     "solves": (int,),
     "solves_by_role": (dict,),
@@ -131,6 +133,7 @@ def content_hash(policy: Any) -> str:
 def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> int:
     """Return the first version that has files with such arrays and content."""
     needed = {
+        7: "features" in content,
         6: "time_unit" in content or "outside_at_once" in content,
         5: "splits" in arrays,
         4: "gaps" in content,
@@ -217,6 +220,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         set(content) - RARE_KEYS != known
         or not all(content.get(key, True) is True for key in ("gaps", "outside_at_once"))
         or content.get("time_unit") == "s"
+        or ("features" in content and not is_tree)
     ):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
@@ -240,15 +244,18 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)
         domain.check_resolution(counts)
         guarantee = Guarantee(**content["guarantee"])
-        return fields | {"cells": SplitTree(counts, **arrays), "guarantee": guarantee}
+        tree = SplitTree(counts, **arrays)
+        if "features" in content:
+            tree = FeatureTree(counts, **arrays, features=Features.from_json(content["features"]))
+        return fields | {"cells": tree, "guarantee": guarantee}
     grid = Grid.of(content["partitions"], content["refinement"], content["max_level"], domain.n)
     affine = None
     if "row_starts" in arrays:
         affine = AffineLeaves(len(alphabet) + 1, *(arrays[name] for name in ROW_ARRAYS))
     domain.check_resolution(grid.counts)
     entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
-    tree = CellTree(grid, entries, mixed, labels, affine, arrays.get("splits"))
-    return fields | {"cells": tree}
+    cells = CellTree(grid, entries, mixed, labels, affine, arrays.get("splits"))
+    return fields | {"cells": cells}
 
 
 def _settings(data: dict[str, Any]) -> SsacSettings:

@@ -16,6 +16,7 @@ from capsyn.modelling.domain import Box
 from capsyn.native.build import load
 from capsyn.native.compiled import compiled
 from capsyn.native.source import hand_written, pointer
+from capsyn.validation import BACKENDS, one_of
 
 COMPILED_FROM = 50_000
 """Batches of this size are looked up by the compiled kernel where there is a compiler."""
@@ -104,9 +105,13 @@ class LookupKernel:
         return labels
 
 
-def lookup_kernel(n: int, backend: str, count: int) -> LookupKernel | None:
-    """Return the kernel that looks up `count` states of `n` numbers; None where NumPy does it."""
-    if backend == "auto" and count < COMPILED_FROM:
+def lookup_kernel(n: int, backend: str, count: int, compiles: bool = True) -> LookupKernel | None:
+    """Return the kernel that looks up `count` states of `n` numbers; None where NumPy does it.
+
+    That is so, whatever the backend, where the kernel does not know the cells (`compiles`).
+    """
+    one_of("backend", backend, BACKENDS)
+    if not compiles or (backend == "auto" and count < COMPILED_FROM):
         return None
     return compiled(lambda: _built(n), backend, "looking up")
 

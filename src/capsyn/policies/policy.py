@@ -15,6 +15,7 @@ from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
+from capsyn.modelling.grid import places_or_some
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import Target, check_target
 from capsyn.modelling.time_unit import check_time_unit
@@ -135,7 +136,7 @@ class Policy:
         outside : "error", "nearest" or symbol index, optional
             Overrides the policy's own rule.
         backend : "auto", "c" or "numpy"
-            Which lookup to use; all give the same symbols.
+            Which lookup to use; all give the same symbols. Features are for NumPy in any case.
 
         Raises
         ------
@@ -165,7 +166,7 @@ class Policy:
         With `nearest` a finite state outside the domain has that of the nearest cell; `backend` is
         that of a call.
         """
-        kernel = lookup_kernel(self.domain.n, backend, len(states))
+        kernel = lookup_kernel(self.domain.n, backend, len(states), self.cells.compiled)
         if kernel is None:
             labels = self._labels(states, nearest)
         else:
@@ -216,13 +217,12 @@ class Policy:
     def volume_shares(self) -> np.ndarray:
         """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
 
-        Where planes bound symbols it is estimated at `SAMPLES` random states.
+        Where planes bound symbols it is estimated at `SAMPLES` random states, if they are fewer.
         """
         count = len(self.alphabet) + 1
         if self.has_planes:
-            shape = SAMPLES, self.domain.n
-            steps = np.random.default_rng(0).integers(self.cells.counts, size=shape)
-            return np.bincount(self.cells.labels(steps), minlength=count) / SAMPLES
+            steps = places_or_some(self.cells.counts, SAMPLES)
+            return np.bincount(self.cells.labels(steps), minlength=count) / len(steps)
         boxes = self.cells.boxes()
         total = np.prod(self.cells.counts, dtype=float)
         return np.bincount(boxes.labels, boxes.volumes() / total, count)

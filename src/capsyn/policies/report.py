@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.cells.packing import lookup_arrays, packed_bytes
 from capsyn.cells.split_tree import SplitTree
 from capsyn.modelling.settings import SsacSettings
@@ -96,9 +97,23 @@ def _tree(tree: DecisionTree) -> dict[str, Any]:
         "nodes": tree.node_count,
         "depth": tree.depth,
         "planes": len(tree.cells.planes),
+        "features": feature_figures(tree.cells),
         "packed_bytes": packed_bytes(tree.cells),
         "tree_bytes": _bytes(tree.cells),
         "guarantee": _guarantee(tree.guarantee),
+    }
+
+
+def feature_figures(tree: SplitTree) -> dict[str, Any] | None:
+    """Return the features of a tree, and what they take; None where it has none."""
+    if not isinstance(tree, FeatureTree):
+        return None
+    features = tree.features
+    return {
+        "names": list(features.names),
+        "operations": sum(name != "const" for name, *_ in features.program.instructions),
+        "thresholds": [len(t) for t in features.thresholds],
+        "margin": features.margin,
     }
 
 

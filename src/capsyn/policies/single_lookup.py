@@ -29,7 +29,7 @@ def single_lookup(policy: Policy) -> Callable[[Any], int]:
             raise ProblemError(f"`state` must have shape ({n},); got {array.shape}")
         return array
 
-    kernel = compiled(lambda: LookupKernel.build(n), "auto")
+    kernel = compiled(lambda: LookupKernel.build(n), "auto") if policy.cells.compiled else None
     if kernel is None:
         return lambda state: int(policy(checked(state)))
     buffer, label = np.empty(n), np.empty(1, dtype=np.int32)

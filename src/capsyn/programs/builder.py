@@ -205,3 +205,31 @@ def bind(program: Program, **constants: Any) -> Program:
             values.append([builder.constant(number) for number in numbers])
     results = builder.call(program, *values)
     return builder.build(program.name, remaining, program.outputs, results)
+
+
+def selected(program: Program, results: Sequence[int]) -> Program:
+    """Return the program of some components of a program's one output, of what they need alone."""
+    ((name, _),) = program.outputs
+    builder = ProgramBuilder()
+    inputs = [[builder.input() for _ in range(size)] for _, size in program.inputs]
+    values = builder.call(program, *inputs)
+    ports: Ports = ((name, len(results)),)
+    return builder.build(program.name, program.inputs, ports, [values[k] for k in results])
+
+
+def with_sums(program: Program, factors: Sequence[Sequence[float]]) -> Program:
+    """Return a program with weighted sums (J, K) of its one output's components (K) after them."""
+    ((name, size),) = program.outputs
+    builder = ProgramBuilder()
+    values = builder.call(
+        program, *([builder.input() for _ in range(count)] for _, count in program.inputs)
+    )
+    results = list(values)
+    for row in factors:
+        total = builder.constant(0.0)
+        for factor, value in zip(row, values):
+            term = builder.apply("mul", builder.constant(factor), value)
+            total = builder.apply("add", total, term)
+        results.append(total)
+    ports: Ports = ((name, size + len(factors)),)
+    return builder.build(program.name, program.inputs, ports, results)

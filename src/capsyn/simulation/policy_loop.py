@@ -29,7 +29,9 @@ def run_policy(
     threads: int,
 ) -> None:
     """Run trials under a policy, in place, compiled where there is a compiler."""
-    kernel = compiled(lambda: simulation_kernel(plant, loop, trials), backend, "simulating")
+    kernel = None
+    if policy.cells.compiled:
+        kernel = compiled(lambda: simulation_kernel(plant, loop, trials), backend, "simulating")
     if kernel is None:
         run(policy_decide(policy, outside), plant, loop, trials, noise, record)
     else:

@@ -8,8 +8,8 @@
 typedef double lanes_of_states[STATES][LANES];
 
 typedef struct {
-    const double *controls, *efforts; /* (SYMBOLS, INPUTS), and cost of each [cost / s] */
-    const double *dt;                 /* (DEPTH): integration step of each move [s] */
+    const double *controls, *efforts; /* (SYMBOLS, INPUTS), and cost of each [cost / time unit] */
+    const double *dt;                 /* (DEPTH): integration step of each move [time unit] */
     const int64_t *steps;             /* (DEPTH): integration steps of each move */
 } prediction;
 

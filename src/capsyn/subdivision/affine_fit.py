@@ -215,12 +215,11 @@ def _used(
     symbols = constants.shape[1]
     used = np.ones(constants.shape, dtype=bool)
     for i in range(symbols):
-        for j in range(symbols):
-            if i == j:
-                continue
-            difference = slopes[:, i] - slopes[:, j]
-            most = constants[:, i] - constants[:, j]
-            most = most + np.einsum("mi,mi->m", difference, corners)
-            most = most + np.einsum("mi,mi->m", np.maximum(difference, 0), size - 1)
-            used[:, i] &= most >= (1 if j < i else 0)
+        difference = slopes[:, i, None] - slopes
+        most = constants[:, i, None] - constants
+        most = most + np.einsum("msi,mi->ms", difference, corners)
+        most = most + np.einsum("msi,mi->ms", np.maximum(difference, 0), size - 1)
+        beats = most >= np.where(np.arange(symbols) < i, 1, 0)
+        beats[:, i] = True
+        used[:, i] = beats.all(axis=1)
     return used

@@ -97,7 +97,8 @@ class GrowingCells:
         self.error[cells] = fits.error
         self.axes[cells] &= fits.axes
         single = np.where(several(masks)[..., None], masks.dtype.type(0), masks)
-        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64) | masks_of_members(fits.used)
+        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64)
+        seen |= masks_of_members(fits.used, seen.shape[-1])
         right = (fits.wrong == 0)[:, None]
         self.seen[cells] = np.where(right, np.uint64(0), seen)[:, None]
         kept = fits.used & ~one[:, None]

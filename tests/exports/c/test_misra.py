@@ -22,6 +22,7 @@ from support.exports.c_plans import (
     plan_of_nodes,
     random_plan,
 )
+from support.features import exact
 from support.trees import random_affine_policy, random_policy
 
 ADVISORY = ("misra-c2012-2.4", "misra-c2012-8.7")
@@ -61,6 +62,11 @@ def test_misra(tmp_path, mode, style, arithmetic, dwell):
         plan = Plan.of(source, dwell=dwell)
         assert plan.same_control
     assert_misra(files(plan, None, style=style, arithmetic=arithmetic), tmp_path, arithmetic)
+
+
+@pytest.mark.parametrize("style", ["table", "nested", "grid"])
+def test_misra_of_features(tmp_path, style):
+    assert_misra(files(Plan.of(exact()), None, style=style), tmp_path)
 
 
 def test_misra_of_mirrors_and_references(tmp_path, monkeypatch):

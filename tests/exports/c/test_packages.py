@@ -11,11 +11,16 @@ from capsyn.exports.export import export
 from capsyn.exports.plan import Plan
 from support.exports.c_machines import call, need, write
 from support.exports.c_plans import files, policy
+from support.features import exact
 
 STUB = {
     "Arduino.h": """
 #include <stdint.h>
-struct Port { void begin(long speed); void println(double value); void println(long value); };
+struct Port {
+    void begin(long speed);
+    void println(double value, int digits = 2);
+    void println(long value);
+};
 extern Port Serial;
 extern "C" { void delay(unsigned long ms); unsigned long micros(void); unsigned long millis(void); }
 void setup();
@@ -32,7 +37,7 @@ static unsigned long now;
 static void put(char c) { while (!(UCSR0A & (1 << UDRE0))) {} UDR0 = (uint8_t)c; }
 void Port::begin(long) { UCSR0B = 1 << TXEN0; }
 void Port::println(long value) { println((double)value); }
-void Port::println(double value)
+void Port::println(double value, int)
 {
     char text[24];
     dtostrf(value, 0, 4, text);
@@ -100,7 +105,7 @@ void loop() {
     "options",
     [
         {"arithmetic": "float", "dwell": 0.1},
-        {"arithmetic": "float", "dwell": 0.1, "tick": 0.5},
+        {"arithmetic": "float", "dwell": 0.1, "tick": 0.05},
         {"arithmetic": "lattice"},
         {"arithmetic": "lattice", "dwell": 5.0, "tick": 1e-3},
         {"readings": "int16", "scale": [2 * np.pi / 4096, 0.01], "style": "nested"},
@@ -127,11 +132,20 @@ def test_an_arduino_library(tmp_path, options):
     told = run_sketch(sketch, [source], tmp_path / "build", source.parent)
     middle = plan.policy.domain.lower + plan.policy.domain.widths / 2
     assert told == [plan.policy.controls[plan.policy(middle)][0]] * 3
-    assert "cart_pendulum_control(symbol, 0)" in sketch
+    assert "cart_pendulum_control(symbol, i)" in sketch
     declared = written["src/cart_pendulum.h"].decode()
     for line in written["keywords.txt"].decode().splitlines():
         word, kind = line.split("\t")
         assert re.search(rf"\b{word}\b", declared) and re.fullmatch("(KEYWORD|LITERAL)[12]", kind)
+
+
+def test_vectors_and_costs_of_a_library_are_in_its_folder(tmp_path):
+    export(policy("cart-pendulum"), "c", tmp_path, package="arduino")
+    extras = tmp_path / "cart_pendulum" / "extras"
+    assert sorted(path.name for path in extras.iterdir()) == [
+        "certificate.json", "golden.csv", "measured.json"
+    ]  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["cart_pendulum"]
 
 
 def test_properties_of_an_arduino_library():
@@ -172,13 +186,14 @@ int main(void)
 """
 
 
-@pytest.mark.parametrize("way", ["installed", "fetched", "subdirectory"])
+@pytest.mark.parametrize("way", ["installed", "installed, of features", "fetched", "subdirectory"])
 def test_cmake(tmp_path, way):
     need("cmake", "gcc")
     source, prefix = tmp_path / "source", tmp_path / "installed"
-    export(policy("cart-pendulum"), "c", source)
+    made = exact() if "features" in way else policy("cart-pendulum")  # that calls cos
+    export(made, "c", source)
     found, more = "find_package(cart_pendulum CONFIG REQUIRED)", []
-    if way == "installed":
+    if "installed" in way:
         call(
             ["cmake", "-S", str(source), "-B", "made", f"-DCMAKE_INSTALL_PREFIX={prefix}"], tmp_path
         )

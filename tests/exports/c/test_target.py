@@ -332,8 +332,24 @@ def test_ticks_of_a_dwell_time():
     assert "_DWELL 500uL /* ticks of 0.001 s: 0.5 s */" in header
     most = dataclasses.replace(plan, dwell=4294.967)
     assert "_DWELL 4294967000uL" in files(most, None)["cart_pendulum.h"].decode()
-    with pytest.raises(ProblemError, match="`tick` must be at least 1.0000000001.*; got 1e-06"):
+    with pytest.raises(ProblemError, match="`tick` must be 1e-05 s or more, and .*; got 1e-06"):
         files(dataclasses.replace(plan, dwell=4294.9672955), None)
+    with pytest.raises(ProblemError, match="at most the dwell time, 0.5 s; got 0.6"):
+        files(plan, None, tick=0.6)
+    assert "_DWELL 1uL" in files(plan, None, tick=0.5)["cart_pendulum.h"].decode()
+    for dwell, unit, tick, ticks in (
+        (99.9, "s", 1e-6, 99_900_000),
+        (1000.1, "s", 1e-6, 1_000_100_000),
+        (1.1, "h", 1e-6, 3_960_000_000),
+        (4294.1, "min", 1e-3, 257_646_000),
+        (0.3, "s", 0.1, 3),
+        (1.0, "s", 1 / 300, 300),
+        (0.1, "s", 1 / 3000, 300),
+        (1.05, "s", 0.1, 11),
+    ):
+        other = dataclasses.replace(plan.policy, time_unit=unit)
+        header = files(Plan.of(other, dwell=dwell), None, tick=tick)["cart_pendulum.h"]
+        assert f"_DWELL {ticks}uL".encode() in header
     for dwell in (0.0, 0.5):
         for tick in (-1, 0, np.nan, "1"):
             with pytest.raises(ProblemError, match="`tick` must be"):
@@ -350,5 +366,5 @@ def test_what_cannot_be_written():
         files(random_plan(1 << 12, depth=3), None, style="grid")
     with pytest.raises(ProblemError, match="axis 'theta'.*24 bits"):
         files(random_plan(1 << 24, depth=3), None, arithmetic="float")
-    with pytest.raises(ProblemError, match="`tick` must be at least"):
+    with pytest.raises(ProblemError, match="`tick` must be 1e-09 s or more"):
         files(dataclasses.replace(plan, dwell=1.0), None, tick=1e-12)

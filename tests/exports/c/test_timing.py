@@ -98,7 +98,7 @@ def test_no_state_of_cells_takes_longer(name, affine):
     made_by = random_affine_policy if affine else random_policy
     plan = Plan.of(dataclasses.replace(made_by(3), name="cells"))
     written, cells = files(plan, None, style="cells"), plan.policy.cells
-    steps, exact = states.longest_steps_of_cells(cells)
+    steps, exact = states.longest_steps(cells, "cells")
     assert exact != affine
     call = (MACHINES[name], written, "cells", "symbol", "int16_t")
     worst = longest(*call, steps)

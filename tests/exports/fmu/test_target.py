@@ -17,6 +17,7 @@ from capsyn.exports.export import export
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
 from support.exports.policies import PROBLEMS, built_in, oblique, small
+from support.features import exact
 from support.processes.command_line import capsyn
 from support.trees import random_affine_policy, random_policy
 
@@ -84,6 +85,10 @@ def assert_equal(start, policy, **options):
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_built_in_problems(name, run):
     assert_equal(run, built_in(name))
+
+
+def test_trees_with_features(run):
+    assert_equal(run, exact())
 
 
 @pytest.mark.parametrize("outside", ["error", "nearest", 1])

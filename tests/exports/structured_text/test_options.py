@@ -13,6 +13,7 @@ from capsyn.exports.c.readings.single import decide_single
 from capsyn.exports.export import export
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
+from capsyn.exports.structured_text import target
 from capsyn.exports.structured_text.cuts import cut
 from capsyn.exports.structured_text.target import TARGET
 from support.exports.policies import built_in, mixed, oblique
@@ -154,9 +155,9 @@ def test_splits_are_told_in_states(make):
     inner = np.flatnonzero(tree.split != -1)
     for node in inner.tolist():
         text = cut(plan, node)
-        factors, bound = terms(text, domain.names)
+        factors, bound = terms(text.replace("<=", ">="), domain.names)
         value, _ = tree._compared(np.full(5000, node), steps, steps, np.arange(5000))
-        told = states @ factors >= bound
+        told = states @ factors <= bound if "<=" in text else states @ factors >= bound
         assert abs(factors).max() >= 1
         exact = tree.split[node] < tree.n
         assert (told == (value >= tree.threshold[node])).mean() > (1 - 1e-9 if exact else 0.9)
@@ -167,7 +168,7 @@ def test_splits_are_told_in_states(make):
 def test_units_stand_beside_bounds():
     text = source(Plan.of(mixed())).decode()
     assert "(* angle >= 1.21875 rad *)\n    IF z0 >= 3 THEN" in text
-    assert "(* about -angle >= -4.062 rad *)\n" in text  # a step is 0.40625 rad
+    assert "(* about angle <= 4.062 rad *)\n" in text  # a step is 0.40625 rad
     assert re.search(r"\(\* about angle - 2.438 \* rate >= \S+ rad \*\)\nIF 2 \* z0 - 3", text)
     assert "Split 2 from 1 on: about angle" in source(Plan.of(mixed()), style="table").decode()
 
@@ -241,7 +242,7 @@ def refused(message, policy=None, **options):
     assert "\n" not in str(error.value)
 
 
-def test_what_cannot_be_exported():
+def test_what_cannot_be_exported(monkeypatch):
     refused("`real` must be", real="real")
     refused("`readings` must be", readings="int16")
     refused("`dialect` must be", dialect="codesys")
@@ -259,9 +260,14 @@ def test_what_cannot_be_exported():
             scale=[6.5 / 4096, 1e-6], readings="INT")  # fmt: skip
     refused("`scale` must make a turn", scale=[6.5 / 4096.5, 0.01], readings="INT")
     refused("fewer counts than 2.31", scale=[6.5 / 2**31, 0.01], readings="DINT")
+    monkeypatch.setattr(target, "MOST_FACES", 16_000)
     refused("`real` REAL tabulates all 16,382 faces", oblique(), real="REAL")
     refused("`readings` DINT tabulates all 16,382 faces", oblique(), readings="DINT",
             scale=[6.5 / 2**20, 2 / 2**20])  # fmt: skip
+
+
+def test_tables_of_many_faces():
+    check(Plan.of(oblique()), real="REAL")
 
 
 def test_an_unknown_option_lists_them_all(tmp_path):

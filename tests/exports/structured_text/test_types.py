@@ -77,6 +77,15 @@ def test_names_that_are_refused_are_never_given():
     assert RESERVED <= KEYWORDS
 
 
+@pytest.mark.parametrize("style", ["nested", "table", "cells"])
+def test_a_block_has_no_name_of_its_variables(style):
+    policy = random_affine_policy(3) if style == "cells" else mixed()
+    for name in "symbol status cycle wanted node z rest value splits started z0 faces0".split():
+        Program(source(Plan.of(policy, dwell=0.3), style=style, name=name))
+    for name in ("entries", "row", "most", "within"):
+        Program(source(Plan.of(policy, dwell=0.3), style=style, name=name))
+
+
 @pytest.mark.parametrize("style", ["nested", "table"])
 def test_unmarked_names_are_no_scl(style):
     text, count = text_of(style, "LREAL", "real", "siemens"), 0

@@ -9,7 +9,7 @@ import pytest
 
 import capsyn.explorer
 from capsyn.explorer.policy_data import policy_data
-from capsyn.explorer.program_javascript import model_javascript
+from capsyn.explorer.program_javascript import features_javascript, model_javascript
 
 NODE = shutil.which("node")
 HOME = Path(capsyn.explorer.__file__).parents[1]
@@ -37,6 +37,9 @@ def node(directory, code, policy, **inputs):
         copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_bytes(path.read_bytes())
     (directory / "model.js").write_text(model_javascript(policy))
+    (directory / "features.js").write_text(
+        features_javascript(policy) or "export const features = null;"
+    )
     (directory / "package.json").write_text('{"type": "module"}')
     (directory / "run.js").write_text(code)
     (directory / "input.json").write_text(json.dumps({"policy": policy_data(policy), **inputs}))

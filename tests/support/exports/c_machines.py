@@ -188,7 +188,7 @@ class Library:
         need(compiler)
         self.prefix = p = prefix_of(files)
         header = files[f"{p}.h"].decode()
-        (real,) = re.findall(rf"{p}_decide\(const (\w+) ", header)
+        (real,) = re.findall(rf"typedef (\w+) {p}_reading;", header)
         self.real = np.dtype(real.removesuffix("_t").replace("float", "float32")).type
         self.integer = np.int32 if "const int32_t z[" in header else np.int16
         names = {"p": p, "n": n, "real": real}
@@ -262,7 +262,7 @@ def _vectors(files, golden, asked, rom, count):
     p = prefix_of(files)
     kind, given = "int16_t", golden.steps
     if asked != "symbol":
-        (kind,) = re.findall(rf"{p}_decide\(const (\w+) ", files[f"{p}.h"].decode())
+        (kind,) = re.findall(rf"typedef (\w+) {p}_reading;", files[f"{p}.h"].decode())
         given = golden.readings
     suffix = "f" if kind == "float" else ""
     text = {

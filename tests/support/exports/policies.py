@@ -153,6 +153,8 @@ def read(data, reading):
         z.append(max(after - 1, 0))
     if status == 1 and data["outside"]["rule"] != "nearest":
         return data["outside"]["safe"], 1
+    if "features" in data.get("tree", {}):
+        z += ranks(data["tree"]["features"], z)
     label = walked(data["tree"], z) if "tree" in data else gone_down(data, z)
     if label == data["outside"].get("gap"):
         return data["outside"]["safe"], 1
@@ -168,6 +170,24 @@ def walked(tree, z):
         v = z[s] if plane is None else sum(a * b for a, b in zip(plane, z))
         i = tree["second"][i] if v >= tree["threshold"][i] else i + 1
     return tree["threshold"][i]
+
+
+def ranks(features, z):
+    """Return the ranks of features at lattice steps, for the operations of `support.features`."""
+    operations = {
+        "add": lambda a, b: a + b,
+        "sub": lambda a, b: a - b,
+        "mul": lambda a, b: a * b,
+        "cos": math.cos,
+    }
+    values = list(map(float, z))
+    for name, *operands in features["program"]["instructions"]:
+        if name == "const":
+            values.append(operands[0])
+        else:
+            values.append(operations[name](*(values[k] for k in operands)))
+    found = [values[k] for k in features["program"]["results"]]
+    return [sum(v >= t for t in row) for v, row in zip(found, features["thresholds"])]
 
 
 def gone_down(data, z):

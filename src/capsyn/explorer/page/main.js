@@ -15,9 +15,9 @@ import { changed, drawSoon, restyle } from "./state/changes.js";
 import { progress } from "./state/tracks.js";
 import { start as startTrajectory } from "./state/trajectories.js";
 
-/** Bring the page to life; `model` is what `model_javascript` makes. */
-export function start(model) {
-  const app = makeApp(model), { data, loop, view } = app;
+/** Bring the page to life; for the arguments see `makeApp`. */
+export function start(model, features) {
+  const app = makeApp(model, features), { data, loop, view } = app;
   showTitle(app);
   app.parts = {
     map: makeMap(app),

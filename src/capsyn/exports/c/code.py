@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import Features
 from capsyn.cells.split_tree import SplitTree
 from capsyn.exports.c.language import LONGEST_PREFIX, RESERVED, comment, literal, z_type
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
 from capsyn.exports.c.readings.single import check_single_precision, ranked, share_changed
+from capsyn.exports.feature_texts import features_of
 from capsyn.exports.identifiers import file_name, identifiers, renamed, wanted_name
 from capsyn.exports.plan import Plan
+from capsyn.programs.texts import calls_library
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,16 @@ class Code:
                 tree, faces = ranked(tree, plan.policy.domain)
         axes = [] if readings == "real" else count_axes(plan, readings)
         return Code(plan, style, arithmetic, readings, tick, prefix, wanted, tree, faces, axes)
+
+    @property
+    def features(self) -> Features | None:
+        """Features that decisions evaluate, in double precision; a grid evaluates none."""
+        return None if self.style == "grid" else features_of(self.tree)
+
+    @property
+    def library(self) -> bool:
+        """Whether the code calls functions of ``math.h``."""
+        return self.features is not None and calls_library(self.features.program)
 
     @property
     def direct(self) -> bool:
@@ -99,7 +112,7 @@ class Code:
     @property
     def guards(self) -> bool:
         """Whether some of the code needs doubles of 53 bits, and the rest does without."""
-        return self.arithmetic == "lattice" and not self.axes
+        return self.arithmetic == "lattice" and not self.axes and not self.features
 
     def guarded(self, text: str) -> str:
         """Return text for compilers whose double has 53 bits, if it needs them."""

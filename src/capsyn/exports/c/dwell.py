@@ -18,10 +18,12 @@ def declarations(code: Code) -> str:
     prefix, plan, tick = code.prefix, code.plan, code.tick
     dwell, unit = plan.dwell_s, plan.policy.time_unit
     told = f"{dwell!r} s" if unit == "s" else f"{plan.dwell!r} {unit} = {dwell!r} s"
-    ticks = dwell / tick - 1e-9
-    if ticks > (1 << 32) - 1:
-        least = dwell / ((1 << 32) - 1)
-        raise ProblemError(f"`tick` must be at least {least!r} s; got {tick!r}")
+    ticks = dwell / tick * (1 - 1e-12)  # the quotient is rounded
+    if not tick <= dwell <= tick * ((1 << 32) - 1):
+        least = 10.0 ** math.ceil(math.log10(dwell / ((1 << 32) - 1)))
+        raise ProblemError(
+            f"`tick` must be {least:g} s or more, and at most the dwell time, {told}; got {tick:g}"
+        )
     take = "Take `symbol` at tick `now`, whatever is held, and return it: it is held anew, unless "
     take += "the symbol in force has the same control."
     if names := _at_once(code):
@@ -41,8 +43,9 @@ void {prefix}_init({prefix}_state *state);
 
 /*
  * Return the symbol in force when `symbol` is wanted at tick `now`: another control is taken only
- * when the one before was held for at least {prefix.upper()}_DWELL ticks. Ticks may wrap around to
- * 0 after 2^32 - 1; call it at least once in so many.
+ * when the one before was held for at least {prefix.upper()}_DWELL ticks. That is the whole time
+ * where calls come with the ticks; of a clock that runs by itself up to a tick less. Ticks may wrap
+ * around to 0 after 2^32 - 1; call it at least once in so many.
  */
 int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now);
 
@@ -68,8 +71,8 @@ def step(code: Code) -> str:
     return taken;
 """
     return f"""
-int16_t {p}_step({p}_state *state, const {code.reading} x[{code.plan.n}], uint32_t now,
-    {p}_status *status)
+int16_t {p}_step({p}_state *state, const {p}_reading x[{code.plan.n}],
+    uint32_t now, {p}_status *status)
 {{
     const int16_t symbol = {p}_decide(x, status);
 {text}}}
@@ -140,7 +143,11 @@ static bool {prefix}_same(int16_t one, int16_t other)
     static const {integer} {prefix}_classes[{plan.labels}] CAPSYN_ROM = {{
 {entries}
     }};
-    return CAPSYN_{kind}(&{prefix}_classes[one]) == CAPSYN_{kind}(&{prefix}_classes[other]);
+    bool same = one == other;
+    if ((one >= 0) && (one < {plan.labels}) && (other >= 0) && (other < {plan.labels})) {{
+        same = CAPSYN_{kind}(&{prefix}_classes[one]) == CAPSYN_{kind}(&{prefix}_classes[other]);
+    }}
+    return same;
 }}
 """
     if plan.same_control:

@@ -12,7 +12,8 @@ def header(code: Code) -> str:
     """Return the header file."""
     plan, p, upper = code.plan, code.prefix, code.prefix.upper()
     symbols = ",\n".join(f"    {upper}_SYMBOL_{s} = {k}" for k, s in enumerate(code.symbols))
-    includes = "#include <stdint.h>" if code.axes else "#include <float.h>\n#include <stdint.h>"
+    bare = code.axes and not code.features
+    includes = "#include <stdint.h>" if bare else "#include <float.h>\n#include <stdint.h>"
     return f"""{code.about("header")}
 {comment(notes(code))}
 #ifndef {upper}_H
@@ -37,6 +38,9 @@ typedef enum {{
     {upper}_OUTSIDE = 1,
     {upper}_NOT_FINITE = 2
 }} {p}_status;
+
+/* What decisions are asked for. */
+typedef {code.reading} {p}_reading;
 
 /*
  * Return one input of the control of a symbol. Of a number that is no symbol it is that of symbol
@@ -74,27 +78,27 @@ def _of_states(code: Code) -> str:
     if code.arithmetic == "lattice":
         text += f"""
 /* Give the lattice steps of {states}{lost}. */
-{p}_status {p}_quantise(const {code.reading} x[{n}], {code.integer} z[{n}]);
+{p}_status {p}_quantise(const {p}_reading x[{n}], {code.integer} z[{n}]);
 """
     text += f"""
 /* Return the symbol of {states}. */
-int16_t {p}_decide(const {code.reading} x[{n}], {p}_status *status);
+int16_t {p}_decide(const {p}_reading x[{n}], {p}_status *status);
 """
     if plan.dwell:
         text += f"""
 /* Return the symbol in force at tick `now`: that of {states}, or the one that must be held. */
-int16_t {p}_step({p}_state *state, const {code.reading} x[{n}], uint32_t now,
-    {p}_status *status);
+int16_t {p}_step({p}_state *state, const {p}_reading x[{n}],
+    uint32_t now, {p}_status *status);
 """
     return text
 
 
 def _no_double(code: Code) -> str:
     """Return the test for compilers whose double does not have 53 bits, or not always."""
-    if code.real == "float" or code.axes:
+    if code.real == "float" or (code.axes and not code.features):
         return ""
     lacking = f"#define {code.prefix.upper()}_NO_DOUBLE"
-    if code.arithmetic == "double":
+    if code.arithmetic == "double" or code.features:
         lacking = '#error "double precision is needed: export lattice or float"'
     return f"""
 #ifdef DBL_MANT_DIG

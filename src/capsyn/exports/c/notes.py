@@ -13,6 +13,7 @@ from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import z_type
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
 from capsyn.exports.c.readings.single import SAMPLES
+from capsyn.exports.feature_texts import feature_note
 
 TOLD_COUNTS = 1024
 """Bytes of tables of counts that a user is not warned of."""
@@ -83,6 +84,8 @@ def notes(code: Code) -> list[str]:
         f"{of_steps} symbol is the same for all states of a step, and quantising changes the "
         "symbol of 0 % of the states.",
     ]
+    if code.features:
+        lines.append(feature_note(code.features))
     if arithmetic == "lattice":
         lines.append(f"Steps are {z_type(plan.counts)}: 0 to C - 1 fit.")
     if arithmetic == "float":

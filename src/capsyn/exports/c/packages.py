@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.header import header
+from capsyn.exports.c.readings.counts import limit_of
 from capsyn.exports.c.source import source
 from capsyn.exports.plan import Files
 from capsyn.version import __version__
@@ -30,9 +31,13 @@ def packaged(code: Code, package: str) -> Files:
 def _cmake(code: Code) -> str:
     """Return the text of ``CMakeLists.txt``, whose target others take as ``NAME::NAME``."""
     p, about = code.prefix, "\n".join(f"# {line}" for line in code.plan.header)
+    library = ""
+    if code.library:
+        library = f"if(UNIX)\n    target_link_libraries({p} PUBLIC m)\nendif()\n"
     return f"""{about}
 cmake_minimum_required(VERSION 3.10)
-project({p} C)
+project({p} VERSION {__version__} LANGUAGES C)
+include(CMakePackageConfigHelpers)
 include(GNUInstallDirs)
 add_library({p} STATIC {p}.c)
 add_library({p}::{p} ALIAS {p})
@@ -42,12 +47,16 @@ target_include_directories({p} PUBLIC
     $<INSTALL_INTERFACE:${{CMAKE_INSTALL_INCLUDEDIR}}>)
 # what a program does not use is left out by -Wl,--gc-sections
 target_compile_options({p} PRIVATE -ffunction-sections -fdata-sections)
-# find_package({p} CONFIG) of other projects finds what is installed
+{library}# find_package({p} CONFIG) of other projects finds what is installed
 install(TARGETS {p} EXPORT {p}
     ARCHIVE DESTINATION ${{CMAKE_INSTALL_LIBDIR}}
     INCLUDES DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
 install(FILES {p}.h DESTINATION ${{CMAKE_INSTALL_INCLUDEDIR}})
 install(EXPORT {p} FILE {p}Config.cmake NAMESPACE {p}::
+    DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/cmake/{p})
+write_basic_package_version_file(${{CMAKE_CURRENT_BINARY_DIR}}/{p}ConfigVersion.cmake
+    COMPATIBILITY AnyNewerVersion)
+install(FILES ${{CMAKE_CURRENT_BINARY_DIR}}/{p}ConfigVersion.cmake
     DESTINATION ${{CMAKE_INSTALL_LIBDIR}}/cmake/{p})
 """
 
@@ -56,7 +65,12 @@ def _middle(code: Code) -> str:
     """Return readings in the middle of the domain, as entries of an array."""
     plan, domain = code.plan, code.plan.policy.domain
     middle = ((domain.lower + domain.widths / 2) - plan.offset) / plan.scale
-    return ", ".join(str(round(v)) if code.axes else code.literal(v) for v in middle)
+    if not code.axes:
+        return ", ".join(map(code.literal, middle))
+    half = limit_of(code.readings)
+    turns = [axis.turn or 2 * half for axis in code.axes]  # a count in range, turns away
+    counts = (round(value) for value in middle)
+    return ", ".join(str(v if -half <= v < half else v % t) for v, t in zip(counts, turns))
 
 
 def _program(code: Code) -> str:
@@ -66,7 +80,7 @@ def _program(code: Code) -> str:
     call = f"    symbol = {p}_decide(x, &status);\n"
     if plan.dwell:
         call = f"    {p}_init(&state);\n    symbol = {p}_step(&state, x, 0u, &status);\n"
-    first = ("(double)" if code.real == "float" else "") + f"{p}_control(symbol, 0u)"
+    value = ("(double)" if code.real == "float" else "") + f"{p}_control(symbol, i)"
     return f"""{code.about("example")}
 #include <stdio.h>
 
@@ -77,8 +91,11 @@ int main(void)
     const {code.reading} x[{plan.n}] = {{{_middle(code)}}};
     {p}_status status;
     int16_t symbol;
+    uint16_t i;
 {declare}{call}    (void)printf("symbol %d, status %d\\n", (int)symbol, (int)status);
-    (void)printf("control %g\\n", {first});
+    for (i = 0u; i < {p.upper()}_INPUTS; ++i) {{
+        (void)printf("control %g\\n", {value});
+    }}
     return 0;
 }}
 """
@@ -122,7 +139,7 @@ def _keywords(code: Code) -> str:
 
 
 def _sketch(code: Code) -> str:
-    """Return a sketch that prints the control in the middle of the domain."""
+    """Return a sketch that prints the controls in the middle of the domain."""
     plan, p, n = code.plan, code.prefix, code.plan.n
     init, asked, lattice = "", f"{p}_decide(x, &status)", f"{p}_symbol(z)"
     globals_ = ""
@@ -160,7 +177,9 @@ void setup()
 
 void loop()
 {{
-{reading}    Serial.println({p}_control(symbol, 0));
+{reading}    for (uint16_t i = 0; i < {p.upper()}_INPUTS; ++i) {{
+        Serial.println({p}_control(symbol, i), 6);
+    }}
     delay(100);
 }}
 """

@@ -32,11 +32,11 @@ def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
 
     Of each ``compiler``: its name and version; ``decision``: code and tables from lattice steps, or
     from states, to a symbol; ``quantiser``: how much more it takes from states, without the
-    compiler's arithmetic; ``with_library``: what both take with it, where it links [bytes];
-    ``ram``: static memory [bytes]; ``stack`` and ``stack_from_states``: of the deepest chains of
-    calls, without the compiler's arithmetic [bytes]. Without ``quantiser`` where a processor has no
-    double precision. Processors are left out whose compiler is missing, fails or has not its
-    linker.
+    compiler's arithmetic; ``with_library``: what both take with it, and with the mathematical
+    functions that features call, where it links [bytes]; ``ram``: static memory [bytes]; ``stack``
+    and ``stack_from_states``: of the deepest chains of calls, without those of libraries [bytes].
+    Without ``quantiser`` where a processor has no double precision. Processors are left out whose
+    compiler is missing, fails or has not its linker.
     """
     of_compiler = functools.partial(_of_compiler, files=files, prefix=prefix)
     with ThreadPoolExecutor(len(COMPILERS)) as pool:
@@ -97,28 +97,29 @@ def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]
     usage = [line.split("\t") for line in (directory / "code.su").read_text().splitlines()]
     frames = {row[0].split(":")[-1]: int(row[1]) for row in usage}  # of functions that are left
     calls = _calls(source, prefix)
-    by_root = {root: _linked(command, directory, tool, root) for root in roots}
+    library = ["-lm", "-lc", "-lgcc"] if "#include <math.h>" in source else ["-lgcc"]
+    by_root = {root: _linked(command, directory, tool, root, library) for root in roots}
     if not roots or not all(flash for flash, _, _ in by_root.values()):
         return {}
     measured = dict(zip(("decision", "ram"), by_root[roots[0]][:2]))
     if len(roots) == 2:
         measured["quantiser"] = by_root[roots[1]][0] - measured["decision"]
-    library = by_root[roots[-1]][2]
-    if library:
-        measured["with_library"] = library
+    whole = by_root[roots[-1]][2]
+    if whole:
+        measured["with_library"] = whole
     measured["stack"] = _deepest(roots[0], calls, frames)
     measured["stack_from_states"] = _deepest(roots[-1], calls, frames)
     return measured
 
 
 def _linked(
-    command: list[str], directory: Path, tool: str, root: str
+    command: list[str], directory: Path, tool: str, root: str, library: list[str]
 ) -> tuple[int, int, int | None]:
     """Return flash and static RAM of what a function needs of our own, and flash with libraries."""
     own = [*command, "-nostdlib", "-nostartfiles", "-r", "-Wl,--gc-sections", f"-Wl,-e,{root}"]
     own += [f"-Wl,-u,{root}", "code.o", "-o", "own.o"]
     whole = [*command, "-nostdlib", "-nostartfiles", "-Wl,--gc-sections", f"-Wl,-e,{root}"]
-    whole += ["code.o", "-lgcc", "-o", "whole.elf"]
+    whole += ["code.o", *library, "-o", "whole.elf"]
     sections = []
     for link, name in ((own, "own.o"), (whole, "whole.elf")):
         text = None

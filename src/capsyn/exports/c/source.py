@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.exports.c import dwell
 from capsyn.exports.c.code import Code
+from capsyn.exports.c.features import feature_decision
 from capsyn.exports.c.language import Part, macros, rows
 from capsyn.exports.c.readings.places import counts_quantiser
 from capsyn.exports.c.readings.quantiser import state_quantiser
@@ -26,11 +28,12 @@ def source(code: Code) -> str:
     reads = decision.reads | quantiser.reads | hold.reads
     if code.guards:
         states = code.guarded(states.rstrip("\n"))
+    library = "#include <math.h>\n" if code.library else ""
     return f"""{code.about("source")}
 #include "{code.prefix}.h"
 
 #include <stdbool.h>
-
+{library}
 {macros(reads)}{_control(code)}{decision.text}{hold.text}{states}"""
 
 
@@ -67,6 +70,8 @@ def _decision(code: Code) -> Part:
         return cells_style(code.tree, p, opening, public=not static)
     if code.style == "grid":
         return grid(code.tree, p, opening)
+    if isinstance(code.tree, FeatureTree):
+        return feature_decision(code.tree, code.style, code.plan.policy.domain, p, opening)
     public, planes = opening, not static and len(code.tree.planes)
     if planes:
         opening = f"static int16_t {p}_within({argument})"
@@ -85,7 +90,7 @@ def _quantiser(code: Code) -> Part:
     n, p = code.plan.n, code.prefix
     places = f"{code.real} y[{n}]" if code.direct else f"{code.integer} z[{n}]"
     static = "" if code.arithmetic == "lattice" else "static "
-    opening = f"{static}{p}_status {p}_quantise(const {code.reading} x[{n}], {places})"
+    opening = f"{static}{p}_status {p}_quantise(const {p}_reading x[{n}], {places})"
     return counts_quantiser(code, opening) if code.axes else state_quantiser(code, opening)
 
 
@@ -101,7 +106,7 @@ def _decide(code: Code) -> str:
         gap = f"        if (symbol == {plan.gap}) {{\n{safe}"
         gap += f"            *status = {upper}_OUTSIDE;\n        }}\n"
     return f"""
-int16_t {p}_decide(const {code.reading} x[{plan.n}], {p}_status *status)
+int16_t {p}_decide(const {p}_reading x[{plan.n}], {p}_status *status)
 {{
     {code.real if code.direct else code.integer} places[{plan.n}];
     int16_t symbol = {plan.safe};

@@ -1,4 +1,4 @@
-"""Target ``c``: C99 without memory management, input, output or library calls."""
+"""Target ``c``: C99 without memory management, input, output or, but of features, library calls."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import FeatureTree
 from capsyn.errors import ProblemError, warn
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.notes import heavy_tables, remarks
@@ -58,13 +59,15 @@ class Options:
     name : str, optional
         What files and functions are called, made an identifier. Default: the policy's name.
     tick : float
-        Unit of the time that a dwell time is measured in [s], whatever the policy's unit of time.
+        Unit of the time that a dwell time is measured in [s], whatever the policy's unit of time;
+        at most the dwell time. By default a microsecond.
     package : "cmake" or "arduino"
         How the files are laid out: header and source with a project of CMake, or an Arduino
         library, a folder of the export's name for the sketchbook's ``libraries``.
     cycles : bool
         Whether ``measured.json`` says how long a decision takes at most, ``worst``: cycles of an
         AVR and instructions of a Cortex-M3, where their compilers and emulators are installed.
+        Not for trees with features.
     """
 
     style: str | None = None
@@ -88,6 +91,8 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         raise ProblemError(f"`readings` {readings} needs `arithmetic` lattice; got {arithmetic}")
     finite_number("tick", options.tick, above=0.0)
     true_or_false("cycles", options.cycles)
+    if isinstance(plan.policy.cells, FeatureTree):
+        _check_features(options)
     if plan.labels > 1 << 15:
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
     code = _code(plan, options)
@@ -96,11 +101,26 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         vectors = golden_counts(plan, code.axes, readings)
         if heavy := heavy_tables(code):
             warn(heavy)
-    written = stream(code.tree).figures if code.style == "table" else None
+    tree = code.tree.ranked if isinstance(code.tree, FeatureTree) else code.tree
+    written = stream(tree).figures if code.style == "table" else None
     files, chosen = packaged(code, options.package), {"style": options.style}
+    beside = f"{code.prefix}/extras/" if options.package == "arduino" else ""
     return Exported(
-        files, code.renamed, remarks(code), code.changed, vectors, written, plan, chosen
+        files, code.renamed, remarks(code), code.changed, vectors, written, beside, plan, chosen
     )
+
+
+def _check_features(options: Options) -> None:
+    """Raise unless the options can be had for a tree with features."""
+    if options.arithmetic != "lattice":
+        raise ProblemError(
+            f"`arithmetic` must be lattice for a tree with features; got {options.arithmetic}"
+        )
+    if options.cycles:
+        raise ProblemError(
+            "`cycles` must be false for a tree with features, whose functions are not timed; "
+            "got true"
+        )
 
 
 def _style(plan: Plan, style: str | None) -> str:
@@ -136,4 +156,4 @@ def _code(plan: Plan, options: Options) -> Code:
     return Code.of(plan, o.style, o.arithmetic, o.readings, o.name, float(o.tick))
 
 
-TARGET = Target(export, Options, measure=measure)
+TARGET = Target(export, Options, features=True, measure=measure)

@@ -55,12 +55,12 @@ def build(name: str, source: bytes, platforms: Sequence[str]) -> Files:
     """
     own = own_platform() if _has_compiler() else None
     zig = _zig() if any(chosen != own for chosen in platforms) else None
+    if zig is None and (others := [chosen for chosen in platforms if chosen != own]):
+        raise ProblemError(
+            f"`platforms` {others[0]} needs zig's C compiler: pip install ziglang; got none"
+        )
     files: Files = {}
     for chosen in platforms:
-        if chosen != own and zig is None:
-            raise ProblemError(
-                f"`platforms` {chosen} needs zig's C compiler: pip install ziglang; got none"
-            )
         with tempfile.TemporaryDirectory(prefix="capsyn-") as directory:
             folder, target = Path(directory), f"{name}.{ENDINGS[chosen]}"
             (folder / f"{name}.c").write_bytes(source)

@@ -98,8 +98,8 @@ static int label_of(const int *z) {
     int i, node = 0;
     while (SPLIT[node] >= 0) {
         int value = 0;
-        if (SPLIT[node] < STATES) value = z[SPLIT[node]];
-        else for (i = 0; i < STATES; ++i) value += PLANES[SPLIT[node] - STATES][i] * z[i];
+        if (SPLIT[node] < PLACES) value = z[SPLIT[node]];
+        else for (i = 0; i < PLACES; ++i) value += PLANES[SPLIT[node] - PLACES][i] * z[i];
         node = value >= THRESHOLD[node] ? SECOND[node] : node + 1;
     }
     return THRESHOLD[node];
@@ -107,7 +107,7 @@ static int label_of(const int *z) {
 #endif
 
 static int decide(const Real *inputs, int *status) {
-    int i, z[STATES], label;
+    int i, z[PLACES], label;
     double x[STATES];
     *status = INSIDE;
     for (i = 0; i < STATES; ++i) {
@@ -121,6 +121,7 @@ static int decide(const Real *inputs, int *status) {
     }
     if (*status == OUTSIDE && !NEAREST) return SAFE;
     for (i = 0; i < STATES; ++i) z[i] = step(i, x[i]);
+    RANKS
     label = label_of(z);
     if (label == GAP) {
         *status = OUTSIDE;

@@ -23,11 +23,13 @@ from typing import Any
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.feature_tree import Features
 from capsyn.cells.packing import smallest_type
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import KernelBuildError, ProblemError, warn
 from capsyn.exports.c.language import KEYWORDS
 from capsyn.exports.constants import cell_tables
+from capsyn.exports.feature_texts import c_ranks, features_of
 from capsyn.exports.fmu.build import ENDINGS, build, own_platform
 from capsyn.exports.fmu.description import description, variable_names
 from capsyn.exports.golden import Golden
@@ -78,7 +80,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     return Exported({f"{name}.fmu": _zip(content)}, renamed(names, variable_names(plan)))
 
 
-TARGET = Target(export, Options)
+TARGET = Target(export, Options, features=True)
 
 
 def _guid(plan: Plan) -> str:
@@ -141,11 +143,13 @@ def _warn(reason: str) -> None:
 def _source(plan: Plan, guid: str) -> bytes:
     """Return the C source: what the policy is, as constants and tables, then what it does."""
     policy, domain = plan.policy, plan.policy.domain
+    features = features_of(plan.cells)
     lines = [f"/* {line.replace('*/', '* /').replace('/*', '/ *')} */" for line in plan.header]
     lines += [
         "#include <stdint.h>",
         "",
         f"#define STATES {domain.n}",
+        f"#define PLACES {domain.n + (len(features.names) if features else 0)}",
         f"#define CONTROLS {policy.alphabet.m}",
         f'#define GUID "{guid}"',
         f"#define SAFE {plan.safe}",
@@ -162,10 +166,11 @@ def _source(plan: Plan, guid: str) -> bytes:
         _table("int32_t", "COUNTS[STATES]", plan.counts),
         _table("double", f"CONTROL[{plan.labels}][CONTROLS]", policy.controls.tolist()),
         *_arrays(plan),
+        *_ranks(features),
         "",
     ]
-    body = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
-    return ("\n".join(lines) + "\n" + body).encode()
+    text = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
+    return ("\n".join(lines) + "\n" + text).encode()
 
 
 def _arrays(plan: Plan) -> list[str]:
@@ -174,13 +179,22 @@ def _arrays(plan: Plan) -> list[str]:
     return _nodes(cells) if isinstance(cells, SplitTree) else _cells(cells, plan.default)
 
 
+def _ranks(features: Features | None) -> list[str]:
+    """Return the macro that puts the ranks of features after the steps."""
+    if features is None:
+        return ["#define RANKS"]
+    body = [f"    {line}" for line in c_ranks(features, "z[{}]")]
+    function = ["static void put_ranks(int *z) {", *body, "}"]
+    return ["#include <math.h>", *function, "#define RANKS put_ranks(z);"]
+
+
 def _nodes(tree: SplitTree) -> list[str]:
     planes = tree.planes if len(tree.planes) else np.zeros((1, tree.n), dtype=np.int32)
     return [
         _table("int32_t", f"SPLIT[{tree.node_count}]", tree.split.tolist()),
         _table("int32_t", f"THRESHOLD[{tree.node_count}]", tree.threshold.tolist()),
         _table("int32_t", f"SECOND[{tree.node_count}]", tree.second.tolist()),
-        _table("int32_t", f"PLANES[{len(planes)}][STATES]", planes.tolist()),
+        _table("int32_t", f"PLANES[{len(planes)}][PLACES]", planes.tolist()),
     ]
 
 

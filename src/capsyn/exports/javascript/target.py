@@ -10,6 +10,7 @@ import textwrap
 from importlib import resources
 
 from capsyn.exports.constants import constants, tables
+from capsyn.exports.feature_texts import features_of, javascript_ranks
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
@@ -146,8 +147,10 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text()
     code = CELLS + CODE.replace("WALK", CELLS_WALK) if plan.as_cells else CODE.replace("WALK", WALK)
     code = code.replace("[time unit]", f"[{plan.policy.time_unit}]")
+    if features := features_of(plan.cells):
+        code = javascript_ranks(features) + code.replace("quantise(x)", "withRanks(quantise(x))")
     text = "\n".join([*lines, "", lattice]) + code
     return Exported({f"{file_name(options.name, plan.policy.name)}.mjs": text.encode()})
 
 
-TARGET = Target(export)
+TARGET = Target(export, features=True)

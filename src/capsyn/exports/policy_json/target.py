@@ -10,6 +10,7 @@ from typing import Any
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.exports.constants import cell_tables
+from capsyn.exports.feature_texts import features_of
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
@@ -17,7 +18,7 @@ from capsyn.exports.target import Exported, NameOption, Target
 from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
-FORMAT, VERSION, CELLS_VERSION = "capsyn-policy-json", 1, 2
+FORMAT, VERSION = "capsyn-policy-json", 2
 SCHEMA = "capsyn-policy.schema.json"
 QUANTISER = (
     "All arithmetic is IEEE 754 double precision, rounded after each operation as written.",
@@ -31,6 +32,13 @@ QUANTISER = (
     "x = min(max(x, lower), upper).",
     "face(k) = lower + (upper - lower) * (k / steps). The lattice step z of the axis is the "
     "largest whole number 0 <= z < steps with z = 0 or face(z) <= x.",
+)
+RANKS = (
+    "Then come features. Their program has values, numbered: the steps z, as doubles, then one for "
+    "each instruction: a constant, or an operation on earlier values. Those under results are the "
+    "values of the features. The rank of a feature is how many of its thresholds its value "
+    "reaches (>=). Append the ranks to z: n, the number of states, is from here on that of states "
+    "and features.",
 )
 GAP = (
     "If the symbol is outside.gap, where there is one, the symbol is outside.safe and the status "
@@ -91,10 +99,11 @@ def document(plan: Plan) -> dict[str, Any]:
         plan.offset.tolist(),
     )
     keys = ("name", "unit", "lower", "upper", "periodic", "steps", "scale", "offset")
+    features = features_of(cells)
     return {
         "$schema": SCHEMA,
         "format": FORMAT,
-        "version": CELLS_VERSION if plan.as_cells else VERSION,
+        "version": VERSION,
         "generator": f"capsyn {__version__}",
         "header": list(plan.header),
         "name": policy.name,
@@ -116,7 +125,7 @@ def document(plan: Plan) -> dict[str, Any]:
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "guarantee": plan.guarantee.to_json() | {"text": plan.guarantee.text},
-        "quantiser": list(QUANTISER),
+        "quantiser": [*QUANTISER, *(RANKS if features else ())],
         "walk": list(CELLS_WALK if plan.as_cells else WALK),
         "dwell": list(DWELL),
         cells.kind: _tree(cells) if isinstance(cells, SplitTree) else _cells(cells),
@@ -124,6 +133,7 @@ def document(plan: Plan) -> dict[str, Any]:
 
 
 def _tree(tree: SplitTree) -> dict[str, Any]:
+    features = features_of(tree)
     return {
         "nodes": tree.node_count,
         "depth": tree.depth,
@@ -131,6 +141,7 @@ def _tree(tree: SplitTree) -> dict[str, Any]:
         "threshold": tree.threshold.tolist(),
         "second": tree.second.tolist(),
         "planes": tree.planes.tolist(),
+        **({"features": features.to_json()} if features else {}),
     }
 
 
@@ -138,4 +149,4 @@ def _cells(cells: CellTree) -> dict[str, Any]:
     return {name.lower(): array.tolist() for name, array, _ in cell_tables(cells)}
 
 
-TARGET = Target(export)
+TARGET = Target(export, features=True)

@@ -62,13 +62,14 @@ class Block:
         if axes or real_kind == "REAL":
             tree, numbers = ranked_tree(tree)
         wanted = wanted_name(name, plan.policy.name)
-        (block,) = identifiers([wanted[:LONGEST_NAME]], KEYWORDS, fold=True)
-        n, calls = plan.n, {part: f"{block}_{part}" for part in ("wrap", "step", "tree")}
-        steps, faces = [f"z{i}" for i in range(n)], [f"faces{i}" for i in range(n)]
-        trees = [*cells_text.LOCAL, *cells_text.TABLES]
+        n, steps = plan.n, [f"z{i}" for i in range(plan.n)]
+        kept = {*KEYWORDS, *FIXED, *LOCAL, *steps, *(f"faces{i}" for i in range(n))}
+        kept |= {*cells_text.LOCAL, *cells_text.TABLES} if isinstance(tree, CellTree) else set()
+        (block,) = identifiers([wanted[:LONGEST_NAME]], kept, fold=True)
+        calls = {part: f"{block}_{part}" for part in ("wrap", "step", "tree")}
+        kept |= {block, *calls.values()}
         if isinstance(tree, SplitTree):
-            trees = [f"{calls['tree']}{k}" for k in range(1, tree.node_count)]
-        kept = {*KEYWORDS, *FIXED, *LOCAL, *steps, *faces, block, *calls.values(), *trees}
+            kept |= {f"{calls['tree']}{k}" for k in range(1, tree.node_count)}
         names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
         chosen = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
         states = identifiers([f"state_{i}" for i in range(n)], {*kept, *chosen}, fold=True)

@@ -17,7 +17,7 @@ def cut(plan: Plan, node: int) -> str:
 
     A step z of an axis with C steps is about ``C (x - lower) / (upper - lower) - 1/2``, and sums of
     steps reach the threshold about half of their common divisor before it. The state that matters
-    most over its axis gets the factor 1 or -1, and the bound has its unit.
+    most over its axis gets the factor 1, and the bound has its unit.
     """
     tree, domain = plan.tree.cells, plan.policy.domain
     split, threshold = int(tree.split[node]), int(tree.threshold[node])
@@ -29,13 +29,14 @@ def cut(plan: Plan, node: int) -> str:
     beside = float(plane @ (0.5 + counts * domain.lower / domain.widths))
     bound = threshold - np.gcd.reduce(plane) / 2 + beside
     lead = int(np.argmax(np.abs(plane * counts)))
-    factors, bound = per_state / abs(per_state[lead]), bound / abs(per_state[lead])
+    factors, bound = per_state / per_state[lead], bound / per_state[lead]
+    compared = ">=" if per_state[lead] > 0 else "<="
     products = (
-        name if i == lead else f"{abs(factor):.4g} * {name}"
-        for i, (name, factor) in enumerate(zip(domain.names, factors))
+        name if f"{abs(factor):.4g}" == "1" else f"{abs(factor):.4g} * {name}"
+        for name, factor in zip(domain.names, factors)
     )
     text = signed_sum(np.sign(factors).astype(int).tolist(), products)
-    return f"about {text} >= {_measured(f'{bound:.4g}', domain.units[lead])}"
+    return f"about {text} {compared} {_measured(f'{bound:.4g}', domain.units[lead])}"
 
 
 def listed(block: Block) -> Iterator[str]:

@@ -85,7 +85,7 @@ last := count - 1;
 WHILE first < last DO
     middle := last - (last - first) / 2;
     face := DINT_TO_LREAL(middle) / DINT_TO_LREAL(count);
-    face := width * face;
+    face := width * face + 0.0;
     face := lower + face;
     IF face <= x THEN
         first := middle;
@@ -99,7 +99,8 @@ END_WHILE;
         "DINT",
         (
             "The lattice step that holds x: the last k with face(k) <= x, 0 to count - 1, where",
-            "face(k) = lower + (upper - lower) * (k / count), every operation rounded to LREAL.",
+            "face(k) = lower + (upper - lower) * (k / count), every operation rounded to LREAL:",
+            "adding 0.0 keeps compilers from fusing the product with the sum that follows.",
         ),
         (*(Variable(text, "LREAL") for text in ("x", "lower", "upper")), Variable("count", "DINT")),
         (),

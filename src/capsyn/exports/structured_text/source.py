@@ -122,6 +122,7 @@ def _body(block: Block, siemens: bool) -> list[str]:
     lines += hold(block, siemens) if plan.dwell > 0 else ["symbol := wanted;"]
     lines.append("CASE symbol OF")
     for k, row in enumerate(plan.policy.controls.tolist()):
+        lines += comment([plan.symbol_names[k]], 4)
         lines.append(f"    {k}:" if k + 1 < plan.labels else "ELSE")
         lines += [f"        {u} := {block.literal(v)};" for u, v in zip(block.controls, row)]
     return [*lines, "END_CASE;"]

@@ -51,7 +51,7 @@ def states(block: Block) -> list[str]:
             lines.append(f"{state} := {falling}{count};")
         elif block.raw[i]:
             scale, offset = block.literal(block.plan.scale[i]), block.literal(block.plan.offset[i])
-            lines.append(f"{state} := {reading} * ({scale});")
+            lines.append(f"{state} := {reading} * ({scale}) + 0.0;")  # rounded: not fused
             lines.append(f"{state} := {state} + ({offset});")
         else:
             lines.append(f"{state} := {reading};")
@@ -112,7 +112,9 @@ def _box(block: Block, i: int) -> str:
 
 
 def _cut(line: str) -> list[str]:
-    return broken(line, WIDTH - 8)
+    """Return a call, in lines that are cut between its arguments."""
+    whole = broken(line.replace(" := ", "\xa0:=\xa0"), WIDTH - 8)
+    return [part.replace("\xa0", " ") for part in whole]
 
 
 def _in_turn(state: str, first: int, turn: int) -> Iterator[str]:

@@ -31,8 +31,8 @@ from capsyn.validation import one_of
 
 LEAST, MOST = 1.2e-38, 3.4e38
 """Sizes of literals that every compiler takes: MATIEC refuses those that no REAL holds."""
-MOST_FACES = 16_000
-"""Most faces in tables for a tree with oblique splits."""
+MOST_FACES = 1 << 16
+"""Most faces in tables for cells, or a tree with oblique splits: 256 kB of REAL or DINT."""
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ LANGUAGE = """
     end_var end_while eno exit extends f_edge false final for from function function_block get goto
     if implements ini initial_step interface internal interval label ldate ldt ltime ltod method mod
     namespace non_retain not null of on or override persistent pointer priority private program
-    property protected public pvoid r_edge read_only read_write ref ref_to reference region repeat
-    resource retain return set single step struct super task then this time_of_day to
+    property protected public pvoid r_edge read_only read_write dref ref ref_to reference region
+    repeat resource retain return set single step struct super task then this time_of_day to
     transition true type union until using uxint var var_access var_config var_external var_global
     var_in_out var_input var_inst var_output var_stat var_temp void wchar while with xint xor xword
 """.split()

@@ -1,5 +1,5 @@
 /**
- * Return a function that moves a state (n) and its cost (1) on under a control, for a duration [s],
+ * Return a function that moves a state (n) and its cost (1) on under a control, for a duration [time unit],
  * by so many steps of the classical Runge-Kutta method.
  */
 export function makeAdvance(model, n) {

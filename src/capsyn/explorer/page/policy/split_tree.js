@@ -3,29 +3,37 @@ import { fill } from "./raster.js";
 
 /** A decision tree; see `capsyn.cells.split_tree.SplitTree` for the arrays. */
 export class SplitTree {
-  constructor(packed, n) {
+  constructor(packed, n, ranks) {
     const names = ["split", "threshold", "second", "planes"];
     for (const name of names) this[name] = Int32Array.from(unpack(packed[name]));
     this.n = n;
+    /** Features, see `makeRanks`; their ranks come after the steps. */
+    this.ranks = ranks;
+    this.width = n + ranks.count;
     /** There is nothing to replay. */
     this.levels = 0;
   }
 
-  /** What a node compares with its threshold. */
-  compared(node, z) {
-    const { split, planes, n } = this;
-    if (split[node] < n) return z[split[node]];
-    const row = (split[node] - n) * n;
+  /** What a node compares with its threshold, of lattice steps with ranks. */
+  compared(node, places) {
+    const { split, planes, width } = this;
+    if (split[node] < width) return places[split[node]];
+    const row = (split[node] - width) * width;
     let sum = 0;
-    for (let i = 0; i < n; i++) sum += planes[row + i] * z[i];
+    for (let i = 0; i < width; i++) sum += planes[row + i] * places[i];
     return sum;
   }
 
+  /** Lattice steps with the ranks of features after them. */
+  withRanks(z) {
+    return this.ranks.count ? [...z, ...this.ranks.at(z)] : z;
+  }
+
   find(z) {
-    const { split, threshold, second } = this;
+    const { split, threshold, second } = this, places = this.withRanks(z);
     let node = 0;
     while (split[node] >= 0) {
-      node = this.compared(node, z) >= threshold[node] ? second[node] : node + 1;
+      node = this.compared(node, places) >= threshold[node] ? second[node] : node + 1;
     }
     return node;
   }
@@ -41,9 +49,10 @@ export class SplitTree {
   /** The leaf with lattice steps z: {place, level, low, high}, in steps. */
   cell(z, counts) {
     const { split, threshold, second } = this, low = z.map(() => 0), high = Array.from(counts);
+    const places = this.withRanks(z);
     let node = 0, level = 0, oblique = false;
     for (; split[node] >= 0; level++) {
-      const axis = split[node], beyond = this.compared(node, z) >= threshold[node];
+      const axis = split[node], beyond = this.compared(node, places) >= threshold[node];
       if (axis >= this.n) oblique = true;
       else if (beyond) low[axis] = Math.max(low[axis], threshold[node]);
       else high[axis] = Math.min(high[axis], threshold[node]);
@@ -53,7 +62,9 @@ export class SplitTree {
   }
 
   /** Return `value(node, true)` of the leaves of a plane; see `CellTree`. */
-  section({ z, i, j, columns, rows, value }) {
+  section(plane) {
+    if (this.ranks.count) return this.everyStep(plane);
+    const { z, i, j, columns, rows, value } = plane;
     const { split, threshold, second, planes } = this;
     const across = columns.length, grid = new Int32Array(across * rows.length);
     const origin = z.map((k, axis) => (axis === i || axis === j ? 0 : k));
@@ -91,6 +102,17 @@ export class SplitTree {
       }
     };
     go(0, 0, across, 0, rows.length);
+    return grid;
+  }
+
+  /** The same where features bound leaves: step by step. */
+  everyStep({ z, i, j, columns, rows, value }) {
+    const grid = new Int32Array(columns.length * rows.length), at = Array.from(z);
+    rows.forEach((row, b) => columns.forEach((column, a) => {
+      at[i] = column;
+      at[j] = row;
+      grid[b * columns.length + a] = value(this.find(at), true);
+    }));
     return grid;
   }
 }

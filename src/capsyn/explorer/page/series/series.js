@@ -38,7 +38,7 @@ function rowsOf({ domain, alphabet, controls }, strips) {
 }
 
 function show(series) {
-  const { app, root, rows, strips } = series, { tracks, theme } = app;
+  const { app, root, rows } = series, { tracks, theme } = app;
   root.classList.toggle("empty", !tracks.length);
   const costly = tracks.some(track => track.cost.at(-1) !== 0);
   const visible = tracks.length ? rows.filter(row => row.kind !== "cost" || costly) : [];
@@ -47,13 +47,15 @@ function show(series) {
   if (wanted !== series.built) build(series, visible);
   else for (const plot of series.plots) plot.setData(plotData(plot.row, app));
   series.built = wanted;
-  for (const plot of series.plots) {
-    const { row, note } = plot;
-    const chatters = row.of && tracks.some(track => strips.pieces(track, plot).some(
-      ({ changes, shares }) => changes > 1 && new Set([...shares.keys()].map(row.of)).size > 1));
-    note.textContent = chatters ? "chatters: mean and range" : "";
-  }
   sweep(series);
+}
+
+/** Say of an input that is drawn whether it chatters somewhere, at the width that it has. */
+function tell({ app, strips }, plot) {
+  const { row, note } = plot;
+  const chatters = row.of && app.tracks.some(track => strips.pieces(track, plot).some(
+    ({ changes, shares }) => changes > 1 && new Set([...shares.keys()].map(row.of)).size > 1));
+  if (note) note.textContent = chatters ? "chatters: mean and range" : "";
 }
 
 function build(series, visible) {
@@ -69,6 +71,7 @@ function build(series, visible) {
     const options = plotOptions(row, app, sync.key, width, k === visible.length - 1);
     const plot = new uPlot(options, plotData(row, app), holder);
     Object.assign(plot, { now, row, note });
+    plot.hooks.draw = [...(plot.hooks.draw ?? []), () => tell(series, plot)];
     plot.over.append(now);
     listen(app, plot);
     return plot;

@@ -23,9 +23,12 @@ const NOTED = 4000;
  *   state by the functions of `changes.js` and `trajectories.js`, which have the parts show it
  */
 
-/** Return the state of the page without its parts; `model` is what `model_javascript` makes. */
-export function makeApp(model) {
-  const data = JSON.parse(byId("data").textContent), lookup = makeLookup(data);
+/**
+ * Return the state of the page without its parts; `model` is what `model_javascript` makes,
+ * `features` what `features_javascript` does, if the policy has any.
+ */
+export function makeApp(model, features) {
+  const data = JSON.parse(byId("data").textContent), lookup = makeLookup(data, features);
   const app = {
     data, model, lookup,
     loop: data.loops ? makeLoop(data, lookup, model) : null,

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.cell_tree import CellTree
+from capsyn.errors import warn
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.readings.counts import limit_of
 from capsyn.exports.c.sizes import version_of
 from capsyn.exports.c.timing.emulators import MACHINES, longest
-from capsyn.exports.c.timing.states import longest_steps, longest_steps_of_cells
+from capsyn.exports.c.timing.states import longest_steps
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import NOT_FINITE, Files
 
@@ -45,6 +45,9 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
         can take longer. From readings that is never known, since the time of arithmetic that a
         library does depends on the numbers.
     """
+    if not any(machine.here for machine in MACHINES.values()):
+        pairs = (f"{m.compiler[0]} with {m.emulator[0]}" for m in MACHINES.values())
+        warn(f"`cycles` needs {' or '.join(pairs)}; nothing was timed")
     asked = list(_asked(code, golden))
     found: dict[str, Any] = {}
     for name, machine in MACHINES.items():
@@ -80,10 +83,7 @@ def _right(code: Code, function: str, at: np.ndarray, symbol: int) -> bool:
 def _asked(code: Code, golden: Golden) -> Iterator[tuple[str, str, np.ndarray, bool]]:
     """Yield what is called: the function, the type of its inputs, these, and whether they do."""
     plan, tree = code.plan, code.plan.cells
-    if isinstance(tree, CellTree):
-        steps, exact = longest_steps_of_cells(tree)
-    else:
-        steps, exact = longest_steps(tree, code.style)
+    steps, exact = longest_steps(tree, code.style)
     if code.arithmetic == "lattice":
         yield "symbol", code.integer, steps, exact and code.style in KNOWN
     domain = plan.policy.domain

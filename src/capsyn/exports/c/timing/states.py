@@ -20,6 +20,7 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
+from capsyn.cells.work import heaviest_leaves
 from capsyn.exports.c.styles.mirrors import Mirror
 from capsyn.exports.c.styles.stream import stream
 from capsyn.random_streams import stream as random_stream
@@ -34,30 +35,21 @@ MOST_LEAVES, TRIES = 4000, 64
 """Affine leaves in which steps are tried, and how many in each."""
 
 
-def longest_steps_of_cells(cells: CellTree) -> tuple[np.ndarray, bool]:
-    """Return lattice steps (K, n), leaves with most rows first, and whether none takes longer."""
-    leaves = list(cells.leaves())
-    levels = np.repeat([some.level for some in leaves], [len(some.places) for some in leaves])
-    places, lower, sizes = (
-        np.concatenate([getattr(some, name) for some in leaves])
-        for name in ("places", "lower", "sizes")
-    )
-    rows = np.zeros(len(places), dtype=np.int64)
-    if cells.affine is not None:
-        leaf = cells.labels_at(places) - cells.affine.first
-        rows[leaf >= 0] = np.diff(cells.affine.starts)[leaf[leaf >= 0]]
-    order = np.lexsort((-levels, -rows))
-    steps = _with_neighbours(lower[order], (lower + sizes)[order], np.array(cells.counts))
-    exact = cells.affine is None and len(steps) <= MOST
-    if cells.affine is not None:
-        many = order[rows[order] > 0][:MOST_LEAVES]
-        random = random_stream(0, TIMING).integers(sizes[many], size=(TRIES, len(many), cells.n))
-        tried = lower[many] + random
-        leaf = np.broadcast_to(cells.labels_at(places[many]), tried.shape[:2])
-        rises = cells.affine.rises(leaf.ravel(), tried.reshape(-1, cells.n))
-        best = rises.reshape(tried.shape[:2]).argmax(axis=0)
-        steps = np.concatenate([tried[best, np.arange(len(many))], steps])
-    return steps[:MOST], exact
+def _of_cells(cells: CellTree) -> tuple[np.ndarray, bool]:
+    """Return those of cells."""
+    leaves = heaviest_leaves(cells)
+    counts = np.array(cells.counts)
+    steps = _with_neighbours(leaves.lower, leaves.lower + leaves.sizes, counts)
+    if cells.affine is None:
+        return steps[:MOST], len(steps) <= MOST
+    many = slice(0, min(MOST_LEAVES, int(np.count_nonzero(leaves.rows))))
+    sizes, lower = leaves.sizes[many], leaves.lower[many]
+    tried = lower + random_stream(0, TIMING).integers(sizes, size=(TRIES, *sizes.shape))
+    leaf = np.broadcast_to(cells.labels_at(leaves.places[many]), tried.shape[:2])
+    rises = cells.affine.rises(leaf.ravel(), tried.reshape(-1, cells.n))
+    best = rises.reshape(tried.shape[:2]).argmax(axis=0)
+    steps = np.concatenate([tried[best, np.arange(len(lower))], steps])
+    return steps[:MOST], False
 
 
 def _with_neighbours(lower: np.ndarray, upper: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -72,8 +64,13 @@ def _with_neighbours(lower: np.ndarray, upper: np.ndarray, counts: np.ndarray) -
     return np.stack([lower, before, beyond, *both], axis=1).reshape(-1, lower.shape[1])
 
 
-def longest_steps(tree: SplitTree, style: str) -> tuple[np.ndarray, bool]:
-    """Return lattice steps (K, n), the deepest leaves first, and whether none takes longer."""
+def longest_steps(tree: CellTree | SplitTree, style: str) -> tuple[np.ndarray, bool]:
+    """Return lattice steps (K, n) and whether none takes longer than all of them.
+
+    Deep leaves come first, of cells those with most rows.
+    """
+    if isinstance(tree, CellTree):
+        return _of_cells(tree)
     counts = np.array(tree.counts)
     if style != "grid" and not tree.has_planes:
         mirrors: tuple[Mirror, ...] = ()
