@@ -17,8 +17,8 @@ import numpy as np
 
 from capsyn.cells.affine_leaves import ROW_ARRAYS, AffineLeaves
 from capsyn.cells.cell_tree import CELL_ARRAYS, SPLIT_ARRAYS, CellTree
-from capsyn.cells.masks import WORD
 from capsyn.cells.feature_tree import Features, FeatureTree
+from capsyn.cells.masks import WORD
 from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.execution.answers import digest
@@ -219,11 +219,12 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     if document["sha256"] != digest(arrays, _canonical(content)):
         raise PolicyFormatError("its content does not match its checksum")
     known = TREE_KEYS if is_tree else CELL_KEYS
-    if document["version"] < _least_version(arrays, content) or (
+    if (
         set(content) - RARE_KEYS != known
         or not all(content.get(key, True) is True for key in ("gaps", "outside_at_once"))
         or content.get("time_unit") == "s"
         or ("features" in content and not is_tree)
+        or document["version"] < _least_version(arrays, content)
     ):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
