@@ -165,7 +165,7 @@ def test_lattices_of_more_finest_cells_than_numbers_are_exact(n, refinement, dep
 def masks_at(cells, points):
     """Return the labels that each finest cell may take, as bit masks."""
     masks = [1 << max(-1 - entry, 0) for entry in cells.entries.tolist()]
-    for cell, seen in zip(cells.mixed_cells.tolist(), cells.mixed_labels.tolist()):
+    for cell, seen in zip(cells.mixed_cells.tolist(), cells.mixed_labels[:, 0, 0].tolist()):
         masks[cell] |= seen
     return np.array(masks, dtype=np.uint64)[cells.find(points)]
 
@@ -434,7 +434,7 @@ def test_of_equal_volumes_the_first_label_is_taken():
     cells = CellTree(Grid((1,), (2,), 1), entries, np.zeros(0, np.int32), np.zeros(0, np.uint64))
     policy = policy_of(((1,), (2,), 1), cells=cells)
     cut = cut_off(policy, 0).cells
-    assert cut.entries.tolist() == [-2] and cut.mixed_labels.tolist() == [0b110]
+    assert cut.entries.tolist() == [-2] and cut.mixed_labels[:, 0, 0].tolist() == [0b110]
 
 
 def test_cutting_off_cells_without_blocks_costs_nothing():
@@ -525,7 +525,7 @@ def test_trees_of_another_lattice_do_not_tile():
 
 
 def test_prices_of_entries():
-    masks = np.array([0b001, 0b110, 0b111, 0b010], dtype=np.uint64)
+    masks = np.array([0b001, 0b110, 0b111, 0b010], dtype=np.uint64)[:, None]
     prices = Prices(masks, np.array([1, 2]), np.array([[9, 1, 2], [3, 4, 5]]), 1)
     found = prices.of(np.array([0, 1, 2, 3, 2]), np.array([7, 1, 1, 7, 10]))
     none = 2**40

@@ -59,7 +59,7 @@ def test_a_free_tree_gives_every_finest_cell_an_allowed_symbol(monkeypatch):
     tree = compress(policy, "freedom", features=FEATURES, states=20_000)
     steps = all_steps(policy.cells.counts)
     entries, labels = policy.cells.find(steps), walked(tree, steps)
-    allowed = allowed_masks(policy, True)[entries]
+    allowed = allowed_masks(policy, True)[entries][:, 0]
     assert (allowed >> labels.astype(np.uint64) & np.uint64(1)).all()
     changed = np.mean(labels != policy.cells.labels(steps))
     assert tree.guarantee.changed == changed == prove(tree, policy) > 0 and tree.node_count <= 7
@@ -163,7 +163,7 @@ def test_cells_without_a_common_symbol_are_parted_even_where_no_neighbours_are_u
     """Along the diagonal are mixed cells, which may take either symbol."""
     law = lambda x: (x[:, 0] + x[:, 1] > 1).astype(int)  # noqa: E731
     policy = subdivide(law, Box([0, 0], [1, 1]), 2, partitions=6, max_level=0)
-    masks = allowed_masks(policy, True)[policy.cells.find(all_steps((6, 6)))].reshape(6, 6)
+    masks = allowed_masks(policy, True)[policy.cells.find(all_steps((6, 6))), 0].reshape(6, 6)
     assert (masks[1:] & masks[:-1]).all() and (masks[:, 1:] & masks[:, :-1]).all()
     tree = compress(policy, "freedom", features={"sum": lambda x: x[0] + x[1]}, states=1000)
     assert isinstance(tree.cells, FeatureTree) and tree.node_count == 3

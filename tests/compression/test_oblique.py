@@ -16,7 +16,7 @@ SQUARE = Box([-1.0, -2.0], [1.0, 2.0])
 
 def bits(labels):
     """Return masks of one bit."""
-    return np.uint64(1) << np.asarray(labels).astype(np.uint64)
+    return (np.uint64(1) << np.asarray(labels).astype(np.uint64))[:, None]
 
 
 def plane(x):
@@ -56,8 +56,8 @@ def fitted(masks, domain, labels, agreement, **options) -> Fit:
     assert (tree.threshold[first] != tree.threshold[second])[leaves].all()
     # an estimate of the share that uses nothing of the fit
     states = domain.sample(40_000, 12345)
-    found = masks(states)
-    found = np.where(found == 0, bits(labels - 1), found)
+    found = masks(states)[:, 0]
+    found = np.where(found == 0, bits([labels - 1])[0], found)
     labelled = tree.labels(domain.locate(states, tree.counts)).astype(np.uint64)
     share = ((found >> labelled) & np.uint64(1)).mean()
     spread = np.sqrt(max(share * (1 - share), 1e-5) * (1 / 40_000 + 1 / fit.judged))
@@ -112,7 +112,7 @@ def test_one_axis_three_labels_and_default():
 
 def test_no_finite_answer_is_the_default():
     def masks(x):
-        return np.where(x[:, 0] < 0, np.uint64(0), np.uint64(2))
+        return np.where(x[:, :1] < 0, np.uint64(0), np.uint64(2))
 
     fit = fitted(masks, SQUARE, 4, 0.99)
     assert reached(fit, 0.99) and fit.tree.node_count == 3
@@ -121,7 +121,7 @@ def test_no_finite_answer_is_the_default():
 
 @pytest.mark.parametrize("mask, label", [(1, 0), (4, 2), (0, 2)])
 def test_one_label_everywhere(mask, label):
-    fit = fitted(lambda x: np.full(len(x), mask, dtype=np.uint64), SQUARE, 3, 0.999)
+    fit = fitted(lambda x: np.full((len(x), 1), mask, dtype=np.uint64), SQUARE, 3, 0.999)
     assert reached(fit, 0.999) and fit.right == fit.judged
     assert fit.tree.node_count == 1 and fit.tree.threshold[0] == label
 
@@ -129,7 +129,7 @@ def test_one_label_everywhere(mask, label):
 def test_ties_leave_room():
     # both labels are right in a wide band: one split along an axis does
     fit = fitted(
-        lambda x: np.where(np.abs(x[:, 0]) < 0.4, np.uint64(3), bits(x[:, 0] > 0)), SQUARE, 2, 0.99
+        lambda x: np.where(np.abs(x[:, :1]) < 0.4, np.uint64(3), bits(x[:, 0] > 0)), SQUARE, 2, 0.99
     )
     assert reached(fit, 0.999) and fit.tree.node_count == 3
 

@@ -134,9 +134,8 @@ def test_cells_are_those_of_python(name, tmp_path):
     row_of = {place: row for row, place in enumerate(boxes.places.tolist())}
     places = cells.find(domain.locate(states[inside], cells.counts))
     lower, upper = (domain.points(corner, cells.counts) for corner in (boxes.lower, boxes.upper))
-    masks = dict(
-        zip(cells.mixed_cells.tolist(), getattr(cells, "mixed_labels", np.empty(0)).tolist())
-    )
+    seen_in = getattr(cells, "mixed_labels", np.empty((0, 1, 1)))[:, 0, 0]
+    masks = dict(zip(cells.mixed_cells.tolist(), seen_in.tolist()))
     labels = len(policy.alphabet) + 1
     several = 0
     for place, cell in zip(places.tolist(), (cell for cell in shown if cell)):

@@ -25,8 +25,8 @@ modelling: domain alphabet settings targets grid time_unit problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
-cells: affine_leaves boxes masks cell_tree split_tree feature_tree faces packing work
-policies: lookup guarantee colors picture file policy single_lookup report
+cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree faces packing work
+policies: lookup outside guarantee colors picture file policy single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide

@@ -20,13 +20,18 @@ REFUSED = [
     (([10**400],), {}, "`alphabet` must be numbers; got [1" + "0" * 55 + "..."),
     (([1.0, float("nan")],), {}, "`alphabet` must be finite; got array([[ 1.], [nan]])"),
     (([1.0, float("inf")],), {}, "`alphabet` must be finite; got array([[ 1.], [inf]])"),
-    (([0.0, -0.0],), {}, "`alphabet` must have distinct symbols; got [0.0] twice"),
+    (
+        ([0.0, -0.0],),
+        {},
+        "`alphabet` must have distinct symbols, or names that tell them apart; got [0.0] twice",
+    ),
     (
         ([[1, 2], [3, 4], [1, 2]],),
         {},
-        "`alphabet` must have distinct symbols; got [1.0, 2.0] twice",
+        "`alphabet` must have distinct symbols, or names that tell them apart; "
+        "got [1.0, 2.0] twice",
     ),
-    ((range(64),), {}, "`alphabet` must have at most 63 symbols; got 64"),
+    ((range(4097),), {}, "`alphabet` must have at most 4096 symbols; got 4097"),
     (([1, 2],), {"names": ["a"]}, "`alphabet names` must be 2 printable string(s); got ['a']"),
     (
         ([1, 2],),
@@ -69,7 +74,7 @@ def test_default_names_keep_close_symbols_apart():
 
 
 def test_most_symbols():
-    assert MAX_SYMBOLS == 63 and len(Alphabet(range(63))) == 63
+    assert MAX_SYMBOLS == 4096 and len(Alphabet(range(4096))) == 4096
 
 
 def test_values_are_a_read_only_copy():

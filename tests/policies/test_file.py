@@ -369,7 +369,7 @@ TAMPERED = {
     "domain too narrow": (at("domain", "upper")([1e-310, 5]), "`max_level` is too high"),
     "domain is a list": (at("domain")([0, 1]), "TypeError"),
     "alphabet of one": (at("alphabet", "values")([[1, 2]]), "`alphabet names` must be"),
-    "alphabet doubled": (at("alphabet", "values")([[1, 2], [1, 2]]), "distinct symbols"),
+    "names doubled": (at("alphabet", "names")(["a", "a"]), "non-empty and distinct"),
     "alphabet infinite": (at("alphabet", "values", 0, 0)(10**400), "`alphabet` must be numbers"),
     "default of 3 inputs": (at("default")([0, 0, 0]), "`default` must have shape"),
     "default of nothing": (at("default")(None), "`default` must be finite"),

@@ -133,7 +133,7 @@ def test_a_long_symbol_takes_no_more_memory_for_every_row(file):
         ("x,symbol\n0,1\n5e-324,1\n", "made.csv': `step` must be wider than floating point"),
         ("x,symbol\n1e9,1\n1000000000.0000001,1\n", "made.csv': `step` must be wider than"),
         ("x,symbol\n" + "".join(f"{k},{k}\n" for k in range(64)),
-         "made.csv': `alphabet` must have at most 63 symbols; got 64"),
+         "made.csv': `alphabet` of a table must have at most 63 symbols; got 64"),
         (",".join(f"x{k}" for k in range(17)) + ",symbol\n", "must have at most 16 axes; got 17"),
     ],
 )  # fmt: skip

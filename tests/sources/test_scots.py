@@ -67,7 +67,7 @@ def test_of_many_inputs_those_in_use_are_symbols(file):
     assert found.alphabet.values.ravel().tolist() == [3, 20, 98]
     assert found.masks[1, 0] == 6 and found.masks[0, 1] == 1
     rows = "".join(f"{k} {2 * k} {2 * k + 1}\n" for k in range(33))
-    with pytest.raises(ProblemError, match="uses 66 inputs; an alphabet has at most 63"):
+    with pytest.raises(ProblemError, match="uses 66 inputs; a table has at most 63"):
         read_scots(file(head + rows + "#END\n"))
 
 

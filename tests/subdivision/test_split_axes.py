@@ -28,6 +28,8 @@ def axes_by(kind, n, text, values):
     offsets = CellPoints.parse(text).offsets(n)
     found = values(offsets - 1.0)
     can = np.ones((1, n), dtype=bool)
+    if kind == "by_labels":  # sets are words, for each symbol in force
+        found = found[..., None, None]
     return getattr(SplitAxes.of(offsets), kind)(found, can)[0].tolist()
 
 
@@ -75,7 +77,7 @@ def test_only_axes_that_can_be_split_are_compared():
     found = SplitAxes.of(offsets)
     assert found.by_residuals(values, np.array([[1, 1, 1]], bool)).tolist() == [[1, 1, 0]]
     assert found.by_residuals(values, np.array([[0, 0, 1]], bool)).tolist() == [[0, 0, 1]]
-    masks = (1 + (x[:, :1] > 0)).astype(np.uint8)
+    masks = (1 + (x[:, :1] > 0)).astype(np.uint8)[..., None, None]
     assert not found.by_labels(masks, np.array([[0, 1, 1]], bool)).any()
 
 
@@ -99,14 +101,14 @@ def test_leaves_agree_or_are_finest_along_the_axes_that_vary(n, seed, partitions
     tree.check(4)
     assert sum(len(states) for states in asked) == policy.statistics["solves"]
     offsets = CellPoints.parse(text).offsets(n)
-    choose, seen = SplitAxes.of(offsets), dict(zip(tree.mixed_cells, tree.mixed_labels))
+    choose, seen = SplitAxes.of(offsets), dict(zip(tree.mixed_cells, tree.mixed_labels[:, 0, 0]))
     can = np.ones((1, n), dtype=bool)
     for place, lower, size in itertools.chain.from_iterable(zip(*x[1:]) for x in tree.leaves()):
         points = (lower + size * offsets / 2) / tree.counts
         masks = labels(np.where(box.periodic, points % 1, points))
         symbol = -1 - tree.entries[place]
         if place in seen:
-            assert (size[choose.by_labels(masks[:, None], can)[0]] == 1).all()
+            assert (size[choose.by_labels(masks[:, None, None, None], can)[0]] == 1).all()
         else:
             assert (masks >> np.uint64(symbol) & np.uint64(1)).all()
     statistics = policy.statistics

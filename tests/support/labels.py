@@ -3,19 +3,23 @@
 import numpy as np
 
 from capsyn import Box
+from capsyn.cells.masks import singles, word_count
 from support.references.subdivision import noise
 
 
 def noisy_masks(seed, n_symbols, ties):
-    """Return a function to random masks: some symbol, and with `ties` one or two more."""
+    """Return a function to random masks: some symbol, and with `ties` one or two more.
+
+    Beyond 63 symbols masks are several words.
+    """
 
     def label(states):
         words = noise(states, seed)
-        masks = np.zeros(len(states), dtype=np.uint64)
+        masks = np.zeros((len(states), word_count(n_symbols + 1)), dtype=np.uint64)
         for shift in (3, 19, 35)[: 1 + ties]:
             symbol = (words >> np.uint64(shift)) % np.uint64(n_symbols + 1)
-            masks |= np.uint64(1) << symbol
-        return masks
+            masks |= singles(symbol, n_symbols + 1)
+        return masks if masks.shape[1] > 1 else masks[:, 0]
 
     return label
 

@@ -100,7 +100,7 @@ def test_every_count_is_that_of_a_plain_recount(name, request):
     found = agreement(policy, 20_000, seed=3)
     states = policy.domain.sample(20_000, 3)
     last = len(policy.alphabet)
-    own, masks = policy(states), policy_controller(policy).masks(states)
+    own, masks = policy(states), policy_controller(policy).masks(states)[:, 0]
     agree = (masks >> own.astype(np.uint64)) & np.uint64(1) == 1
     assert found.states == len(states) and found.agreeing == agree.sum()
     assert found.share == agree.mean() and found.low < found.share < found.high

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsyn.cells.masks import singles
 from capsyn.errors import PolicyFormatError
 from capsyn.validation import keep_read_only
 
@@ -87,9 +88,9 @@ class AffineLeaves:
             values += self.slopes[rows, i] * steps[:, i].astype(np.int64, copy=False)
         return values
 
-    def masks(self) -> np.ndarray:
-        """Return the sets of symbols (A,) uint64 that the leaves' rows have, as bit masks."""
-        bits = np.uint64(1) << self.symbols.astype(np.uint64)
+    def masks(self, label_count: int) -> np.ndarray:
+        """Return the sets (A, W) of so many symbols that the leaves' rows have, as bit masks."""
+        bits = singles(self.symbols, label_count)
         return np.bitwise_or.reduceat(bits, self.starts[:-1]) if len(self) else bits
 
     def check(self, counts: tuple[int, ...], label_count: int) -> None:

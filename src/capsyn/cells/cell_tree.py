@@ -11,10 +11,10 @@ import numpy as np
 
 from capsyn.cells.affine_leaves import AffineLeaves
 from capsyn.cells.boxes import Boxes, Cells
-from capsyn.cells.masks import members
+from capsyn.cells.masks import members, singles, word_count
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.modelling.grid import Grid, grid_places
-from capsyn.validation import keep_read_only
+from capsyn.validation import keep, keep_read_only
 
 MAX_MASKED = 16
 """Most axes of a tree whose cells are split along some of them only."""
@@ -40,7 +40,7 @@ class CellTree:
     grid: Grid
     entries: np.ndarray  # (M,) int32
     mixed_cells: np.ndarray  # (K,) int32: leaf entries, ascending, whose test points differ
-    mixed_labels: np.ndarray  # (K,) uint64: the set of labels seen in each of them
+    mixed_labels: np.ndarray  # (K, J, W) uint64: the sets of labels seen in each, by that in force
     affine: AffineLeaves | None = None
     splits: np.ndarray | None = None  # (M,) uint16: the axes of each split, 0 for leaves; else all
 
@@ -49,6 +49,8 @@ class CellTree:
     compiled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        if self.mixed_labels.ndim == 1:  # as files have one word, whatever is in force
+            keep(self, mixed_labels=self.mixed_labels[:, None, None])
         keep_read_only(self, *CELL_ARRAYS, *SPLIT_ARRAYS)
 
     @property
@@ -103,6 +105,8 @@ class CellTree:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by their names in a file."""
         arrays = {name: getattr(self, name) for name in CELL_ARRAYS}
+        if self.mixed_labels.shape[1:] == (1, 1):
+            arrays["mixed_labels"] = self.mixed_labels[:, 0, 0]
         if self.splits is not None:
             arrays["splits"] = self.splits
         return arrays | ({} if self.affine is None else self.affine.arrays())
@@ -123,7 +127,7 @@ class CellTree:
         refinement = np.array(self.refinement, dtype=np.int64)
         if self.splits is None:
             return np.broadcast_to(refinement, (len(places), self.n))
-        return np.where(members(self.splits[places], self.n), refinement, 1)
+        return np.where(members(self.splits[places, None], self.n), refinement, 1)
 
     def find(self, steps: np.ndarray) -> np.ndarray:
         """Return the entries (B,) of the leaves that hold finest cells (B, n)."""
@@ -268,12 +272,14 @@ class CellTree:
         """Number of leaf cells."""
         return int(np.count_nonzero(self.entries < 0))
 
-    def check(self, label_count: int) -> None:
+    def check(self, label_count: int, rows: np.ndarray | None = None) -> None:
         """Raise `PolicyFormatError` unless the arrays are one well-formed grid of trees.
 
-        `label_count` is N + 1: leaf numbers of constant leaves must be below it.
+        Leaf numbers of constant leaves are those of `rows` (R, J), the label that follows each
+        symbol in force, of `label_count` labels, N + 1; by default labels themselves.
         """
-        known = label_count + (0 if self.affine is None else len(self.affine))
+        rows = np.arange(label_count)[:, None] if rows is None else rows
+        known = len(rows) + (0 if self.affine is None else len(self.affine))
         entries, n = self.entries, self.n
         if self.splits is not None:
             self._check_splits()
@@ -305,8 +311,14 @@ class CellTree:
             start, end = end, end + int(counts.sum())
         if end != len(entries):
             raise PolicyFormatError(f"{len(entries) - end} cells belong to no block")
-        mixed = self.mixed_cells
-        if mixed.shape != self.mixed_labels.shape:
+        if self.affine is not None:
+            self._check_affine(len(rows))
+        self._check_mixed(rows, label_count)
+
+    def _check_mixed(self, rows: np.ndarray, label_count: int) -> None:
+        """Raise `PolicyFormatError` unless mixed cells are leaves, and hold their own label."""
+        mixed, entries, seen = self.mixed_cells, self.entries, self.mixed_labels
+        if seen.shape != (len(mixed), rows.shape[1], word_count(label_count)):
             raise PolicyFormatError("mixed cells and their labels differ in number")
         if len(mixed) and (
             mixed.min() < 0
@@ -316,14 +328,14 @@ class CellTree:
         ):
             raise PolicyFormatError("the mixed cells are no ascending leaf cells")
         leaf = -1 - entries[mixed].astype(np.int64)
-        own = np.uint64(1) << np.minimum(leaf, 63).astype(np.uint64)
+        own = singles(rows[np.minimum(leaf, len(rows) - 1)], label_count)
         if self.affine is not None:
-            self._check_affine(label_count)
-            rest = leaf >= label_count
-            own[rest] = self.affine.masks()[leaf[rest] - label_count]
-        if (own & ~self.mixed_labels).any():
+            rest = leaf >= len(rows)
+            own[rest] = self.affine.masks(label_count)[leaf[rest] - len(rows), None]
+        if (own & ~seen).any():
             raise PolicyFormatError("a mixed cell's label is not among the labels seen in it")
-        if label_count < 64 and (self.mixed_labels >> np.uint64(label_count)).any():
+        beyond = label_count % 64
+        if beyond and (seen[..., -1] >> np.uint64(beyond)).any():
             raise PolicyFormatError("a mixed cell has an unknown label")
 
     def _check_splits(self) -> None:
@@ -339,11 +351,11 @@ class CellTree:
         if ((self.splits != 0) != (self.entries >= 0)).any():
             raise PolicyFormatError("a cell is split along no axis, or a leaf along some")
 
-    def _check_affine(self, label_count: int) -> None:
+    def _check_affine(self, first: int) -> None:
         assert self.affine is not None
-        self.affine.check(self.counts, label_count)
+        self.affine.check(self.counts, first)
         leaves = -1 - self.entries[self.entries < 0].astype(np.int64)
-        numbers = leaves[leaves >= label_count] - label_count
+        numbers = leaves[leaves >= first] - first
         if not np.array_equal(numbers, np.arange(len(self.affine))):
             raise PolicyFormatError("the affine leaves are not numbered in the order of the cells")
 

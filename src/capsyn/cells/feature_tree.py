@@ -152,12 +152,12 @@ class FeatureTree(SplitTree):
         """Raise `ProblemError`: leaves are no boxes."""
         raise ProblemError("a tree with features has no boxes; compress without `features`")
 
-    def check(self, label_count: int) -> None:
+    def check(self, label_count: int, rows: np.ndarray | None = None) -> None:
         """Raise `PolicyFormatError` unless it is a well-formed tree of so many labels."""
         if min(self.counts) < 1:
             raise PolicyFormatError(f"the tree's lattice has {self.counts} steps")
         self.features.check(self.n)
-        self.ranked.check(label_count)
+        self.ranked.check(label_count, rows)
         used = np.unique(self.split[(self.split >= self.n)])
         if not np.isin(np.arange(len(self.features.names)) + self.n, used).all():
             raise PolicyFormatError("a feature of the tree is in no split")

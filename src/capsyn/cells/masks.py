@@ -1,4 +1,8 @@
-"""Sets of symbols as bit masks: bit `i` for symbol `i`, bit N for the default control."""
+"""Sets of symbols as bit masks: words of bits, symbol `i` is bit ``i % b`` of word ``i // b``.
+
+An array of sets (...) has one axis more, that of the words (..., W): of 64 bits, or of fewer where
+one word is enough. Bit N is the default control.
+"""
 
 from __future__ import annotations
 
@@ -10,86 +14,170 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.validation import describe
 
+WORD = 64
+"""Most bits of a word."""
 Label = Callable[[np.ndarray], np.ndarray]
-"""A labelling function: states (B, n) to masks (B,), 0 where there is no finite answer."""
+"""A labelling function: states (B, n) to masks (B, W), 0 where there is no finite answer."""
 Scored = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""One with scores: states (B, n) to masks (B,) and scores (B, V, S) in V variants."""
+"""One with scores: states (B, n) to masks (B, W) and scores (B, V, S) in V variants."""
 
 
-def several(masks: np.ndarray) -> np.ndarray:
-    """Return whether each mask holds more than one symbol."""
-    return (masks & (masks - masks.dtype.type(1))) != 0
+def word_count(count: int) -> int:
+    """Return how many words hold so many bits."""
+    return -(-count // WORD)
 
 
-def members(masks: np.ndarray, count: int) -> np.ndarray:
-    """Return whether each mask (...) holds each of the first `count` bits, (..., count)."""
-    return masks[..., None] >> np.arange(count, dtype=masks.dtype) & masks.dtype.type(1) != 0
+def word_type(count: int) -> np.dtype[Any]:
+    """Return the smallest type of words for sets of so many symbols."""
+    return np.dtype(f"uint{next((b for b in (8, 16, 32) if count <= b), WORD)}")
 
 
-def masks_of_members(held: np.ndarray) -> np.ndarray:
-    """Return the masks (B,) uint64 that hold the symbols where `held` (B, S) is true."""
-    bits = np.uint64(1) << np.arange(held.shape[1], dtype=np.uint64)
-    return np.bitwise_or.reduce(np.where(held, bits, np.uint64(0)), axis=1)
+def _bit(sets: np.ndarray, symbol: int) -> tuple[int, Any]:
+    """Return the word that a symbol is in, and its bit there."""
+    bits = 8 * sets.dtype.itemsize
+    return symbol // bits, sets.dtype.type(1 << symbol % bits)
 
 
-def holds(masks: np.ndarray, symbols: np.ndarray) -> np.ndarray:
-    """Return whether each mask (B,) holds its symbol (B,)."""
-    return masks >> symbols.astype(masks.dtype) & masks.dtype.type(1) != 0
+def last_all(true: np.ndarray) -> np.ndarray:
+    """Return whether all along the last axis is true; a view where that is of length 1."""
+    return true[..., 0] if true.shape[-1] == 1 else np.asarray(true.all(axis=-1))
 
 
-def preferred(masks: np.ndarray, order: Sequence[int]) -> np.ndarray:
-    """Return the symbol of each mask that comes first in `order`; anything where it is 0."""
-    labels = np.full(masks.shape, order[-1], dtype=np.int32)
+def last_any(true: np.ndarray) -> np.ndarray:
+    """Return whether any along the last axis is true; a view where that is of length 1."""
+    return true[..., 0] if true.shape[-1] == 1 else np.asarray(true.any(axis=-1))
+
+
+def empty(sets: np.ndarray) -> np.ndarray:
+    """Return whether each set (...) holds nothing."""
+    return last_all(sets == 0)
+
+
+def several(sets: np.ndarray) -> np.ndarray:
+    """Return whether each set (...) holds more than one symbol."""
+    more = last_any((sets & (sets - sets.dtype.type(1))) != 0)
+    if sets.shape[-1] > 1:
+        more = more | ((sets != 0).sum(axis=-1) > 1)
+    return more
+
+
+def members(sets: np.ndarray, count: int) -> np.ndarray:
+    """Return whether each set (...) holds each of the first `count` symbols, (..., count)."""
+    symbols = np.arange(count)
+    bits = 8 * sets.dtype.itemsize
+    words = np.take(sets, symbols // bits, axis=-1)
+    return words >> (symbols % bits).astype(sets.dtype) & sets.dtype.type(1) != 0
+
+
+def masks_of_members(held: np.ndarray, words: int | None = None) -> np.ndarray:
+    """Return the sets (..., W) uint64 that hold the symbols where `held` (..., S) is true.
+
+    By default they have as few words as hold them.
+    """
+    count = held.shape[-1]
+    sets = np.zeros((*held.shape[:-1], words or word_count(count)), dtype=np.uint64)
+    for symbol in range(count):
+        word, bit = _bit(sets, symbol)
+        sets[..., word] |= np.where(held[..., symbol], bit, np.uint64(0))
+    return sets
+
+
+def singles(symbols: np.ndarray, count: int) -> np.ndarray:
+    """Return the sets (..., W) uint64 of one symbol each, of `count` symbols in all."""
+    if word_count(count) == 1:
+        return (np.uint64(1) << symbols.astype(np.uint64))[..., None]
+    sets = np.zeros((*symbols.shape, word_count(count)), dtype=np.uint64)
+    symbols = np.asarray(symbols).astype(np.int64)[..., None]
+    np.put_along_axis(sets, symbols // WORD, np.uint64(1) << (symbols % WORD).astype(np.uint64), -1)
+    return sets
+
+
+def or_else(sets: np.ndarray, symbol: int) -> np.ndarray:
+    """Return sets (..., W), those that are empty with a symbol."""
+    none = empty(sets)
+    if not none.any():
+        return sets
+    word, bit = _bit(sets, symbol)
+    sets = sets.copy()
+    sets[none, word] = bit
+    return sets
+
+
+def holds(sets: np.ndarray, symbols: np.ndarray) -> np.ndarray:
+    """Return whether each set (...) holds its symbol (...)."""
+    bits = 8 * sets.dtype.itemsize
+    if sets.shape[-1] == 1:
+        word = sets[..., 0]
+    else:
+        places = np.broadcast_to(symbols, sets.shape[:-1])[..., None] // bits
+        word = np.take_along_axis(sets, places.astype(np.int64), axis=-1)[..., 0]
+    return word >> (symbols % bits).astype(sets.dtype) & sets.dtype.type(1) != 0
+
+
+def preferred(sets: np.ndarray, order: Sequence[int]) -> np.ndarray:
+    """Return the symbol of each set that comes first in `order`; anything where it is empty."""
+    labels = np.full(sets.shape[:-1], order[-1], dtype=np.int32)
     for symbol in reversed(order[:-1]):
-        labels[(masks & masks.dtype.type(1 << symbol)) != 0] = symbol
+        word, bit = _bit(sets, symbol)
+        labels[(sets[..., word] & bit) != 0] = symbol
     return labels
 
 
-def most_voted(masks: np.ndarray, order: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the labels (K,) and the sets of labels seen (K,) of mixed cells.
+def most_voted(sets: np.ndarray, order: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the labels (...) and the sets of labels seen (..., W) of mixed cells.
 
-    `masks` (P, K) are those of their test points.
+    `sets` (P, ..., W) are those of their test points.
 
     The labels seen are those of determined points, or of all points where none is determined.
     Every point votes for each label it could have; ties go by `order`.
     """
-    single = np.where(several(masks), masks.dtype.type(0), masks)
-    seen = np.bitwise_or.reduce(single, axis=0)
-    seen = np.where(seen == 0, np.bitwise_or.reduce(masks, axis=0), seen)
-    labels = np.full(len(seen), order[0], dtype=np.int32)
-    most = np.zeros(len(seen), dtype=np.int64)
+    undetermined = several(sets)[..., None]
+    seen: np.ndarray = np.bitwise_or.reduce(
+        np.where(undetermined, sets.dtype.type(0), sets), axis=0
+    )
+    np.copyto(seen, np.bitwise_or.reduce(sets, axis=0), where=empty(seen)[..., None])
+    labels = np.full(seen.shape[:-1], order[0], dtype=np.int32)
+    most = np.zeros(labels.shape, dtype=np.int64)
     for symbol in order:
-        bit = masks.dtype.type(1 << symbol)
-        votes = np.count_nonzero(masks & bit, axis=0) * ((seen & bit) != 0)
+        word, bit = _bit(sets, symbol)
+        known = (seen[..., word] & bit) != 0
+        votes = np.count_nonzero(sets[..., word] & bit, axis=0) * known
         labels[votes > most] = symbol
         most = np.maximum(votes, most)
-    return labels, np.asarray(seen)
+    return labels, seen
 
 
-def checked_masks(label: Label, n_symbols: int) -> Label:
-    """Return the labelling function with its masks checked."""
-    known = np.uint64(2 ** (n_symbols + 1) - 1)
+def checked_masks(label: Callable[[np.ndarray], Any], n_symbols: int) -> Label:
+    """Return a labelling function of sets (B, W), or (B,) where W is 1, with its sets checked."""
+    words = word_count(n_symbols + 1)
+    top = np.uint64(2 ** ((n_symbols + 1) % WORD or WORD) - 1)
 
     def masks(states: np.ndarray) -> np.ndarray:
         sets = np.asarray(label(states))
-        if sets.shape != (len(states),) or sets.dtype.kind != "u":
+        if sets.ndim == 1 and words == 1:
+            sets = sets[:, None]
+        if sets.shape != (len(states), words) or sets.dtype.kind != "u":
+            shape = f"({len(states)},)" if words == 1 else f"({len(states)}, {words})"
             raise ProblemError(
-                f"`label` must return ({len(states)},) unsigned integers; got "
+                f"`label` must return {shape} unsigned integers; got "
                 f"{sets.dtype} of shape {sets.shape}"
             )
-        wrong = sets > known
+        wrong = sets[:, -1] > top
         if wrong.any():
             i = int(np.flatnonzero(wrong)[0])
+            got = sum(int(word) << WORD * k for k, word in enumerate(sets[i].tolist()))
             raise ProblemError(
-                f"`label` must return masks of bits 0 to {n_symbols}; got {int(sets[i]):#b} "
+                f"`label` must return masks of bits 0 to {n_symbols}; got {got:#b} "
                 f"at state {states[i].tolist()}"
             )
-        return sets
+        return sets.astype(word_type(n_symbols + 1), copy=False)
 
     return masks
 
 
-def masks_of_symbols(label: Label, n_symbols: int, name: str = "label") -> Label:
+def masks_of_symbols(
+    label: Callable[[np.ndarray], Any], n_symbols: int, name: str = "label"
+) -> Label:
     """Return a labelling function that gives masks from one that gives symbols.
 
     Errors call it `name`.
@@ -109,8 +197,7 @@ def masks_of_symbols(label: Label, n_symbols: int, name: str = "label") -> Label
                 f"`{name}` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
                 f"at state {states[i].tolist()}"
             )
-        bits = np.where(symbols < 0, n_symbols, symbols).astype(np.uint64)
-        return np.uint64(1) << bits
+        return singles(np.where(symbols < 0, n_symbols, symbols), n_symbols + 1)
 
     return masks
 
@@ -132,7 +219,8 @@ def masks_of_scores(label: Callable[[np.ndarray], np.ndarray], n_symbols: int) -
     def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         scores = _checked_scores(label(states), len(states), n_symbols)
         finite = np.isfinite(scores).all(axis=1)
-        masks = masks_of_members(scores == scores.max(axis=1, keepdims=True))
+        best = scores == scores.max(axis=1, keepdims=True)
+        masks = masks_of_members(best, word_count(n_symbols + 1))
         masks[~finite] = 0
         return masks, scores[:, None]
 

@@ -241,8 +241,12 @@ class SplitTree:
         leaf, lower, upper = leaf[order], lower[order], upper[order]
         return Boxes(leaf, lower, upper, self.threshold[leaf], np.zeros(len(leaf), dtype=np.int64))
 
-    def check(self, label_count: int) -> None:
-        """Raise `PolicyFormatError` unless the arrays are a well-formed tree of so many labels."""
+    def check(self, label_count: int, rows: np.ndarray | None = None) -> None:
+        """Raise `PolicyFormatError` unless the arrays are a well-formed tree with such leaves.
+
+        The arguments are those of `CellTree.check`.
+        """
+        known = label_count if rows is None else len(rows)
         count, n = self.node_count, self.n
         if not count or not len(self.threshold) == len(self.second) == count:
             raise PolicyFormatError("the arrays of the tree differ in length, or are empty")
@@ -254,7 +258,7 @@ class SplitTree:
         if (self.split < LEAF).any() or (self.split >= n + len(self.planes)).any():
             raise PolicyFormatError("a node of the tree splits an unknown axis")
         labels = self.threshold[leaf]
-        if (labels < 0).any() or (labels >= label_count).any():
+        if (labels < 0).any() or (labels >= known).any():
             raise PolicyFormatError("a leaf of the tree has an unknown label")
         expected = _second_children(leaf)
         if expected is None or not np.array_equal(self.second, expected):

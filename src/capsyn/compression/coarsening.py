@@ -45,7 +45,7 @@ def cut_off(policy: Policy, level: int) -> Policy:
         cells.grid.at(min(level, cells.max_level)),
         entries,
         mixed.astype(np.int32),
-        masks[mixed],
+        masks[mixed, None],
         splits=None
         if cells.splits is None
         else np.where(entries < 0, 0, cells.splits[: len(kept)]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from capsyn.cells.masks import Label, members
+from capsyn.cells.masks import Label, members, or_else, singles
 from capsyn.compression.induction import Prices
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.random_streams import stream
@@ -36,15 +36,15 @@ def free_prices(policy: Policy, votes: np.ndarray, node_price: float) -> Prices:
 def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarray:
     """Return how many of `VOTES` votes each label (K, N + 1) has in each mixed cell.
 
-    The controller gives masks of the symbols that could be best; it is asked at random states of
-    the cells. Without it the policy's own label has all votes; of a table, each label that it
-    allows.
+    The controller gives masks (B, W) of the symbols that could be best; it is asked at random
+    states of the cells. Without it the policy's own label has all votes; of a table, each label
+    that it allows.
     """
     cells, labels = cell_tree(policy), len(policy.alphabet) + 1
     mixed = cells.mixed_cells
     votes = np.zeros((len(mixed), labels), dtype=np.int64)
     if controller is None and "table" in policy.statistics:
-        votes[members(cells.mixed_labels, labels)] = VOTES
+        votes[members(cells.mixed_labels[:, 0], labels)] = VOTES
         return votes
     if controller is None:
         votes[np.arange(len(mixed)), -1 - cells.entries[mixed]] = VOTES
@@ -57,19 +57,18 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     random = stream(seed, VOTING)
     for _ in range(VOTES):
         masks = controller(lower + random.random(lower.shape) * (upper - lower))
-        masks = np.where(masks == 0, np.uint64(1 << (labels - 1)), masks)  # no finite answer
-        votes += members(masks, labels)
+        votes += members(or_else(masks, labels - 1), labels)  # no finite answer: the default
     return votes
 
 
 def allowed_masks(policy: Policy, freedom: bool) -> np.ndarray:
-    """Return the labels (M,) that each entry of the cells may take, as bit masks; 0 for blocks.
+    """Return the labels (M, W) that each entry of the cells may take, as bit masks; 0 for blocks.
 
     With `freedom`, mixed cells may take any label that was seen in them.
     """
     cells = cell_tree(policy)
-    own = np.uint64(1) << np.maximum(-1 - cells.entries, 0).astype(np.uint64)
-    masks = np.where(cells.entries < 0, own, np.uint64(0))
+    masks = singles(np.maximum(-1 - cells.entries, 0), len(policy.alphabet) + 1)
+    masks[cells.entries >= 0] = 0
     if freedom:
-        masks[cells.mixed_cells] |= cells.mixed_labels
+        masks[cells.mixed_cells] |= cells.mixed_labels[:, 0]
     return masks

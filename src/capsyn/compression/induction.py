@@ -15,7 +15,7 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.faces import Faces, shared_faces
-from capsyn.cells.masks import members
+from capsyn.cells.masks import empty, members
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.compression.optimal import FORBIDDEN, optimal_splits, sub_box_count
 
@@ -41,7 +41,7 @@ MEMORY = 200_000_000
 class Prices:
     """What each of L labels costs in the cells of a policy."""
 
-    masks: np.ndarray  # (M,) uint64: labels that each entry of the cells may take
+    masks: np.ndarray  # (M, W) uint64: labels that each entry of the cells may take
     priced: np.ndarray  # (K,): entries, ascending, where the labels differ in price
     prices: np.ndarray  # (K, L) int64: price of each label there, per finest cell, 0 or more
     leaf_price: int  # price of a leaf, 1 or more
@@ -68,8 +68,8 @@ def induce(cells: CellTree, prices: Prices, budget: int | None = None) -> SplitT
     """
     masks = prices.masks
     budget = BUDGETS.get(cells.n, BUDGET) if budget is None else budget
-    faces = shared_faces(cells, lambda below, above: masks[below] != masks[above])
-    weight = np.where(masks[faces.below] & masks[faces.above], TOUCHING, 1.0)
+    faces = shared_faces(cells, lambda below, above: (masks[below] != masks[above]).any(axis=1))
+    weight = np.where(empty(masks[faces.below] & masks[faces.above]), 1.0, TOUCHING)
     nodes, blocks = _cut(cells, faces, weight, budget)
     _solve(cells, prices, blocks, nodes)
     return _merged(_labelled(_depth_first(nodes, cells.counts), cells, prices))
@@ -242,7 +242,7 @@ def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:
     labels = prices.prices.shape[1]
     penalty = np.zeros((tree.node_count, labels), dtype=np.int64)
     own = np.zeros((tree.node_count, labels))
-    common = np.full(tree.node_count, ~np.uint64(0))
+    common = np.full((tree.node_count, prices.masks.shape[1]), ~np.uint64(0))
     entries = boxes.places[box]
     np.add.at(penalty, leaf, np.minimum(prices.of(entries, volume), FORBIDDEN // 2**20))
     np.add.at(own, (leaf, boxes.labels[box]), volume)

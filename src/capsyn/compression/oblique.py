@@ -15,11 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsyn.cells.masks import Label
+from capsyn.cells.masks import Label, or_else
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.compression.plane_tree import Link, Node, grow, prune, refine
 from capsyn.compression.surface import Plane, Samples, Surface, draw_samples, find_surface
 from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import MAX_SYMBOLS
 from capsyn.modelling.domain import Box
 from capsyn.modelling.grid import MAX_COUNT
 from capsyn.policies.guarantee import CONFIDENCE
@@ -108,7 +109,7 @@ def fit_tree(
     must exceed the target to be chosen. The same seed gives the same tree. An argument that cannot
     be used is a `ProblemError`.
     """
-    labels = whole_number("labels", labels, least=1, most=64)
+    labels = whole_number("labels", labels, least=1, most=MAX_SYMBOLS + 1)
     agreement = finite_number("agreement", agreement, above=0.0)
     if agreement > 1:
         raise ProblemError(f"`agreement` must be at most 1; got {agreement:g}")
@@ -118,7 +119,7 @@ def fit_tree(
 
     def cube_masks(cube: np.ndarray) -> np.ndarray:
         sets = masks(domain.lower + cube * domain.widths).astype(np.uint64)
-        return np.where(sets == 0, np.uint64(1 << (labels - 1)), sets)
+        return or_else(sets, labels - 1)
 
     def draw(count: int, *stream: int) -> Samples:
         return draw_samples(cube_masks, domain.n, labels, count, [seed, *stream])

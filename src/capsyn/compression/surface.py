@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.cells.masks import Label, masks_of_members, members
+from capsyn.cells.masks import Label, empty, masks_of_members, members
 from capsyn.random_streams import stream
 
 NEEDLES = (0.05, 0.2, 0.8)
@@ -75,7 +75,7 @@ class Surface:
 def draw_samples(masks: Label, n: int, labels: int, count: int, seed: list[int]) -> Samples:
     """Return `count` states of the unit cube with their right labels.
 
-    `masks` (B,) of states of the cube are never 0.
+    `masks` (B, W) of states of the cube are never 0.
     """
     states = stream(*seed).random((count, n))
     return Samples(states, members(masks(states), labels))
@@ -128,11 +128,11 @@ def _crossings(
     start, end, at_start = start[inside], end[inside], at_start[inside]
     if not len(start):
         return start
-    apart = (at_start & masks(end)) == 0
+    apart = empty(at_start & masks(end))
     start, end, at_start = start[apart], end[apart], at_start[apart]
     for _ in range(BISECTIONS if len(start) else 0):
         middle = (start + end) / 2
-        same = (masks(middle) & at_start) != 0
+        same = ~empty(masks(middle) & at_start)
         start[same], end[~same] = middle[same], middle[~same]
     return (start + end) / 2
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.cells.masks import preferred
+from capsyn.cells.masks import empty, masks_of_members, preferred
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import TIE, Solver, bind_default, make_solver
 from capsyn.errors import warn
@@ -74,16 +74,16 @@ class BatchController:
         return self.chosen(self.masks(states))
 
     def chosen(self, masks: np.ndarray) -> np.ndarray:
-        """Return the symbols (B,) of masks (B,); -1 is the default control.
+        """Return the symbols (B,) of masks (B, W); -1 is the default control.
 
         Ties go as in a policy, by `preference`. States without a finite result get the default.
         """
         best = preferred(masks, self.preference)
-        best[(masks == 0) | (best == len(self.efforts))] = -1
+        best[empty(masks) | (best == len(self.efforts))] = -1
         return best
 
     def masks(self, states: np.ndarray) -> np.ndarray:
-        """Return the symbols that could be best as bit masks (B,), 0 without a finite result.
+        """Return the symbols that could be best as bit masks (B, W), 0 without a finite result.
 
         A symbol could be best when it is for some perturbation of each mode insertion gradient
         by at most `TIE` of its scale. Bit N stands for the default control.
@@ -91,7 +91,7 @@ class BatchController:
         return self.possible(self.solve(states))
 
     def scored(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `masks` (B,) and, of the same solves, `smooth_scores` of states (B, n)."""
+        """Return `masks` (B, W) and, of the same solves, `smooth_scores` of states (B, n)."""
         solution = self.solve(states)
         return self.possible(solution), self.smooth_scores(solution)
 
@@ -132,22 +132,18 @@ class BatchController:
         return scores
 
     def possible(self, solution: Solution) -> np.ndarray:
-        """Return the masks (B,) of solved states; see `masks`."""
+        """Return the masks (B, W) of solved states; see `masks`."""
         low, high = self._bounds(solution)
         least = high.min(axis=1)
-        could = low <= least[:, None]
-        n = could.shape[1]
-        margin = TIE * solution.scales
-        default = np.zeros(len(could), dtype=bool)
+        could = np.zeros((len(low), low.shape[1] + 1), dtype=bool)
+        could[:, :-1] = low <= least[:, None]
         if self.settings.on_no_descent == "default":
+            margin = TIE * solution.scales
             with np.errstate(invalid="ignore"):
-                default = (could & (solution.gradients + margin >= 0)).any(axis=1)
-                could &= solution.gradients - margin < 0
-        masks = default.astype(np.uint64) << np.uint64(n)
-        for i in range(n):
-            masks |= could[:, i].astype(np.uint64) << np.uint64(i)
-        masks[~np.isfinite(high).all(axis=1)] = 0
-        return masks
+                could[:, -1] = (could[:, :-1] & (solution.gradients + margin >= 0)).any(axis=1)
+                could[:, :-1] &= solution.gradients - margin < 0
+        could[~np.isfinite(high).all(axis=1)] = False
+        return masks_of_members(could)
 
     def _wanted(self, solution: Solution) -> np.ndarray:
         """Return ``alpha_d`` (B, 1)."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.packing import smallest_type
 from capsyn.policies.file import content_of
 from capsyn.policies.policy import Policy
@@ -37,15 +38,16 @@ def policy_data(policy: Policy) -> dict[str, Any]:
       there is no model.
 
     Arrays are ``{"dtype", "shape", "base64"}``, little-endian, in the smallest integers that hold
-    them. The sets of labels seen in mixed cells are bit masks (K, 1 or 2), lowest word first.
+    them. The sets of labels seen in mixed cells are bit masks of 32-bit words, lowest word first.
     """
     data = {"features": None} | content_of(policy)
     if data["features"]:
         data["features"] = {key: data["features"][key] for key in ("names", "thresholds")}
     model, structure = data.pop("model"), {k: data.pop(k) for k in STRUCTURE if k in data}
     arrays = policy.cells.arrays()
-    if "mixed_labels" in arrays:
-        arrays["mixed_labels"] = _words(arrays["mixed_labels"], len(policy.alphabet) + 1)
+    if isinstance(policy.cells, CellTree):
+        seen = policy.cells.mixed_labels[:, -1]  # with the default control in force
+        arrays["mixed_labels"] = _words(seen, len(policy.alphabet) + 1)
     packed = {name: packed_array(array) for name, array in arrays.items()}
     settings = policy.settings
     if isinstance(data["target"], dict) and "program" in data["target"]:
@@ -73,11 +75,14 @@ def policy_data(policy: Policy) -> dict[str, Any]:
 
 
 def _words(masks: np.ndarray, labels: int) -> np.ndarray:
-    """Return bit masks (K,) uint64 of labels as words (K, 1 or 2)."""
+    """Return bit masks (K, W) uint64 of labels as words of 32 bits (K, 1) or (K, 2 W)."""
     if labels < 32:
-        return masks.astype(np.int64)[:, None]
-    low, high = masks & np.uint64(0xFFFFFFFF), masks >> np.uint64(32)
-    return np.stack([low, high], axis=1).astype(np.uint32)
+        return masks.astype(np.int64)
+    return (
+        np.stack([masks & np.uint64(0xFFFFFFFF), masks >> np.uint64(32)], axis=-1)
+        .astype(np.uint32)
+        .reshape(len(masks), -1)
+    )
 
 
 def packed_array(array: np.ndarray) -> dict[str, Any]:

@@ -10,8 +10,8 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.validation import describe, distinct, finite_array, keep, numbers, plain, texts
 
-MAX_SYMBOLS = 63
-"""Most symbols of an alphabet: sets of symbols, and the default, are bits of 64-bit words."""
+MAX_SYMBOLS = 4096
+"""Most symbols of an alphabet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,8 @@ class Alphabet:
     Parameters
     ----------
     values : (N, m), or (N,) for one input
-        Control vectors [input units], all different, N <= 63.
+        Control vectors [input units], N <= 4,096; two may be equal only where `names` tell
+        them apart.
     names : N strings, optional
         Names of the symbols. Default: their values as text.
     inputs, units : m strings, optional
@@ -52,10 +53,11 @@ class Alphabet:
             )
         values = finite_array("alphabet", values, 2)
         unique, first = np.unique(values, axis=0, return_index=True)
-        if len(unique) < len(values):
-            twice = next(i for i in range(len(values)) if i not in first)
+        if self.names is None and len(unique) < len(values):
+            twice = min(set(range(len(values))) - set(first.tolist()))
             raise ProblemError(
-                f"`alphabet` must have distinct symbols; got {values[twice].tolist()} twice"
+                "`alphabet` must have distinct symbols, or names that tell them apart; "
+                f"got {values[twice].tolist()} twice"
             )
         m = values.shape[1]
         names = texts("alphabet names", self.names, len(values), [_text(v) for v in values])

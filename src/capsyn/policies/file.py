@@ -18,6 +18,7 @@ import numpy as np
 from capsyn.cells.affine_leaves import ROW_ARRAYS, AffineLeaves
 from capsyn.cells.cell_tree import CELL_ARRAYS, SPLIT_ARRAYS, CellTree
 from capsyn.cells.feature_tree import Features, FeatureTree
+from capsyn.cells.masks import WORD
 from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.execution.answers import digest
@@ -35,10 +36,10 @@ from capsyn.validation import describe, whole_numbers
 Made = TypeVar("Made")
 
 FORMAT = "capsyn-policy"
-VERSION = 7
+VERSION = 8
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
 split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6, trees
-with features 7."""
+with features 7, more than 63 symbols, or some of equal control, 8."""
 ARRAYS = [
     set(TREE_ARRAYS),
     *({*CELL_ARRAYS, *rows, *splits} for rows in ((), ROW_ARRAYS) for splits in ((), SPLIT_ARRAYS)),
@@ -132,7 +133,9 @@ def content_hash(policy: Any) -> str:
 
 def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> int:
     """Return the first version that has files with such arrays and content."""
+    values = [tuple(value) for value in content["alphabet"]["values"]]
     needed = {
+        8: len(values) >= WORD or len(set(values)) < len(values),
         7: "features" in content,
         6: "time_unit" in content or "outside_at_once" in content,
         5: "splits" in arrays,
@@ -210,16 +213,18 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     for name in arrays:
         dtype = (CELL_ARRAYS | ROW_ARRAYS | SPLIT_ARRAYS | TREE_ARRAYS)[name]
         axes, words = (2, "two") if name in ("planes", "row_slopes") else (1, "one")
-        if arrays[name].dtype != dtype or arrays[name].ndim != axes:
+        wide = name == "mixed_labels" and arrays[name].ndim == 3  # for more than one word
+        if arrays[name].dtype != dtype or not (arrays[name].ndim == axes or wide):
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
     if document["sha256"] != digest(arrays, _canonical(content)):
         raise PolicyFormatError("its content does not match its checksum")
     known = TREE_KEYS if is_tree else CELL_KEYS
-    if document["version"] < _least_version(arrays, content) or (
+    if (
         set(content) - RARE_KEYS != known
         or not all(content.get(key, True) is True for key in ("gaps", "outside_at_once"))
         or content.get("time_unit") == "s"
         or ("features" in content and not is_tree)
+        or document["version"] < _least_version(arrays, content)
     ):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])

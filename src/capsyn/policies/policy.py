@@ -12,7 +12,7 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
-from capsyn.errors import OutsideDomainError, ProblemError
+from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.grid import places_or_some
@@ -21,6 +21,7 @@ from capsyn.modelling.targets import Target, check_target
 from capsyn.modelling.time_unit import check_time_unit
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.lookup import GAP, OUTSIDE, lookup_kernel
+from capsyn.policies.outside import outside_error
 from capsyn.programs.model import Model
 from capsyn.validation import (
     describe,
@@ -153,7 +154,8 @@ class Policy:
         if lost.any():
             if isinstance(rule, str):
                 first = int(np.flatnonzero(lost)[0])
-                self._raise_outside(flat[first], None if states.ndim == 1 else first)
+                index = None if states.ndim == 1 else first
+                raise outside_error(self.domain, flat[first], index)
             labels[lost] = rule
         labels[labels == len(self.alphabet)] = -1
         return labels.reshape(states.shape[:-1])[()]
@@ -193,24 +195,6 @@ class Policy:
         steps = self.domain.locate(states[covered], self.cells.counts)
         labels[covered] = self.cells.labels(steps)
         return labels
-
-    def _raise_outside(self, state: np.ndarray, index: int | None) -> None:
-        text = "(" + ", ".join(f"{v:g}" for v in state) + ")"
-        which = f"state {index}" if index is not None else "the state"
-        if not np.isfinite(state).all():
-            raise OutsideDomainError(f"{which} must be finite; got {text}")
-        if self.domain.contains(state[None])[0]:
-            raise OutsideDomainError(
-                f"{which} must be where the policy has a symbol; {text} is in a gap "
-                "(a safe symbol would answer)"
-            )
-        bounds = " x ".join(
-            f"[{low:g}, {high:g}]" for low, high in zip(self.domain.lower, self.domain.upper)
-        )
-        raise OutsideDomainError(
-            f"{which} must lie in the domain {bounds}; got {text} "
-            '(outside="nearest" or a safe symbol would answer)'
-        )
 
     def control(self, states: Any, outside: Outside | None = None) -> np.ndarray:
         """Return the control vectors (..., m) [input units] of states (..., n).

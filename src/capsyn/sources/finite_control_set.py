@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import masks_of_members, preferred
+from capsyn.cells.masks import empty, masks_of_members, preferred
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
 from capsyn.modelling.problem import Problem
@@ -88,7 +88,7 @@ class FiniteControlSet:
             return np.concatenate(list(pool.map(self.solver, parts)))
 
     def masks(self, states: np.ndarray) -> np.ndarray:
-        """Return the symbols whose cost ties with the least, as bit masks (B,), of states (B, n).
+        """Return the symbols whose cost ties with the least, as bit masks (B, W), of states.
 
         A mask is 0 where no sequence has a finite cost. Costs within `COST_TIE` of the least,
         relative to its size, tie.
@@ -105,7 +105,7 @@ class FiniteControlSet:
         Of ties it is the lowest, and -1 where no sequence has a finite cost.
         """
         masks = self.masks(states)
-        return np.where(masks == 0, -1, preferred(masks, range(self.symbols)))
+        return np.where(empty(masks), -1, preferred(masks, range(self.symbols)))
 
 
 def finite_control_set(

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.modelling.alphabet import MAX_SYMBOLS, Alphabet
-from capsyn.sources.table import MOST_AXES, Table, check_points
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.sources.table import MOST_AXES, MOST_SYMBOLS, Table, check_points
 from capsyn.sources.text import check_alphabet, fail, first_repeat, naming, path_text, read_bytes
 
 MOST_INPUTS = 1 << 53
@@ -152,10 +152,10 @@ def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
         fail(path, lines.number, f"#BEGIN:{states.size}, the points of the state grid", head)
     row, column = _pairs(path, text, lines.place, lines.number + 1, states.size, inputs.size)
     used = np.unique(column)
-    kept = np.arange(inputs.size) if inputs.size <= MAX_SYMBOLS else used
-    if len(kept) > MAX_SYMBOLS:
+    kept = np.arange(inputs.size) if inputs.size <= MOST_SYMBOLS else used
+    if len(kept) > MOST_SYMBOLS:
         raise ProblemError(
-            f"'{path}' uses {len(kept)} inputs; an alphabet has at most {MAX_SYMBOLS} symbols"
+            f"'{path}' uses {len(kept)} inputs; a table has at most {MOST_SYMBOLS} symbols"
         )
     if alphabet is None:
         with naming(path):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.masks import preferred, several
+from capsyn.cells.masks import WORD, preferred, several
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import LARGEST, Box
@@ -21,6 +21,8 @@ from capsyn.validation import describe, finite_array, keep, read_only
 
 MOST_POINTS = 1 << 24
 """Most points of a grid."""
+MOST_SYMBOLS = WORD - 1
+"""Most symbols of a table: sets of them, and a gap, are bits of one word."""
 MOST_AXES = 16
 """Most axes of a grid: a cell of n axes has 2^n children or more."""
 
@@ -67,6 +69,11 @@ class Table:
         if not isinstance(self.alphabet, Alphabet):
             raise ProblemError(
                 f"`alphabet` must be a capsyn.Alphabet; got {describe(self.alphabet)}"
+            )
+        if len(self.alphabet) > MOST_SYMBOLS:
+            raise ProblemError(
+                f"`alphabet` of a table must have at most {MOST_SYMBOLS} symbols; "
+                f"got {len(self.alphabet)}"
             )
         wrong = masks >> np.uint64(len(self.alphabet)) != 0
         if wrong.any():
@@ -137,7 +144,7 @@ class Table:
     @property
     def symbols(self) -> np.ndarray:
         """The lowest symbol allowed at each point (k1, .., kn); -1 where there is none."""
-        lowest = preferred(self.masks, range(len(self.alphabet)))
+        lowest = preferred(self.masks[..., None], range(len(self.alphabet)))
         return np.where(self.masks == 0, -1, lowest)
 
     def points(self) -> np.ndarray:
@@ -199,7 +206,7 @@ class Table:
         counts = {
             "points": int(self.masks.size),
             "outside": int(np.count_nonzero(self.masks == 0)),
-            "several": int(np.count_nonzero(several(self.masks))),
+            "several": int(np.count_nonzero(several(self.masks[..., None]))),
         }
         domain = self._box(masks.shape)
         domain.check_resolution(masks.shape)
@@ -332,10 +339,10 @@ def _merged(masks: np.ndarray, grid: Grid, gap: int) -> CellTree:
         own = layer[tuple(cells.T)]
         split = own == 0
         end = start + len(own)
-        labels = preferred(own, range(gap + 1)).astype(np.int64)
+        labels = preferred(own[:, None], range(gap + 1)).astype(np.int64)
         blocks = end + len(children) * (np.cumsum(split) - 1)
         entries.append(np.where(split, blocks, -1 - labels).astype(np.int32))
-        free = np.flatnonzero(several(own))
+        free = np.flatnonzero(several(own[:, None]))
         mixed.append((start + free).astype(np.int32))
         sets.append(own[free])
         start = end

@@ -61,9 +61,9 @@ def fit_cells(
     """Return the affine rows of cells: of each, those of the variant of scores that do best.
 
     The scores (P, M, V, S) of the symbols at the cells' test points are in V variants; the largest
-    of the first is best. `masks` (P, M) are the sets of symbols that are right there, `places` (P,
-    M, n) the lattice steps, within the cell, that hold the points or are nearest to them. Rows are
-    fitted to the first points, at `offsets` (F, n) in halves of the cell: a layout that is
+    of the first is best. `masks` (P, M, W) are the sets of symbols that are right there, `places`
+    (P, M, n) the lattice steps, within the cell, that hold the points or are nearest to them. Rows
+    are fitted to the first points, at `offsets` (F, n) in halves of the cell: a layout that is
     symmetric about the centre, along every axis. `corners` and `size` (M, n) are those of the
     cells, `counts` (n,) the edge lengths of the lattice [lattice steps].
 
@@ -113,7 +113,7 @@ def _judged(
     """Return rows with what they do at the test points, for scores (P, M, S)."""
     constants, slopes, scale = rows
     corner_values = constants + np.einsum("msi,mi->ms", slopes, corners)
-    shape = masks.shape
+    shape = masks.shape[:2]
     wrong = np.empty(shape, dtype=bool)
     margin, residual = np.empty(shape), np.empty(shape)
     cells = np.arange(shape[1])
@@ -215,12 +215,11 @@ def _used(
     symbols = constants.shape[1]
     used = np.ones(constants.shape, dtype=bool)
     for i in range(symbols):
-        for j in range(symbols):
-            if i == j:
-                continue
-            difference = slopes[:, i] - slopes[:, j]
-            most = constants[:, i] - constants[:, j]
-            most = most + np.einsum("mi,mi->m", difference, corners)
-            most = most + np.einsum("mi,mi->m", np.maximum(difference, 0), size - 1)
-            used[:, i] &= most >= (1 if j < i else 0)
+        difference = slopes[:, i, None] - slopes
+        most = constants[:, i, None] - constants
+        most = most + np.einsum("msi,mi->ms", difference, corners)
+        most = most + np.einsum("msi,mi->ms", np.maximum(difference, 0), size - 1)
+        beats = most >= np.where(np.arange(symbols) < i, 1, 0)
+        beats[:, i] = True
+        used[:, i] = beats.all(axis=1)
     return used

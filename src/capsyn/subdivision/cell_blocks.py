@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsyn.cells.row_table import RowTable
 from capsyn.modelling.grid import grid_places
 from capsyn.subdivision.cell_points import FINE, CellPoints
 from capsyn.subdivision.lattice_points import LatticePoints
@@ -89,7 +90,7 @@ class SubdivisionTask:
     """What is to be subdivided, and how far."""
 
     plan: SubdivisionPlan  # what is asked for
-    order: list[int]  # symbols and the default, most preferred first, to break ties
+    rows: RowTable  # of the leaves
     points: LatticePoints  # where test points are solved
     plain: bool  # whether scores are mere indicators of labels
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.masks import most_voted, preferred
+from capsyn.cells.row_table import whole
 from capsyn.errors import SynthesisError
 from capsyn.modelling.grid import MAX_COUNT, grid_places
 from capsyn.subdivision.cell_blocks import SubdivisionTask
@@ -83,7 +83,7 @@ class ConstantSubdivision:
     """
 
     def __init__(self, task: SubdivisionTask) -> None:
-        self._task, self._points, self._order = task, task.points, task.order
+        self._task, self._points, self._rows = task, task.points, task.rows
         self._grid, self._max_level = task.plan.grid, task.plan.grid.max_level
         self._ledger = Ledger(task, self._max_level + 1)  # by level it has test points only
         self._rule = QuarterRule(task, self._ledger)
@@ -111,9 +111,12 @@ class ConstantSubdivision:
         self._points.check_finite(self._points.count)
         starts = np.cumsum([0] + [len(x.entries) for x in self._levels[:-1]])
         mixed = [x.mixed + start for x, start in zip(self._levels, starts)]
+        entries = np.concatenate([x.entries for x in self._levels])
+        leaf = entries < 0
+        entries[leaf] = -1 - self._rows.ordered()[1][-1 - entries[leaf]]
         return CellTree(
             self._grid,
-            np.concatenate([x.entries for x in self._levels]),
+            entries,
             np.concatenate(mixed).astype(np.int32),
             np.concatenate([x.seen for x in self._levels]).astype(np.uint64),
         )
@@ -203,7 +206,7 @@ class ConstantSubdivision:
     def _need(self, level: int) -> int:
         """Return the bytes that labelling the children of one cell takes."""
         plan = self._task.plan
-        return block_bytes(plan.points, plan.grid.split(level), self._points.dtype(0).nbytes)
+        return block_bytes(plan.points, plan.grid.split(level), self._points.set_bytes)
 
     def _tests_of(self, level: int) -> int:
         """Return the test points of the children of one cell."""
@@ -261,13 +264,13 @@ class ConstantSubdivision:
         return parts[:reached], not self._ledger.exceeds(len(tied))
 
     def _solve(self, block: _Block, question: Question, level: int, cells: int) -> np.ndarray:
-        """Return the masks (U, M) of a block's test points."""
+        """Return the sets (U, M, J, W) of a block's test points."""
         shape = block.keys.shape
         roles = block.roles[question.samples // shape[1]]
         self._ledger.enter(roles, np.full(len(roles), level))
         block.keys = block.keys[:0]
         masks, _ = self._points.answer(question, level, self._max_level, cells)
-        return masks.reshape(shape)
+        return masks.reshape(*shape, *self._points.shape)
 
     def _solve_and_tie(self, block: _Block, level: int, cells: int) -> tuple[np.ndarray, int]:
         """Solve test points; return the keys (K,) of the quarter rule, and mixed cells at worst."""
@@ -276,22 +279,23 @@ class ConstantSubdivision:
         common = np.bitwise_and.reduce(masks, axis=0)
         tied = self._tied(common, masks, block.parents, level)
         common[tied.cells] = 0
-        return tied.keys, int(np.sum(common == 0))
+        return tied.keys, int(np.sum(~whole(common)))
 
     def _label(
         self, block: _Block, masks: np.ndarray, level: int, cells: int, quarter: bool
     ) -> _Level:
-        """Return the labelled children of a block, whose test points have masks (U, M)."""
-        masks = masks[block.table.T]  # (points, children, parents)
+        """Return the labelled children of a block, whose test points have sets (U, M, J, W)."""
+        masks = masks[block.table.T]  # (points, children, parents, J, W)
         common = np.bitwise_and.reduce(masks, axis=0)
         if quarter:
             common = self._quarter_rule(common, masks, block.parents, level, cells)
-        children, count = common.shape
-        entries = -1 - preferred(common, self._order).T.ravel()  # in the order of the blocks
-        mixed = np.flatnonzero(common.T == 0)
+        children, count = common.shape[:2]
+        alike = whole(common)
+        entries = -1 - self._rows.uniform(common, alike).T.ravel()  # in the order of the blocks
+        mixed = np.flatnonzero(~alike.T)
         parent, child = np.divmod(mixed, children)
-        points = masks.reshape(len(masks), -1).take(child * count + parent, axis=1)
-        labels, seen = most_voted(points, self._order)
+        points = masks.reshape(len(masks), -1, *self._points.shape)
+        labels, seen = self._rows.voted(points.take(child * count + parent, axis=1))
         entries[mixed] = -1 - labels
         deeper = slice(None) if level < self._max_level else slice(0)
         corners = self._corners(block.parents, child[deeper], parent[deeper], level)
@@ -314,7 +318,7 @@ class ConstantSubdivision:
     def _quarter_rule(
         self, common: np.ndarray, masks: np.ndarray, parents: np.ndarray, level: int, cells: int
     ) -> np.ndarray:
-        """Return `common` (children, parents) after a second look at tied points.
+        """Return `common` (children, parents, J, W) after a second look at tied points.
 
         Where that would exceed the solves that are allowed, this level is the last and goes
         without.

@@ -57,7 +57,7 @@ class GrowingCells:
     label: np.ndarray  # (K,): symbols, or -1 where rows decide
     accepted: np.ndarray  # (K,) bool: whether no test point disagrees with the leaf
     error: np.ndarray  # (K,): estimated share of the cell where its symbol is wrong
-    seen: np.ndarray  # (K,) uint64: where test points disagree, their labels and the leaf's
+    seen: np.ndarray  # (K, J, W) uint64: where test points disagree, their labels and the leaf's
     row: np.ndarray  # (K,): first row in `Rows`
     rows: np.ndarray  # (K,): how many rows
 
@@ -68,10 +68,11 @@ class GrowingCells:
         level: np.ndarray,
         axes: np.ndarray,
         label: np.ndarray,
+        sets: tuple[int, int],
     ) -> GrowingCells:
-        """Return cells whose test points agree on labels (K,)."""
+        """Return cells whose test points agree on labels (K,), with sets of a shape (J, W)."""
         count = len(corner)
-        none, seen = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.uint64)
+        none, seen = np.zeros(count, dtype=np.int64), np.zeros((count, *sets), dtype=np.uint64)
         good, error = np.ones(count, dtype=bool), np.zeros(count)
         return GrowingCells(
             corner, times, level, none - 1, axes, label, good, error, seen, none, none.copy()
@@ -86,7 +87,7 @@ class GrowingCells:
     def fit(
         self, cells: np.ndarray, fits: Fits, masks: np.ndarray, first_row: int, most_error: float
     ) -> Rows:
-        """Give some cells (M,) their rows; `masks` (P, M) are those of their test points.
+        """Give some cells (M,) their rows; `masks` (P, M, W) are those of their test points.
 
         Returns the rows; `first_row` have been made before.
         """
@@ -95,9 +96,11 @@ class GrowingCells:
         self.accepted[cells] = (fits.wrong == 0) & (fits.error <= most_error)
         self.error[cells] = fits.error
         self.axes[cells] &= fits.axes
-        single = np.where(several(masks), masks.dtype.type(0), masks)
-        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64) | masks_of_members(fits.used)
-        self.seen[cells] = np.where(fits.wrong == 0, np.uint64(0), seen)
+        single = np.where(several(masks)[..., None], masks.dtype.type(0), masks)
+        seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64)
+        seen |= masks_of_members(fits.used, seen.shape[-1])
+        right = (fits.wrong == 0)[:, None]
+        self.seen[cells] = np.where(right, np.uint64(0), seen)[:, None]
         kept = fits.used & ~one[:, None]
         self.rows[cells] = kept.sum(axis=1)
         self.row[cells] = first_row + np.cumsum(self.rows[cells]) - self.rows[cells]
@@ -145,7 +148,7 @@ class GrowingCells:
         entries[split] = grid.roots + np.cumsum(counts) - counts
         affine = np.flatnonzero(~split & (self.label[order] < 0))
         entries[affine] = -1 - (first + np.arange(len(affine)))
-        mixed = np.flatnonzero(~split & (self.seen[order] != 0))
+        mixed = np.flatnonzero(~split & (self.seen[order] != 0).any(axis=(1, 2)))
         bits = np.uint16(1) << np.arange(self.axes.shape[1], dtype=np.uint16)
         splits = (self.axes[order] @ bits).astype(np.uint16) * split if adaptive else None
         return CellTree(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import several
+from capsyn.cells.masks import empty, or_else, several, word_count, word_type
 from capsyn.errors import SynthesisError
 from capsyn.modelling.domain import Box
 
@@ -54,12 +54,13 @@ class Progress:
 
 
 class LatticePoints:
-    """Solved lattice points: sorted integer keys, and a bit mask for each.
+    """Solved lattice points: sorted integer keys, and sets of symbols for each.
 
-    A mask has bit `i` where symbol `i` could be best, bit N for the default; it is kept in the
-    smallest unsigned type that holds N + 1 bits. Where `scored`, the labelling function gives
-    scores (B, V, S) in V variants beside its masks (B,), and they are
-    kept, too. With a `goal`, progress is reported as all solves so far of so many.
+    A set has bit `i` where symbol `i` could be best, bit N for the default; it is kept in the
+    smallest unsigned type that holds N + 1 bits, or in words of 64. A point has a set for each of J
+    symbols in force, of labels (B, J, W), or one, of labels (B, W). Where `scored`, the labelling
+    function gives scores (B, V, S) in V variants beside its sets, and they are kept, too. With a
+    `goal`, progress is reported as all solves so far of so many.
 
     A key numbers the points of the lattice in C order. Where 63 bits are too few, the axes are cut
     into runs whose points they do number; the key is then the bytes of these numbers, the first
@@ -76,12 +77,13 @@ class LatticePoints:
         progress: Callable[[Progress], None] | None,
         scored: bool = False,
         goal: int | None = None,
+        in_force: int = 1,
     ) -> None:
         self._label, self._domain, self._lattice = label, domain, lattice
         self._pool, self._progress, self._goal = pool, progress, goal
-        bits = next(b for b in (8, 16, 32, 64) if n_symbols < b)
-        self.dtype = np.dtype(f"uint{bits}").type
-        self._default = self.dtype(1 << n_symbols)
+        self.dtype = word_type(n_symbols + 1)
+        self.shape = in_force, word_count(n_symbols + 1)
+        self._default = n_symbols
         extents = [
             count if periodic else count + 1 for count, periodic in zip(lattice, domain.periodic)
         ]
@@ -92,7 +94,7 @@ class LatticePoints:
         self._type = np.dtype(np.int64 if words == 1 else wide)
         largest: Any = 2**63 - 1 if words == 1 else b"\xff" * 8 * words
         self._keys = np.array([largest], dtype=self._type)  # so that a search ends within
-        self._masks = np.zeros(1, dtype=self.dtype)
+        self._masks = np.zeros((1, *self.shape), dtype=self.dtype)
         self._scored, self._scores = scored, np.zeros((1, 0, 0))
         self._pending: tuple[np.ndarray, ...] | None = None
         self.count = 0
@@ -105,7 +107,12 @@ class LatticePoints:
     @property
     def point_bytes(self) -> int:
         """Bytes of a solved point that is kept."""
-        return self._type.itemsize + np.dtype(self.dtype).itemsize
+        return self._type.itemsize + self.set_bytes
+
+    @property
+    def set_bytes(self) -> int:
+        """Bytes of the sets of a point."""
+        return math.prod(self.shape) * self.dtype.itemsize
 
     def encode(
         self, offsets: np.ndarray, corners: np.ndarray, scales: np.ndarray | None = None
@@ -176,7 +183,7 @@ class LatticePoints:
     def answer(
         self, question: Question, level: int, max_level: int, cells: int, quarter: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the masks (K,) and scores (K, V, S) of a question's keys; NaN where unknown.
+        """Return the sets (K, J, W) and scores (K, V, S) of a question's keys; NaN where unknown.
 
         Those that are new are solved.
         """
@@ -209,7 +216,7 @@ class LatticePoints:
         self, keys: np.ndarray, level: int, max_level: int, cells: int, quarter: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         started = time.perf_counter()
-        masks = np.empty(len(keys), dtype=self.dtype)
+        masks = np.empty((len(keys), *self.shape), dtype=self.dtype)
         scores: dict[int, np.ndarray] = {}
         size = min(CHUNK, max(256, -(-len(keys) // 16)))
         parts = [slice(i, i + size) for i in range(0, len(keys), size)]
@@ -219,8 +226,9 @@ class LatticePoints:
             answer = self._label(self._states(keys[part]))
             if self._scored:
                 answer, scores[part.start] = answer
-            missing[part] = answer == 0
-            masks[part] = answer
+            sets = answer.reshape(-1, *self.shape)
+            missing[part] = empty(sets).any(axis=1)
+            masks[part] = sets
             return len(answer)
 
         done = 0
@@ -232,8 +240,11 @@ class LatticePoints:
                 solved, solves = (done, len(keys)) if self._goal is None else (total, self._goal)
                 self._progress(Progress(level, max_level, cells, solved, solves, total))
         self.seconds += time.perf_counter() - started
-        self._count_missing(keys, masks, missing, (level, quarter))
-        self.indifferent += int(np.count_nonzero(several(masks)))
+        if missing.any():
+            masks[missing] = 0
+            masks = or_else(masks, self._default)
+            self._count_missing(keys, missing, (level, quarter))
+        self.indifferent += int(np.count_nonzero(several(masks).any(axis=1)))
         return masks, self._joined(scores, missing)
 
     def _joined(self, parts: dict[int, np.ndarray], missing: np.ndarray) -> np.ndarray:
@@ -246,13 +257,8 @@ class LatticePoints:
             self._scores = np.zeros((len(self._keys), *scores.shape[1:]))
         return scores
 
-    def _count_missing(
-        self, keys: np.ndarray, masks: np.ndarray, missing: np.ndarray, rank: tuple[int, bool]
-    ) -> None:
-        """Give points without a finite result the default; the first by rank is the example."""
-        if not missing.any():
-            return
-        masks[missing] = self._default
+    def _count_missing(self, keys: np.ndarray, missing: np.ndarray, rank: tuple[int, bool]) -> None:
+        """Count points without a finite result; the first by rank is the example."""
         self.not_finite += int(missing.sum())
         first = keys[missing][0]
         if self._first is None or (*rank, first) < self._first:

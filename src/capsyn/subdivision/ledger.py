@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import several
+from capsyn.cells.masks import last_any, several
+from capsyn.cells.row_table import whole
 from capsyn.subdivision.cell_blocks import ROLES, SubdivisionTask
 from capsyn.subdivision.lattice_points import Question
 from capsyn.subdivision.limits import too_few_solves
@@ -113,12 +114,12 @@ class QuarterRule:
     ) -> Tied:
         """Return the points to look at again, in cells that `can` (...) be split.
 
-        `common` (...) are the sets of symbols that could be best throughout cells, `masks` (P, ...)
-        those of their test points. `places` gives, for indices of K cells, their corners (K, n) and
-        edge lengths (n,) or (K, n) [lattice units].
+        `common` (..., J, W) are the sets of symbols that could be best throughout cells, `masks`
+        (P, ..., J, W) those of their test points. `places` gives, for indices of K cells, their
+        corners (K, n) and edge lengths (n,) or (K, n) [lattice units].
         """
-        tie = several(masks[self.movable])
-        tie &= (common != 0) & can
+        tie = last_any(several(masks[self.movable]))
+        tie &= whole(common) & can
         point, *cells = np.nonzero(tie)
         corners, sizes = places(*cells)
         keys = self._blocks.quarter_keys(corners, sizes, self._offsets[point])
@@ -136,6 +137,7 @@ class QuarterRule:
         question = self._points.ask(tied.keys)
         if self._ledger.exceeds(int(question.new.sum())):
             return common
-        common = common.copy()
-        np.bitwise_and.at(common, tied.cells, solve(question))
+        common, seen = common.copy(), solve(question)
+        for j, w in np.ndindex(*common.shape[-2:]):
+            np.bitwise_and.at(common[..., j, w], tied.cells, seen[:, j, w])
         return common

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from capsyn.cells.masks import word_count, word_type
 from capsyn.errors import ProblemError
 from capsyn.execution.memory import available_memory, memory
 from capsyn.modelling.grid import Grid
@@ -17,9 +18,11 @@ from capsyn.validation import finite_number, whole_number
 
 BYTES_PER_SOLVE = 34
 BYTES_PER_KEY = 80
-BYTES_PER_MASK = 4
+BYTES_PER_MASK = 6
 """Peak memory of a subdivision: per solved point, per test point of a block of cells, and per
 byte of the masks of a cell's test points; measured and rounded up."""
+BYTES_PER_WIDE = 3
+"""Of a solved point: per byte of its sets beyond the first eight."""
 BYTES_PER_MIXED = 40
 BYTES_PER_BLOCK_CELL = 48
 BYTES_PER_ENTRY = 8
@@ -69,10 +72,12 @@ def worst_case_memory(
     n_symbols: int,
     max_solves: int | None = None,
     room: int | None = None,
+    in_force: int = 1,
 ) -> int:
     """Return a bound of the bytes that a subdivision takes, from measurements.
 
-    Where levels are labelled block by block, a block may take `room` [bytes].
+    Where levels are labelled block by block, a block may take `room` [bytes]. Points have sets for
+    so many symbols in force.
     """
     split, cells = grid.split(grid.max_level), grid.cells
     children = math.prod(split)
@@ -80,14 +85,15 @@ def worst_case_memory(
     if max_solves is not None:
         solves = min(solves, max_solves)
         cells = min(cells, max(grid.roots, max_solves * _cells_per_solve(test_points, children)))
-    need = block_bytes(test_points, split, mask_bytes(n_symbols))
+    mask = mask_bytes(n_symbols, in_force)
+    need = block_bytes(test_points, split, mask)
     step = -(-cells // children) * need
     layout = layout_bytes(test_points, split)
-    whole = BYTES_PER_SOLVE * solves + step + layout
+    whole = (BYTES_PER_SOLVE + BYTES_PER_WIDE * max(0, mask - 8)) * solves + step + layout
     if room is None:
         return whole
     words = 1 + (FINE**grid.n * grid.cells).bit_length() // 56
-    kept = (8 * words + mask_bytes(n_symbols)) * solves + BYTES_PER_BLOCK_CELL * cells
+    kept = (8 * words + mask) * solves + (BYTES_PER_BLOCK_CELL + mask) * cells
     return min(whole, kept + max(need, min(step, room)) + layout)
 
 
@@ -100,9 +106,10 @@ def _cells_per_solve(test_points: CellPoints, children: int) -> int:
     return 2 if test_points.center else children
 
 
-def mask_bytes(n_symbols: int) -> int:
-    """Return the bytes of a mask of N + 1 bits."""
-    return int(2 ** (n_symbols // 8).bit_length())
+def mask_bytes(n_symbols: int, in_force: int = 1) -> int:
+    """Return the bytes of the sets of a point: of N + 1 bits, for so many symbols in force."""
+    labels = n_symbols + 1
+    return in_force * word_count(labels) * word_type(labels).itemsize
 
 
 def block_bytes(test_points: CellPoints, split: Sequence[int], mask: int) -> int:
@@ -159,12 +166,13 @@ def worst_case_rounds_memory(
     labels: int,
     max_solves: int | None = None,
     adaptive: bool = False,
+    wide: int = 0,
 ) -> int:
     """Return a bound of the bytes that a subdivision in rounds takes; see above.
 
     Solved points keep the scores of so many labels, cells their rows; test points are those of a
     round, the root grid being one. Where `adaptive`, splits along one axis after the other make
-    more cells, and more of their inner points.
+    more cells, and more of their inner points. `wide` are the bytes of a point's sets beyond eight.
     """
     cells = 2 * grid.cells if adaptive else grid.cells
     solves = worst_case_solves(grid, test_points.interior(grid.n), adaptive)
@@ -175,7 +183,8 @@ def worst_case_rounds_memory(
     first = grid.roots * test_points.in_block(grid.split(0))
     first *= BYTES_PER_KEY + BYTES_PER_SCORE * labels
     own = max(first, round_bytes(test_points, grid.split(grid.max_level), labels))
-    return rounds_memory(solves, min(cells, 4 * solves), labels, grid.n) + own
+    kept = rounds_memory(solves, min(cells, 4 * solves), labels, grid.n)
+    return kept + (BYTES_PER_WIDE * solves + min(cells, 4 * solves)) * wide + own
 
 
 def round_bytes(test_points: CellPoints, split: Sequence[int], labels: int) -> int:
@@ -224,6 +233,7 @@ def check_memory(
     limits: Limits,
     affine: bool = False,
     adaptive: bool = False,
+    in_force: int = 1,
 ) -> None:
     """Raise `ProblemError` where the worst case exceeds `memory_limit`, or what is available.
 
@@ -235,8 +245,9 @@ def check_memory(
     def need(grid: Grid, solves: int | None = limits.max_solves) -> int:
         if affine or adaptive:
             labels = n_symbols + 1 if affine else 0
-            return worst_case_rounds_memory(grid, test_points, labels, solves, adaptive)
-        return worst_case_memory(grid, test_points, n_symbols, solves, room)
+            sets = max(0, mask_bytes(n_symbols, in_force) - 8)
+            return worst_case_rounds_memory(grid, test_points, labels, solves, adaptive, sets)
+        return worst_case_memory(grid, test_points, n_symbols, solves, room, in_force)
 
     budget, least, worst = limits.max_memory, need(grid.at(0)), need(grid)
     if budget is not None and least > budget:

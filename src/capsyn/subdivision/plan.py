@@ -78,7 +78,7 @@ class SubdivisionPlan:
         """Lattice units of the test points along each axis."""
         return tuple(FINE * count for count in self.grid.counts)
 
-    def check(self, domain: Box, n_symbols: int) -> None:
+    def check(self, domain: Box, n_symbols: int, in_force: int = 1) -> None:
         """Raise `ProblemError` for what floating point in a domain, or memory, cannot hold."""
         if self.adaptive and domain.n > MAX_MASKED:
             raise ProblemError(
@@ -87,7 +87,8 @@ class SubdivisionPlan:
         domain.check_resolution(self.lattice)
         if self.affine:
             domain.check_resolution(row_grid(self.grid).counts)
-        check_memory(self.grid, self.points, n_symbols, self.limits, self.affine, self.adaptive)
+        kind = self.affine, self.adaptive, in_force
+        check_memory(self.grid, self.points, n_symbols, self.limits, *kind)
 
     def with_room(self, room: int) -> SubdivisionPlan:
         """Return the plan of a run that goes on, whose blocks took so much memory [bytes]."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.masks import holds, most_voted, preferred
+from capsyn.cells.row_table import whole
 from capsyn.errors import SynthesisError
 from capsyn.modelling.grid import MAX_COUNT, grid_places
 from capsyn.subdivision.affine_fit import fit_cells
@@ -39,7 +39,8 @@ class RoundSubdivision:
     """Algorithm 1 in rounds."""
 
     def __init__(self, task: SubdivisionTask) -> None:
-        self._task, self._points, self._order = task, task.points, task.order
+        self._task, self._points, self._row_table = task, task.points, task.rows
+        self._labels = task.rows.label_count
         self._plan = plan = task.plan
         self._grid, self._refinement = plan.grid, plan.grid.refinement
         self._max_level, self._max_solves = plan.grid.max_level, plan.limits.max_solves
@@ -76,7 +77,10 @@ class RoundSubdivision:
         elif self._max_solves is not None:
             ledger.stopped = ledger.stopped or "max_solves"
         self._points.check_finite(self._points.count)
-        tree = cells.tree(self._lattice, max(self._order) + 1, self._rows, plan.adaptive)
+        table, numbers = self._row_table.ordered()
+        constant = cells.label >= 0
+        cells.label[constant] = numbers[cells.label[constant]]
+        tree = cells.tree(self._lattice, len(table), self._rows, plan.adaptive)
         self._summary = self._counts_of(cells) | {"mixed_cells": len(tree.mixed_cells)}
         if plan.affine:
             self._summary["affine_leaves"] = 0 if tree.affine is None else len(tree.affine)
@@ -84,7 +88,7 @@ class RoundSubdivision:
 
     def _used_up(self, cells: GrowingCells) -> bool:
         """Return whether there is no time or memory for another round."""
-        labels = max(self._order) + 1 if self._plan.affine else 0
+        labels = self._labels if self._plan.affine else 0
         taken = rounds_memory(self._points.count, len(cells.level), labels, self._grid.n)
         return self._ledger.used_up(
             taken + round_bytes(self._plan.points, self._refinement, labels)
@@ -174,7 +178,7 @@ class RoundSubdivision:
                         group.part(some),
                         table,
                         keys.reshape(shape)[:, some],
-                        masks[part].reshape(shape)[:, some],
+                        masks[part].reshape(*shape, *self._points.shape)[:, some],
                         scores[part].reshape(*shape, *scores.shape[1:])[:, some],
                     )
                 )
@@ -192,7 +196,10 @@ class RoundSubdivision:
         masks: np.ndarray,
         scores: np.ndarray,
     ) -> GrowingCells:
-        """Return the children of blocks, fitted: keys, masks (U, M) and scores (U, M, V, S)."""
+        """Return the children of blocks, fitted.
+
+        Of test points are given keys (U, M), sets (U, M, J, W) and scores (U, M, V, S).
+        """
         count, children = len(blocks.corners), len(table)
         times = np.repeat(blocks.times, children, axis=0)
         size = FINE * self._grid.edges(times)
@@ -211,28 +218,32 @@ class RoundSubdivision:
         can = np.asarray(times < self._max_level)
         deeper = np.asarray(can.any(axis=1))
         common = self._quarter_rule(shared, cell_masks, level, deeper, (corners, size))
-        uniform = preferred(common, self._order)
-        cells = GrowingCells.uniform(corners, times, level, can.copy(), uniform.copy())
-        cells.accepted[:] = common != 0
-        unlike = rest = np.flatnonzero(common == 0)
+        alike = whole(common)
+        uniform = self._row_table.uniform(common, alike)
+        cells = GrowingCells.uniform(
+            corners, times, level, can.copy(), uniform.copy(), self._points.shape
+        )
+        cells.accepted[:] = alike
+        unlike = rest = np.flatnonzero(~alike)
         if self._plan.affine:
-            mixed = np.flatnonzero((common == 0) | self._everywhere)
+            mixed = np.flatnonzero(~alike | self._everywhere)
             of_mixed = spread(scores)[:, mixed]
             known = np.isfinite(of_mixed).all(axis=(0, 2, 3))
             self._fit(cells, mixed[known], cell_masks, of_mixed[:, known], spread(keys), size)
-            rest = mixed[~known & (common[mixed] == 0)]
+            rest = mixed[~known & ~alike[mixed]]
         if rest.size:
-            cells.label[rest], cells.seen[rest] = most_voted(cell_masks[:, rest], self._order)
-            cells.error[rest] = (~holds(cell_masks[:, rest], cells.label[rest])).mean(axis=0)
+            sets = cell_masks[:, rest]
+            cells.label[rest], cells.seen[rest] = self._row_table.voted(sets)
+            cells.error[rest] = (~self._row_table.right(sets, cells.label[rest])).mean(axis=0)
             if self._axes is not None:
                 fixed = cell_masks[: len(self._offsets), rest]
                 cells.axes[rest] = self._axes.by_labels(fixed, can[rest])
-        hidden = unlike[shared[unlike] != 0]  # by points of the quarter rule
+        hidden = unlike[whole(shared[unlike])]  # by points of the quarter rule
         cells.accepted[hidden] = False
         cells.error[hidden] = np.maximum(cells.error[hidden], 1 / len(rows))
-        whole = (common != 0) & (cells.label >= 0)
-        cells.label[whole] = uniform[whole]
-        cells.accepted[whole], cells.error[whole], cells.seen[whole] = True, 0.0, 0
+        same = alike & (cells.label >= 0)
+        cells.label[same] = uniform[same]
+        cells.accepted[same], cells.error[same], cells.seen[same] = True, 0.0, 0
         return cells
 
     def _fit(
@@ -244,7 +255,7 @@ class RoundSubdivision:
         keys: np.ndarray,
         size: np.ndarray,
     ) -> None:
-        """Give K chosen cells their rows: masks and keys (P, all cells), scores (P, K, V, S)."""
+        """Give K chosen cells their rows, of sets, keys (P, all cells) and scores (P, K, V, S)."""
         if not chosen.size:
             return
         fine = size[chosen]
@@ -259,7 +270,7 @@ class RoundSubdivision:
         # below 2^63: cells have at most 2^31 steps, and no more lattice units than that
         places = np.minimum(places * steps // fine, steps - 1)
         corners = corners // FINE * per_cell
-        masks = masks[:, chosen]
+        masks = masks[:, chosen, 0]
         fits = fit_cells(
             scores, masks, self._offsets, places, corners, steps, self._lattice.counts,
             self._task.plain, self._axes, cells.axes[chosen],
@@ -276,7 +287,7 @@ class RoundSubdivision:
         can: np.ndarray,
         places: tuple[np.ndarray, np.ndarray],
     ) -> np.ndarray:
-        """Return `common` (M,) after a second look at tied points of uniform cells that can split.
+        """Return `common` after a second look at tied points of uniform cells that can split.
 
         `places` are the corners and edge lengths (M, n) of the cells. Where that would exceed the
         solves that are allowed they go without.
@@ -287,7 +298,7 @@ class RoundSubdivision:
         def solve(question: Question) -> np.ndarray:
             new = level[tied.cells][question.samples]
             self._ledger.enter(np.full(len(new), QUARTER), new)
-            return self._points.answer(question, *self._shown(int(level.max())), common.size)[0]
+            return self._points.answer(question, *self._shown(int(level.max())), len(common))[0]
 
         return self._rule.applied(common, tied, solve)
 
@@ -297,7 +308,8 @@ class RoundSubdivision:
         solves = self._ledger.solves.tolist()
         for level, here in enumerate(cells.by_level(self._grid)):
             split = cells.child[here] >= 0
-            mixed = int(np.count_nonzero(split | (cells.seen[here] != 0)))
+            seen = (cells.seen[here] != 0).any(axis=(1, 2))
+            mixed = int(np.count_nonzero(split | seen))
             leaves.append(int(np.count_nonzero(~split)))
             levels.append({"cells": len(here), "mixed": mixed, "solves": solves[level]})
         return {"cells": sum(leaves), "leaves_by_level": leaves, "levels": levels}

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsyn.cells.row_table import whole
+
 SHARE = 0.8
 """An axis is split where what varies along it is at least this share of what varies most."""
 EVEN = 0.5
@@ -46,13 +48,13 @@ class SplitAxes:
     def by_labels(self, masks: np.ndarray, can: np.ndarray) -> np.ndarray:
         """Return the axes (M, n) along which cells are split, of those along which they `can` be.
 
-        They are those along which labels vary, of sets of labels (P, M) at the test points: maybe
+        They are those along which labels vary, of sets (P, M, J, W) at the test points: maybe
         none. Where labels vary along none, all of them are.
         """
         varying = np.zeros((masks.shape[1], len(self.pairs)), dtype=bool)
         for i, (pairs, triples) in enumerate(zip(self.pairs, self.triples)):
             for a, b in [*pairs, *triples[:, :2], *triples[:, 1:]]:
-                varying[:, i] |= masks[a] & masks[b] == 0
+                varying[:, i] |= ~whole(masks[a] & masks[b])
         varying[~varying.any(axis=1)] = True
         return varying & can
 

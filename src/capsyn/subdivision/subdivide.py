@@ -24,6 +24,7 @@ from capsyn.cells.masks import (
     masks_of_scores,
     masks_of_symbols,
 )
+from capsyn.cells.row_table import RowTable
 from capsyn.errors import ProblemError
 from capsyn.execution.checkpoint import Remembered
 from capsyn.execution.processors import pool_of
@@ -98,8 +99,9 @@ def subdivide(
     seed : int
         Seed of the random test points.
     returns : "symbols", "masks", "scores" or "masks+scores"
-        What `label` returns: symbol indices (B,), -1 for the default; uint64 masks (B,) of the
-        symbols that could be best, bit N for the default, 0 where there is no finite answer;
+        What `label` returns: symbol indices (B,), -1 for the default; masks of the symbols that
+        could be best, unsigned (B,), bit N for the default, 0 where there is no finite answer, or
+        beyond 63 symbols uint64 (B, W), bit ``i % 64`` of word ``i // 64`` for symbol i;
         scores (B, N), the largest is best, or (B, N + 1) with that of the default, NaN where there
         is no finite answer; or a pair of masks and scores.
     preference : sequence of int, optional
@@ -190,6 +192,7 @@ class Labelling:
     preference: Sequence[int] | None = None
     threads: int = 1
     progress: Callable[[Progress], None] | None = None
+    in_force: int = 1  # symbols in force that masks (B, J, W) are given for; 1: masks (B, W)
 
 
 def carry_out(
@@ -222,8 +225,10 @@ def carry_out(
             labelling.progress,
             plan.affine,
             plan.limits.max_solves if plan.in_rounds else None,
+            labelling.in_force,
         )
-        task = SubdivisionTask(plan, order, points, plain=not returns.endswith("scores"))
+        rows = RowTable(order, labelling.in_force)
+        task = SubdivisionTask(plan, rows, points, plain=not returns.endswith("scores"))
         work = RoundSubdivision(task) if plan.in_rounds else ConstantSubdivision(task)
         cells = work.run()
     seconds = time.perf_counter() - started

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import several
+from capsyn.cells.masks import empty, several
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import TIE
 from capsyn.controllers.ssac import BatchController, batch_controller
@@ -225,7 +225,7 @@ def sample_statistics(controller: BatchController, domain: Box, seed: int) -> di
     states = domain.sample(SAMPLES, seed + 1)
     solution = controller.solve(states)
     masks = controller.possible(solution)
-    finite = masks != 0
+    finite = ~empty(masks)
     gradients, cost = solution.gradients[finite], solution.cost[finite]
     scores = controller.scores(solution)[finite]
     chosen = np.argmin(scores, axis=1)[:, None]

@@ -14,7 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import Label, holds, masks_of_symbols, preferred, several
+from capsyn.cells.masks import (
+    Label,
+    empty,
+    holds,
+    masks_of_symbols,
+    members,
+    or_else,
+    preferred,
+    several,
+    singles,
+    word_count,
+)
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
@@ -257,7 +268,7 @@ class _Tally:
         self._leaves = len(policy.alphabet) + 1
         self._drawn = np.zeros(cells, dtype=np.int64)
         self._wrong = np.zeros(cells, dtype=np.int64)
-        self._seen = np.zeros(cells, dtype=np.uint64)
+        self._seen = np.zeros((cells, word_count(self._leaves)), dtype=np.uint64)
         self._pairs = np.zeros((self._leaves, self._leaves), dtype=np.int64)
         self._examples: list[tuple[np.ndarray, np.ndarray]] = []
         self._kept: list[tuple[np.ndarray, np.ndarray]] = []
@@ -270,14 +281,14 @@ class _Tally:
         return int(self._wrong.sum())
 
     def add(self, states: np.ndarray, masks: np.ndarray, preference: tuple[int, ...]) -> None:
-        """Count states (B, n) with the controller's masks (B,)."""
+        """Count states (B, n) with the controller's masks (B, W)."""
         tree, default = self._policy.cells, self._leaves - 1
         steps = self._policy.domain.locate(states, tree.counts)
         cells = tree.find(steps)
         own = tree.labels_in(cells, steps)
         self._ties += int(several(masks).sum())
-        self._not_finite += int((masks == 0).sum())
-        masks = np.where(masks == 0, np.uint64(1 << default), masks)
+        self._not_finite += int(empty(masks).sum())
+        masks = or_else(masks, default)
         agree = holds(masks, own)
         other = np.where(agree, own, preferred(masks, preference))
         np.add.at(self._pairs, (own, other), 1)
@@ -289,7 +300,7 @@ class _Tally:
         new = self._wrong[places] == 0
         self._examples.append((places[new], states[first[new]]))
         self._wrong[places] += counts
-        np.bitwise_or.at(self._seen, cells, np.uint64(1) << other.astype(np.uint64))
+        np.bitwise_or.at(self._seen, cells, singles(other, self._leaves))
         symbols = np.stack([own, other], axis=1)[: self._room]
         self._kept.append((states[: self._room], np.where(symbols == default, -1, symbols)))
         self._room -= len(symbols)
@@ -343,14 +354,14 @@ class _Tally:
 
         islands = []
         for i in np.argsort(-self._wrong[cells], kind="stable")[:KEPT]:
-            seen = int(self._seen[cells[i]])
+            seen = np.flatnonzero(members(self._seen[cells[i]], self._leaves))
             islands.append(
                 Island(
                     level=int(level[i]),
                     lower=tuple(low[i].tolist()),
                     upper=tuple(high[i].tolist()),
                     symbol=symbol(int(own[i])),
-                    others=tuple(symbol(k) for k in range(self._leaves) if seen >> k & 1),
+                    others=tuple(map(symbol, seen.tolist())),
                     states=int(self._drawn[cells[i]]),
                     disagreeing=int(self._wrong[cells[i]]),
                     example=tuple(examples[i].tolist()),

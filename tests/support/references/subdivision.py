@@ -79,7 +79,12 @@ class Reference:
 
 
 def symbols(mask):
-    return [s for s in range(64) if mask >> s & 1]
+    return [s for s in range(mask.bit_length()) if mask >> s & 1]
+
+
+def whole_mask(words):
+    """Return a mask, or its words of 64 bits, as one whole number."""
+    return sum(int(word) << 64 * k for k, word in enumerate(np.atleast_1d(words)))
 
 
 def intersection(masks):
@@ -109,7 +114,7 @@ def reference(label_masks, box, q, r, max_level, test_points="vertices+center", 
     """Return the finished reference subdivision of a labelling function that gives masks."""
 
     def mask_of(point):
-        return int(label_masks(state_of(point, box))[0])
+        return whole_mask(label_masks(state_of(point, box))[0])
 
     wraps = box.periodic
     return Reference(mask_of, q, r, max_level, wraps, test_points, list(order)).run()
@@ -118,7 +123,7 @@ def reference(label_masks, box, q, r, max_level, test_points="vertices+center", 
 def cells_of(policy):
     """Return the leaves and the mixed cells of a policy in the form of `Reference`."""
     tree = policy.cells
-    seen = dict(zip(tree.mixed_cells.tolist(), tree.mixed_labels.tolist()))
+    seen = dict(zip(tree.mixed_cells.tolist(), map(whole_mask, tree.mixed_labels[:, 0])))
     leaves, mixed = {}, {}
     for part in tree.leaves():
         corners = part.lower // tree.sizes(part.level)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from capsyn.cells.feature_tree import FeatureTree, lattice_chunks
-from capsyn.cells.masks import members
+from capsyn.cells.masks import empty, members
 from capsyn.compression.features.growing import Pairs, across, best_split
 from capsyn.compression.features.space import Space
 from capsyn.compression.freedom import allowed_masks
@@ -62,7 +62,7 @@ class _Grid:
             for axis in range(len(counts))
         ]
         one, other = (np.concatenate(x) for x in zip(*ends))
-        unlike = (self.masks[one] & self.masks[other]) == 0
+        unlike = empty(self.masks[one] & self.masks[other])
         rows = np.concatenate([self._some(np.flatnonzero(x)) for x in (unlike, ~unlike)])
         return Pairs(self.x[one[rows]], self.x[other[rows]], unlike[rows])
 
@@ -75,7 +75,7 @@ class _Grid:
         stack = [(root, np.arange(len(self.x)), self.pairs)]
         while stack:
             node, rows, pairs = stack.pop()
-            common = members(np.bitwise_and.reduce(self.masks[rows])[None], self.labels)[0]
+            common = members(np.bitwise_and.reduce(self.masks[rows], axis=0), self.labels)
             own = np.bincount(self.own[rows], minlength=self.labels)
             if common.any():
                 node.label = int(np.where(common, own, -1).argmax())

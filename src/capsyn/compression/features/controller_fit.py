@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from capsyn.cells.masks import Label
+from capsyn.cells.masks import Label, empty, or_else
 from capsyn.cells.split_tree import SplitTree
 from capsyn.compression.features.growing import Pairs, across, best_split
 from capsyn.compression.features.space import Space
@@ -51,7 +51,7 @@ def fit_controller(
 
     def cube_masks(cube: np.ndarray) -> np.ndarray:
         sets = masks(domain.lower + cube * domain.widths).astype(np.uint64)
-        return np.where(sets == 0, np.uint64(1 << (labels - 1)), sets)
+        return or_else(sets, labels - 1)
 
     def draw(count: int, *purpose: int) -> Samples:
         return draw_samples(cube_masks, space.n, labels, count, [seed, 10, *purpose])
@@ -95,7 +95,7 @@ def _pairs(masks: Label, start: np.ndarray, length: float, space: Space, seed: l
     end = start + direction * (length / np.sqrt((direction**2).sum(axis=1)))[:, None]
     inside = ((end >= 0) & (end < 1)).all(axis=1)
     start, end = start[inside], end[inside]
-    unlike = (masks(start) & masks(end)) == 0
+    unlike = empty(masks(start) & masks(end))
     one, other = (space.coordinates(space.locate(x)) for x in (start, end))
     return Pairs(one, other, unlike)
 

@@ -1,0 +1,103 @@
+"""Rows: which symbol follows each symbol in force, and the numbers that leaves have for them.
+
+The paper's transition function is ``T : U x L -> U`` (Definition 2): a partition stands for one
+row of it. Rows 0 to N are constant, whatever is in force, and have the number of their symbol.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from capsyn.cells.masks import holds, last_all, last_any, most_voted, preferred
+
+
+class RowTable:
+    """Numbers of rows, given as they come.
+
+    Sets of symbols (..., J, W) that could be best have one for each symbol in force: J is N + 1,
+    the default's last, or 1 where that does not matter. Of symbols that could be best that in force
+    is chosen, else the first of `order`, which names each symbol and the default once.
+    """
+
+    def __init__(self, order: Sequence[int], in_force: int = 1) -> None:
+        self._order, self._labels, self._in_force = order, len(order), in_force
+        self._numbers: dict[bytes, int] = {}
+        self._rows: list[np.ndarray] = []
+
+    @property
+    def label_count(self) -> int:
+        """Number of labels, N + 1."""
+        return self._labels
+
+    def uniform(self, common: np.ndarray, where: np.ndarray) -> np.ndarray:
+        """Return the numbers (...) of the rows that are chosen of sets (..., J, W).
+
+        They are anything but `where` (...) no set is empty.
+        """
+        chosen = preferred(common, self._order)
+        if self._in_force == 1:
+            return chosen[..., 0]
+        chosen = chosen[where]
+        stay = np.broadcast_to(np.arange(self._in_force, dtype=np.int32), chosen.shape)
+        numbers = np.zeros(where.shape, dtype=np.int32)
+        numbers[where] = self.numbers(np.where(holds(common[where], stay), stay, chosen))
+        return numbers
+
+    def voted(self, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rows (M,) and the labels seen (M, J, W) of mixed cells; see `most_voted`.
+
+        `sets` (P, M, J, W) are those of their test points.
+        """
+        if self._in_force == 1:
+            labels, seen = most_voted(sets, self._order)
+        else:  # among equals that in force comes first
+            orders = ([j, *(k for k in self._order if k != j)] for j in range(self._in_force))
+            votes = [most_voted(sets[:, :, j], order) for j, order in enumerate(orders)]
+            labels = np.stack([label for label, _ in votes], axis=-1)
+            seen = np.stack([seen for _, seen in votes], axis=-2)
+        return self.numbers(labels), seen
+
+    def numbers(self, labels: np.ndarray) -> np.ndarray:
+        """Return the numbers (...) of rows, given by their labels (..., J)."""
+        if self._in_force == 1:
+            return labels[..., 0]
+        numbers = labels[..., 0].copy()
+        other = (labels != labels[..., :1]).any(axis=-1)
+        rows, inverse = np.unique(labels[other].astype(np.int32), axis=0, return_inverse=True)
+        known = np.empty(len(rows), dtype=np.int32)
+        for k, row in enumerate(rows):
+            key = row.tobytes()
+            if key not in self._numbers:
+                self._numbers[key] = self._labels + len(self._rows)
+                self._rows.append(row)
+            known[k] = self._numbers[key]
+        numbers[other] = known[inverse.ravel()]
+        return numbers
+
+    def right(self, sets: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """Return whether rows (M,) are in all the sets (P, M, J, W) of points, (P, M)."""
+        labels = self.labels()[numbers]
+        return last_all(holds(sets, labels[..., : sets.shape[-2]]))
+
+    def labels(self) -> np.ndarray:
+        """Return the labels (R, J) of all rows so far, by number."""
+        constant = np.repeat(np.arange(self._labels, dtype=np.int32)[:, None], self._in_force, 1)
+        return np.concatenate([constant, *(row[None] for row in self._rows)])
+
+    def ordered(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return all rows (R, J), those that are not constant in order, and the new number of each.
+
+        So numbers do not depend on which cells came first.
+        """
+        table = self.labels()
+        rest = table[self._labels :]
+        order = np.lexsort(rest.T[::-1]) if len(rest) else np.empty(0, dtype=np.int64)
+        places = np.concatenate([np.arange(self._labels), self._labels + np.argsort(order)])
+        return np.concatenate([table[: self._labels], rest[order]]), places.astype(np.int32)
+
+
+def whole(common: np.ndarray) -> np.ndarray:
+    """Return whether some row could be best throughout each cell, of sets (..., J, W)."""
+    return last_all(last_any(common != 0))
