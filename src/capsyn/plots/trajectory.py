@@ -14,6 +14,9 @@ from capsyn.policies.colors import PALETTE
 if TYPE_CHECKING:
     from capsyn.simulation.simulate import Trajectory
 
+SHORT = 16
+"""Most characters of a label that fit beside a small picture in one line."""
+
 
 def plot_trajectory(trajectory: Trajectory, axes: Any) -> Any:
     """Draw the states and the controls of trajectories against time, one Axes for each.
@@ -43,7 +46,8 @@ def plot_trajectory(trajectory: Trajectory, axes: Any) -> Any:
             else:
                 held = np.append(controls_of[:, i - n], np.nan)
                 ax.step(trajectory.times, held, where="post", **thin)
-        ax.set_ylabel(quantity(trajectory.names[i], trajectory.units[i]))
+        label = quantity(trajectory.names[i], trajectory.units[i])
+        ax.set_ylabel(label if len(label) <= SHORT else label.replace(" [", "\n["))
         ax.set_xlim(trajectory.times[0], trajectory.times[-1])
     axes[-1].set_xlabel(quantity("time", trajectory.time_unit))
     return axes
