@@ -28,7 +28,7 @@ def kept(states):
     best = (x > 0.6).astype(int)
     labels = np.stack([np.where(band, j, best) if j < N else best for j in range(IN_FORCE)], axis=1)
     sets = singles(labels, N + 1)
-    tie = np.abs(x - 0.2) < 0.01  # there all could be best, whatever is in force
+    tie = np.abs(x - 0.2) < 0.15  # there both could be best, whatever is in force
     sets[tie] = 0b11
     return sets
 
