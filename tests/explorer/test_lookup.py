@@ -162,9 +162,9 @@ def test_affine_cells_are_those_of_python(name, tmp_path):
     places = cells.find(steps)
     assert [cell["leaf"] for cell in shown] == places.tolist()
     assert [cell["symbol"] for cell in shown] == policy(states).tolist()
-    masks = dict(zip(cells.mixed_cells.tolist(), cells.mixed_labels.tolist()))
+    masks = dict(zip(cells.mixed_cells.tolist(), cells.mixed_labels[:, 0, 0].tolist()))
     for leaf, place, cell in zip(cells.labels_at(places), places.tolist(), shown):
-        own = 1 << leaf if leaf < labels else int(cells.affine.masks()[leaf - labels])
+        own = 1 << leaf if leaf < labels else int(cells.affine.masks(labels)[leaf - labels, 0])
         mask = masks.get(place, own)
         seen = [b if b < labels - 1 else -1 for b in range(labels) if mask >> b & 1]
         assert cell["allowed"] == seen

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from capsyn.errors import OutsideDomainError
 from capsyn.modelling.domain import Box
 
 
-def outside_error(domain: Box, state: np.ndarray, index: int | None) -> OutsideDomainError:
-    """Return the error of a state (n,): not finite, in a gap, or outside the domain.
+def outside_text(domain: Box, state: np.ndarray, index: int | None) -> str:
+    """Return what is wrong with a state (n,): not finite, in a gap, or outside the domain.
 
     `index` is its place among others, if there are any.
     """
     text = "(" + ", ".join(f"{v:g}" for v in state) + ")"
     which = f"state {index}" if index is not None else "the state"
     if not np.isfinite(state).all():
-        return OutsideDomainError(f"{which} must be finite; got {text}")
+        return f"{which} must be finite; got {text}"
     if domain.contains(state[None])[0]:
-        return OutsideDomainError(
+        return (
             f"{which} must be where the policy has a symbol; {text} is in a gap "
             "(a safe symbol would answer)"
         )
     bounds = " x ".join(f"[{low:g}, {high:g}]" for low, high in zip(domain.lower, domain.upper))
-    return OutsideDomainError(
+    return (
         f"{which} must lie in the domain {bounds}; got {text} "
         '(outside="nearest" or a safe symbol would answer)'
     )

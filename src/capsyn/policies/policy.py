@@ -12,7 +12,7 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
-from capsyn.errors import ProblemError
+from capsyn.errors import OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.grid import places_or_some
@@ -21,7 +21,7 @@ from capsyn.modelling.targets import Target, check_target
 from capsyn.modelling.time_unit import check_time_unit
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.lookup import GAP, OUTSIDE, lookup_kernel
-from capsyn.policies.outside import outside_error
+from capsyn.policies.outside import outside_text
 from capsyn.programs.model import Model
 from capsyn.validation import (
     describe,
@@ -155,7 +155,7 @@ class Policy:
             if isinstance(rule, str):
                 first = int(np.flatnonzero(lost)[0])
                 index = None if states.ndim == 1 else first
-                raise outside_error(self.domain, flat[first], index)
+                raise OutsideDomainError(outside_text(self.domain, flat[first], index))
             labels[lost] = rule
         labels[labels == len(self.alphabet)] = -1
         return labels.reshape(states.shape[:-1])[()]
