@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -180,15 +181,20 @@ class Plan:
             "alphabet: a reading that is not finite would apply it; `safe` takes a symbol",
         )
 
+    @functools.cached_property
+    def first_alike(self) -> list[int]:
+        """Of each label the first that has the same control, (N + 1)."""
+        first: dict[tuple[float, ...], int] = {}
+        controls = (tuple(control) for control in self.policy.controls.tolist())
+        return [first.setdefault(control, k) for k, control in enumerate(controls)]
+
     @property
     def same_control(self) -> list[tuple[int, int]]:
-        """Pairs of symbols, both ways, that have the same control: between them is no switch.
-
-        Symbols of an alphabet differ, so that one may be like the default control, and no other.
-        """
-        controls = self.policy.controls
-        like = np.flatnonzero((controls[:-1] == controls[-1]).all(axis=1)).tolist()
-        return [pair for k in like for pair in ((k, self.default), (self.default, k))]
+        """Pairs of symbols, both ways, that have the same control: between them is no switch."""
+        groups: dict[int, list[int]] = {}
+        for k, first in enumerate(self.first_alike):
+            groups.setdefault(first, []).append(k)
+        return [pair for group in groups.values() for pair in itertools.permutations(group, 2)]
 
     @property
     def symbol_names(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from capsyn import Alphabet
 from capsyn.exports.golden import decide
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
 from support.exports.c_machines import Library, avr, cortex_m3
@@ -82,6 +83,20 @@ def test_counts_are_always_finite():
         assert ("_take(state, symbol, now)" in step) == at_once and "NOT_FINITE" not in step
         told = " ".join(text["cart_pendulum.h"].decode().replace("\n *", " ").split())
         assert ("where the status is CART_PENDULUM_OUTSIDE." in told) == at_once
+
+
+def test_symbols_of_equal_controls_follow_each_other_freely(tmp_path):
+    plan, golden = sequence(False, 0.123)
+    alphabet = Alphabet([[5], [5]], names=["left", "right"])
+    source = dataclasses.replace(plan.policy, alphabet=alphabet, default=np.array([5.0]))
+    for default, pairs in ((5.0, 6), (0.123, 2)):
+        source = dataclasses.replace(source, default=np.array([default]))
+        plan = Plan.of(source, safe=0, dwell=TICKS / 100)
+        assert len(plan.same_control) == pairs
+        library = Library(files(plan, golden, tick=0.01), tmp_path / str(pairs), plan.n)
+        found = library.run(golden.readings, np.arange(len(golden)))
+        assert np.array_equal(found, held(plan, golden).labels)
+        assert np.array_equal(found[golden.labels < 2], golden.labels[golden.labels < 2])
 
 
 def test_minutes_are_minutes(tmp_path):

@@ -131,11 +131,8 @@ int16_t {prefix}_take({prefix}_state *state, int16_t symbol, uint32_t now)
 def _same(code: Code) -> tuple[str, set[str], str]:
     """Return the condition of no change, what it reads from tables, and its function."""
     plan, prefix = code.plan, code.prefix
-    classes = list(range(plan.labels))
-    if plan.same_control:
-        classes[plan.default] = min(plan.same_control[0])
     kind, integer = ("BYTE", "uint8_t") if plan.labels <= 256 else ("INT16", "int16_t")
-    entries = rows([f"{k}u" if kind == "BYTE" else str(k) for k in classes])
+    entries = rows([f"{k}u" if kind == "BYTE" else str(k) for k in plan.first_alike])
     function = f"""
 /* Return whether two symbols have the same control: then they have the same number. */
 static bool {prefix}_same(int16_t one, int16_t other)
