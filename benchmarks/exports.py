@@ -65,6 +65,7 @@ def compiled(written, n, compiler, kind, directory):
     """Return the loop over decisions, compiled."""
     directory.mkdir()
     for name, content in written.items():
+        (directory / name).parent.mkdir(parents=True, exist_ok=True)
         (directory / name).write_bytes(content)
     prefix = prefix_of(written)
     (directory / "loop.c").write_text(LOOP.format(p=prefix, n=n, type=kind))
