@@ -143,7 +143,9 @@ def test_planes_of_states_and_features_go_together(coarse):
 
 
 def test_a_linear_tree_without_use_for_features_has_none(coarse):
-    law = lambda x: (x[:, 0] + x[:, 1] > 0.1).astype(int)  # noqa: E731
+    def law(x):
+        return (x[:, 0] + x[:, 1] > 0.1).astype(int)
+
     policy = subdivide(law, Box([-1, -1], [1, 1]), 2, max_level=3)
     tree = compress(
         policy, "linear", controller=law, features={"r": lambda x: ca.norm_2(x)}, states=20_000
@@ -161,7 +163,10 @@ def test_features_that_are_no_use_are_told():
 
 def test_cells_without_a_common_symbol_are_parted_even_where_no_neighbours_are_unlike():
     """Along the diagonal are mixed cells, which may take either symbol."""
-    law = lambda x: (x[:, 0] + x[:, 1] > 1).astype(int)  # noqa: E731
+
+    def law(x):
+        return (x[:, 0] + x[:, 1] > 1).astype(int)
+
     policy = subdivide(law, Box([0, 0], [1, 1]), 2, partitions=6, max_level=0)
     masks = allowed_masks(policy, True)[policy.cells.find(all_steps((6, 6))), 0].reshape(6, 6)
     assert (masks[1:] & masks[:-1]).all() and (masks[:, 1:] & masks[:, :-1]).all()

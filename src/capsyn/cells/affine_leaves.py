@@ -57,9 +57,17 @@ class AffineLeaves:
 
     def labels(self, leaves: np.ndarray, steps: np.ndarray) -> np.ndarray:
         """Return the symbols (B,) int32 of affine leaf numbers (B,) at lattice steps (B, n)."""
+        return self._largest(leaves, steps)[0]
+
+    def rises(self, leaves: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        """Return how often (B,) a row beats all before it, of affine leaf numbers (B,) at steps."""
+        return self._largest(leaves, steps)[1]
+
+    def _largest(self, leaves: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the symbols (B,) of the largest rows, and how often one beat those before."""
         places = np.asarray(leaves) - self.first
         start, rows = self.starts[places], np.diff(self.starts)[places]
-        labels = self.symbols[start]
+        labels, rises = self.symbols[start], np.zeros(len(start), dtype=np.int32)
         best = self._values(start, steps)
         for k in range(1, int(rows.max(initial=0))):
             here = np.flatnonzero(rows > k)
@@ -67,20 +75,8 @@ class AffineLeaves:
             values = self._values(row, steps[here])
             better = values > best[here]
             labels[here[better]], best[here[better]] = self.symbols[row[better]], values[better]
-        return labels
-
-    def rises(self, leaves: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return how often (B,) a row beats all before it, of affine leaf numbers (B,) at steps."""
-        places = np.asarray(leaves) - self.first
-        start, rows = self.starts[places], np.diff(self.starts)[places]
-        best, count = self._values(start, steps), np.zeros(len(start), dtype=np.int64)
-        for k in range(1, int(rows.max(initial=0))):
-            here = np.flatnonzero(rows > k)
-            values = self._values(start[here] + k, steps[here])
-            better = values > best[here]
-            best[here[better]] = values[better]
-            count[here[better]] += 1
-        return count
+            rises[here[better]] += 1
+        return labels, rises
 
     def _values(self, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         values = self.constants[rows].astype(np.int64)

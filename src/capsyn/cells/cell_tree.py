@@ -11,7 +11,7 @@ import numpy as np
 
 from capsyn.cells.affine_leaves import AffineLeaves
 from capsyn.cells.boxes import Boxes, Cells
-from capsyn.cells.masks import members, singles, word_count
+from capsyn.cells.masks import WORD, members, singles, word_count
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.modelling.grid import Grid, grid_places
 from capsyn.validation import keep, keep_read_only
@@ -334,7 +334,7 @@ class CellTree:
             own[rest] = self.affine.masks(label_count)[leaf[rest] - len(rows), None]
         if (own & ~seen).any():
             raise PolicyFormatError("a mixed cell's label is not among the labels seen in it")
-        beyond = label_count % 64
+        beyond = label_count % WORD
         if beyond and (seen[..., -1] >> np.uint64(beyond)).any():
             raise PolicyFormatError("a mixed cell has an unknown label")
 

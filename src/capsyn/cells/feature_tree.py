@@ -13,7 +13,7 @@ from capsyn.cells.boxes import Boxes
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.programs.program import Program
-from capsyn.validation import read_only
+from capsyn.validation import keep, read_only
 
 MAX_FEATURES = 10_000
 """Most features of a tree."""
@@ -38,7 +38,7 @@ class Features:
 
     def __post_init__(self) -> None:
         kept = tuple(read_only(np.array(t, dtype=np.float64)) for t in self.thresholds)
-        object.__setattr__(self, "thresholds", kept)
+        keep(self, thresholds=kept)
 
     @property
     def rank_counts(self) -> tuple[int, ...]:
@@ -51,7 +51,7 @@ class Features:
             self.program.evaluate(steps[start : start + CHUNK].T)[0]
             for start in range(0, max(len(steps), 1), CHUNK)
         ]
-        return np.concatenate([np.broadcast_to(x, (x.shape[0], *x.shape[1:])) for x in parts], 1)
+        return np.concatenate(parts, axis=1)
 
     def with_ranks(self, steps: np.ndarray) -> np.ndarray:
         """Return lattice steps (B, n) with the ranks of the features after them, (B, n + K)."""

@@ -76,6 +76,10 @@ class RowTable:
         numbers[other] = known[inverse.ravel()]
         return numbers
 
+    def renumbered(self, leaves: np.ndarray) -> np.ndarray:
+        """Return leaf numbers (M,) as `ordered` gives them; constant rows keep theirs."""
+        return self.ordered()[1][leaves] if self._rows else leaves
+
     def right(self, sets: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """Return whether rows (M,) are in all the sets (P, M, J, W) of points, (P, M)."""
         labels = self.labels()[numbers]

@@ -27,9 +27,7 @@ class Solution:
     """Steps 1 and 2 of sSAC at t0 for B states and N symbols."""
 
     cost: np.ndarray  # (B,): ``J0`` of the default prediction, eq. (3)
-    gradients: (
-        np.ndarray
-    )  # (B, N): insertion gradients ``dJ/dlambda+`` at t0, eq. (6) [cost / time unit]
+    gradients: np.ndarray  # (B, N): ``dJ/dlambda+`` at t0, eq. (6) [cost / time unit]
     scales: np.ndarray  # (B, N): largest sizes, given the adjoint and the change of dynamics
 
 

@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from capsyn.cells.feature_tree import FeatureTree
 from capsyn.errors import ProblemError
 from capsyn.exports.certificate import certificate
+from capsyn.exports.feature_texts import features_of
 from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import MOST_NODES, Files, Plan, tree_within
 from capsyn.exports.target import Target
@@ -52,7 +52,7 @@ def all_targets(policy: Policy) -> tuple[str, ...]:
         small = tree_within(policy, MOST_NODES) is not None
         targets = {k: target for k, target in targets.items() if target.planes}
         targets = {k: target for k, target in targets.items() if small or target.cells}
-    if isinstance(policy.cells, FeatureTree):
+    if features_of(policy.cells):
         targets = {k: target for k, target in targets.items() if target.features}
     return tuple(targets)
 
@@ -144,7 +144,7 @@ def export(
 def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) -> Files:
     """Return all files of one target, with vectors, costs and what is measured."""
     target = _load(name)
-    if isinstance(plan.policy.cells, FeatureTree) and not target.features:
+    if features_of(plan.policy.cells) and not target.features:
         able = ", ".join(x for x in TARGETS if _load(x).features)
         raise ProblemError(f"target {name} takes no tree with features; these do: {able}")
     chosen = target.options(**options)

@@ -172,10 +172,9 @@ class Plan:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a user must be told, whatever the target."""
-        controls = self.policy.controls
-        if self.safe < self.default or (controls[:-1] == controls[-1]).all(axis=1).any():
+        if self.safe < self.default or self.first_alike[self.default] < self.default:
             return ()
-        value = ", ".join(f"{v:g}" for v in controls[-1].tolist())
+        value = ", ".join(f"{v:g}" for v in self.policy.controls[-1].tolist())
         return (
             f"the safe symbol is the default control ({value}), which is no symbol of the "
             "alphabet: a reading that is not finite would apply it; `safe` takes a symbol",

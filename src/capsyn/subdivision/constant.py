@@ -112,8 +112,8 @@ class ConstantSubdivision:
         starts = np.cumsum([0] + [len(x.entries) for x in self._levels[:-1]])
         mixed = [x.mixed + start for x, start in zip(self._levels, starts)]
         entries = np.concatenate([x.entries for x in self._levels])
-        leaf = entries < 0
-        entries[leaf] = -1 - self._rows.ordered()[1][-1 - entries[leaf]]
+        others = entries < -self._rows.label_count
+        entries[others] = -1 - self._rows.renumbered(-1 - entries[others])
         return CellTree(
             self._grid,
             entries,

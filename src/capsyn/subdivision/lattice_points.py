@@ -309,6 +309,8 @@ def inserted(array: np.ndarray, places: np.ndarray, values: np.ndarray) -> None:
     """
     end, top = len(array), len(values)
     array.resize((end + top, *array.shape[1:]), refcheck=False)
+    if array[:1].size == 1:  # of one number each NumPy keeps no index while it inserts
+        array, values = array.reshape(-1), values.reshape(-1)
     while top:
         start = max(0, end - MERGED)
         low = int(np.searchsorted(places[:top], start))

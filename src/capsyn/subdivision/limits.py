@@ -18,7 +18,7 @@ from capsyn.validation import finite_number, whole_number
 
 BYTES_PER_SOLVE = 34
 BYTES_PER_KEY = 80
-BYTES_PER_MASK = 6
+BYTES_PER_MASK = 4
 """Peak memory of a subdivision: per solved point, per test point of a block of cells, and per
 byte of the masks of a cell's test points; measured and rounded up."""
 BYTES_PER_WIDE = 3

@@ -77,9 +77,9 @@ class RoundSubdivision:
         elif self._max_solves is not None:
             ledger.stopped = ledger.stopped or "max_solves"
         self._points.check_finite(self._points.count)
-        table, numbers = self._row_table.ordered()
-        constant = cells.label >= 0
-        cells.label[constant] = numbers[cells.label[constant]]
+        table, _ = self._row_table.ordered()
+        others = cells.label >= self._labels
+        cells.label[others] = self._row_table.renumbered(cells.label[others])
         tree = cells.tree(self._lattice, len(table), self._rows, plan.adaptive)
         self._summary = self._counts_of(cells) | {"mixed_cells": len(tree.mixed_cells)}
         if plan.affine:

@@ -1,6 +1,6 @@
 /**
- * Return a function that moves a state (n) and its cost (1) on under a control, for a duration [time unit],
- * by so many steps of the classical Runge-Kutta method.
+ * Return a function that moves a state (n) and its cost (1) on under a control, for a duration
+ * [time unit], by so many steps of the classical Runge-Kutta method.
  */
 export function makeAdvance(model, n) {
   const [k1, k2, k3, k4, y] = Array.from({ length: 5 }, () => new Float64Array(n));
