@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from capsyn.modelling.domain import Box as Box
     from capsyn.modelling.problem import Problem as Problem
     from capsyn.modelling.settings import SsacSettings as SsacSettings
+    from capsyn.modelling.switching import Switching as Switching
     from capsyn.policies.policy import DecisionTree as DecisionTree
     from capsyn.policies.policy import Policy as Policy
     from capsyn.simulation.simulate import Trajectory as Trajectory
@@ -40,6 +41,7 @@ _PUBLIC = {
     "Policy": "policies.policy",
     "Problem": "modelling.problem",
     "SsacSettings": "modelling.settings",
+    "Switching": "modelling.switching",
     "Trajectory": "simulation.simulate",
     "Uniform": "verification.trials",
     "agreement": "verification.agreement",

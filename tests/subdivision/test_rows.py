@@ -58,8 +58,10 @@ def subdivided(label, refine):
     points = LatticePoints(label, unit_box(), plan.lattice, N, None, None, in_force=IN_FORCE)
     task = SubdivisionTask(plan, RowTable(ORDER, IN_FORCE), points, plain=True)
     cells = (ConstantSubdivision if refine == "isotropic" else RoundSubdivision)(task).run()
-    rows, numbers = task.rows.ordered()
-    assert sorted(numbers.tolist()) == list(range(len(rows)))
+    rows = task.rows.labels()
+    used = set(cells.leaf_labels().tolist())
+    assert used >= set(range(N + 1, len(rows)))  # no row that no cell uses
+    assert rows[N + 1 :].tolist() == sorted(rows[N + 1 :].tolist())
     return cells, rows
 
 

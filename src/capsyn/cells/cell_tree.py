@@ -114,7 +114,11 @@ class CellTree:
     def lookup_arguments(self) -> dict[str, Any]:
         """Return what lookup.c knows of the cells: numbers, and arrays, by name."""
         grid = {name: np.array(getattr(self, name)) for name in ("partitions", "refinement")}
-        rows = {} if self.affine is None else {"affine": self.affine.first, **self.affine.arrays()}
+        rows: dict[str, Any] = {}
+        if self.affine is not None:
+            rows = {"affine": self.affine.first, **self.affine.arrays()}
+            if self.affine.ratios is not None:
+                rows["labels"] = len(self.affine.ratios)
         splits = {} if self.splits is None else {"splits": self.splits}
         return {**grid, "entries": self.entries, **splits, **rows}
 
@@ -146,17 +150,34 @@ class CellTree:
             active, rest, size = active[deeper], rest[deeper], size[deeper]
         return entry
 
-    def labels(self, steps: np.ndarray) -> np.ndarray:
-        """Return the labels (B,) of finest cells (B, n): symbols, and N for the default."""
-        return self.labels_in(self.find(steps), steps)
+    @property
+    def priced(self) -> bool:
+        """Whether rows of affine leaves depend on the label in force."""
+        return self.affine is not None and self.affine.prices is not None
 
-    def labels_in(self, places: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return the labels (B,) of finest cells (B, n) in leaf entries (B,)."""
+    def labels(self, steps: np.ndarray, in_force: np.ndarray | None = None) -> np.ndarray:
+        """Return the numbers (B,) of the rows of finest cells (B, n): labels where these are all.
+
+        That of an affine leaf is the label that follows those in force (B,), by default the
+        default's.
+        """
+        return self.labels_in(self.find(steps), steps, in_force)
+
+    def labels_in(
+        self, places: np.ndarray, steps: np.ndarray, in_force: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return `labels` (B,) of finest cells (B, n) in leaf entries (B,)."""
         labels = self.labels_at(places)
         if self.affine is not None:
             rest = np.flatnonzero(labels >= self.affine.first)
-            labels[rest] = self.affine.labels(labels[rest], steps[rest])
+            now = None if in_force is None else in_force[rest]
+            labels[rest] = self.affine.labels(labels[rest], steps[rest], now)
         return labels
+
+    def constant_leaves(self, rows: int) -> np.ndarray:
+        """Return the numbers (L,) of all leaves but affine ones, of so many rows."""
+        numbers = self.labels_at(np.flatnonzero(self.entries < 0))
+        return numbers[numbers < rows]
 
     def labels_at(self, places: np.ndarray) -> np.ndarray:
         """Return the leaf numbers of leaf entries."""
@@ -279,6 +300,8 @@ class CellTree:
         symbol in force, of `label_count` labels, N + 1; by default labels themselves.
         """
         rows = np.arange(label_count)[:, None] if rows is None else rows
+        if len(rows) == label_count:  # all are constant
+            rows = rows[:, : self.mixed_labels.shape[1]]
         known = len(rows) + (0 if self.affine is None else len(self.affine))
         entries, n = self.entries, self.n
         if self.splits is not None:
@@ -312,7 +335,7 @@ class CellTree:
         if end != len(entries):
             raise PolicyFormatError(f"{len(entries) - end} cells belong to no block")
         if self.affine is not None:
-            self._check_affine(len(rows))
+            self._check_affine(len(rows), label_count)
         self._check_mixed(rows, label_count)
 
     def _check_mixed(self, rows: np.ndarray, label_count: int) -> None:
@@ -351,9 +374,9 @@ class CellTree:
         if ((self.splits != 0) != (self.entries >= 0)).any():
             raise PolicyFormatError("a cell is split along no axis, or a leaf along some")
 
-    def _check_affine(self, first: int) -> None:
+    def _check_affine(self, first: int, label_count: int) -> None:
         assert self.affine is not None
-        self.affine.check(self.counts, first)
+        self.affine.check(self.counts, first, label_count)
         leaves = -1 - self.entries[self.entries < 0].astype(np.int64)
         numbers = leaves[leaves >= first] - first
         if not np.array_equal(numbers, np.arange(len(self.affine))):

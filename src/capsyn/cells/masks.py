@@ -82,6 +82,21 @@ def masks_of_members(held: np.ndarray, words: int | None = None) -> np.ndarray:
     return sets
 
 
+def priced_sets(low: np.ndarray, high: np.ndarray, prices: np.ndarray) -> np.ndarray:
+    """Return the sets (B, J, W) of symbols that could be best for each of J labels in force.
+
+    `low` and `high` (B, S) bound what the symbols score, least is best; going from j to i costs
+    `prices` (J, S) more. A symbol could be best where no other surely is better. Sets are empty
+    where no bound is finite.
+    """
+    sets = np.empty((len(low), len(prices), word_count(low.shape[1])), dtype=np.uint64)
+    for j, price in enumerate(prices):
+        least = (high + price).min(axis=1, keepdims=True)
+        could = (low + price <= least) & np.isfinite(least)
+        sets[:, j] = masks_of_members(could)
+    return sets
+
+
 def singles(symbols: np.ndarray, count: int) -> np.ndarray:
     """Return the sets (..., W) uint64 of one symbol each, of `count` symbols in all."""
     if word_count(count) == 1:
@@ -147,8 +162,11 @@ def most_voted(sets: np.ndarray, order: Sequence[int]) -> tuple[np.ndarray, np.n
     return labels, seen
 
 
-def checked_masks(label: Callable[[np.ndarray], Any], n_symbols: int) -> Label:
-    """Return a labelling function of sets (B, W), or (B,) where W is 1, with its sets checked."""
+def checked_masks(label: Callable[[np.ndarray], Any], n_symbols: int, in_force: int = 1) -> Label:
+    """Return a labelling function of sets (B, W), or (B,) where W is 1, with its sets checked.
+
+    For several labels `in_force` they are sets (B, J, W).
+    """
     words = word_count(n_symbols + 1)
     top = np.uint64(2 ** ((n_symbols + 1) % WORD or WORD) - 1)
 
@@ -156,19 +174,20 @@ def checked_masks(label: Callable[[np.ndarray], Any], n_symbols: int) -> Label:
         sets = np.asarray(label(states))
         if sets.ndim == 1 and words == 1:
             sets = sets[:, None]
-        if sets.shape != (len(states), words) or sets.dtype.kind != "u":
-            shape = f"({len(states)},)" if words == 1 else f"({len(states)}, {words})"
+        wanted = (len(states), words) if in_force == 1 else (len(states), in_force, words)
+        if sets.shape != wanted or sets.dtype.kind != "u":
+            shape = f"({len(states)},)" if wanted[1:] == (1,) else str(wanted)
             raise ProblemError(
                 f"`label` must return {shape} unsigned integers; got "
                 f"{sets.dtype} of shape {sets.shape}"
             )
-        wrong = sets[:, -1] > top
+        wrong = last_any(sets[..., -1:] > top)
         if wrong.any():
-            i = int(np.flatnonzero(wrong)[0])
-            got = sum(int(word) << WORD * k for k, word in enumerate(sets[i].tolist()))
+            place = tuple(np.argwhere(wrong)[0])
+            got = sum(int(word) << WORD * k for k, word in enumerate(sets[place].tolist()))
             raise ProblemError(
                 f"`label` must return masks of bits 0 to {n_symbols}; got {got:#b} "
-                f"at state {states[i].tolist()}"
+                f"at state {states[place[0]].tolist()}"
             )
         return sets.astype(word_type(n_symbols + 1), copy=False)
 
@@ -227,7 +246,7 @@ def masks_of_scores(label: Callable[[np.ndarray], np.ndarray], n_symbols: int) -
     return scored
 
 
-def checked_pair(label: Callable[[np.ndarray], Any], n_symbols: int) -> Scored:
+def checked_pair(label: Callable[[np.ndarray], Any], n_symbols: int, in_force: int = 1) -> Scored:
     """Return the labelling function, of masks and scores, with both checked."""
 
     def scored(states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -236,7 +255,7 @@ def checked_pair(label: Callable[[np.ndarray], Any], n_symbols: int) -> Scored:
             raise ProblemError(
                 f"`label` must return a pair of masks and scores; got {describe(pair)}"
             )
-        masks = checked_masks(lambda _: pair[0], n_symbols)(states)
+        masks = checked_masks(lambda _: pair[0], n_symbols, in_force)(states)
         scores = np.asarray(pair[1])
         if scores.ndim == 3:
             for variant in np.moveaxis(scores, 1, 0):

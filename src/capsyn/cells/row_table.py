@@ -76,9 +76,22 @@ class RowTable:
         numbers[other] = known[inverse.ravel()]
         return numbers
 
-    def renumbered(self, leaves: np.ndarray) -> np.ndarray:
-        """Return leaf numbers (M,) as `ordered` gives them; constant rows keep theirs."""
-        return self.ordered()[1][leaves] if self._rows else leaves
+    def settle(self, leaves: np.ndarray) -> np.ndarray:
+        """Keep the rows that leaf numbers (M,) use, in order; return the new leaf numbers.
+
+        So numbers do not depend on which cells came first. Constant rows keep theirs. Numbers that
+        are negative stay.
+        """
+        if not self._rows:
+            return leaves
+        table, constant = self.labels(), self._labels
+        used = np.unique(leaves[leaves >= constant])
+        used = used[np.lexsort(table[used].T[::-1])]
+        places = np.arange(len(table), dtype=leaves.dtype)
+        places[used] = constant + np.arange(len(used))
+        self._rows = list(table[used])
+        self._numbers = {row.tobytes(): constant + k for k, row in enumerate(self._rows)}
+        return np.where(leaves < 0, leaves, places[leaves])
 
     def right(self, sets: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """Return whether rows (M,) are in all the sets (P, M, J, W) of points, (P, M)."""
@@ -89,17 +102,6 @@ class RowTable:
         """Return the labels (R, J) of all rows so far, by number."""
         constant = np.repeat(np.arange(self._labels, dtype=np.int32)[:, None], self._in_force, 1)
         return np.concatenate([constant, *(row[None] for row in self._rows)])
-
-    def ordered(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return all rows (R, J), those that are not constant in order, and the new number of each.
-
-        So numbers do not depend on which cells came first.
-        """
-        table = self.labels()
-        rest = table[self._labels :]
-        order = np.lexsort(rest.T[::-1]) if len(rest) else np.empty(0, dtype=np.int64)
-        places = np.concatenate([np.arange(self._labels), self._labels + np.argsort(order)])
-        return np.concatenate([table[: self._labels], rest[order]]), places.astype(np.int32)
 
 
 def whole(common: np.ndarray) -> np.ndarray:

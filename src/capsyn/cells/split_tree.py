@@ -49,6 +49,7 @@ class SplitTree:
     planes_are: ClassVar[str] = "oblique splits"
     nested: ClassVar[bool] = False
     compiled: ClassVar[bool] = True
+    priced: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         keep_read_only(self, *TREE_ARRAYS)
@@ -158,13 +159,19 @@ class SplitTree:
             most[oblique] = (up * high + down * low).sum(axis=1)
         return least, most
 
-    def labels(self, steps: np.ndarray) -> np.ndarray:
-        """Return the labels (B,) of lattice steps (B, n)."""
+    def labels(self, steps: np.ndarray, in_force: np.ndarray | None = None) -> np.ndarray:
+        """Return the numbers (B,) of the rows of lattice steps (B, n), whatever is in force."""
         return self.labels_at(self.find(steps))
 
-    def labels_in(self, places: np.ndarray, steps: np.ndarray) -> np.ndarray:
-        """Return the labels (B,) of leaf nodes, whatever the lattice steps (B, n) in them."""
+    def labels_in(
+        self, places: np.ndarray, steps: np.ndarray, in_force: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the numbers (B,) of the rows of leaf nodes, whatever the steps, and in force."""
         return self.labels_at(places)
+
+    def constant_leaves(self, rows: int) -> np.ndarray:
+        """Return the numbers (L,) of all leaves."""
+        return self.leaf_labels()
 
     def labels_at(self, places: np.ndarray) -> np.ndarray:
         """Return the labels of leaf nodes."""

@@ -21,6 +21,7 @@ typedef struct {
     const int64_t *preference;      /* (SYMBOLS + 1) */
     const double *feed;             /* default controls (steps, INPUTS), or of a policy: */
     const double *table;            /* (symbols + 1, INPUTS) */
+    const int32_t *transitions;     /* (rows, symbols + 1), or NULL where rows are labels */
     tree cells;
 } options;
 
@@ -199,6 +200,7 @@ int capsyn_action(const int64_t count, const double *restrict states, const opti
     for (int64_t b = 0; b < count; ++b) {
         action *a = actions + b;
         double total = 0, part[1][1];
+        int64_t now = o.lost; /* in force along the prediction: at first the default */
         a->base_symbol = -1;
         for (int i = 0; i < STATES; ++i)
             path[0].x[i][0] = states[b * STATES + i];
@@ -206,12 +208,16 @@ int capsyn_action(const int64_t count, const double *restrict states, const opti
             const double *u = o.feed ? o.feed + k * INPUTS : NULL;
             if (u == NULL) {
                 int outside;
-                int64_t label = nearest_label(&o.cells, &m, path[k].x[0], &outside);
+                int64_t label =
+                    nearest_label(&o.cells, &m, path[k].x[0], (int32_t)now, &outside);
+                if (o.transitions && label >= 0)
+                    label = o.transitions[label * (o.lost + 1) + now];
                 if ((outside || label == NOT_FINITE || label == o.gap) && o.outside >= 0)
                     label = o.outside;
                 else if (label == NOT_FINITE)
                     label = o.lost;
                 u = o.table + label * INPUTS;
+                now = label;
                 if (k == 0)
                     a->base_symbol = label == o.lost ? -1 : label;
             }

@@ -30,7 +30,10 @@ class ActionOptions(ctypes.Structure):
             (name, ctypes.c_int64)
             for name in "steps search steepest to_default backtracks outside lost gap".split()
         ),
-        *((name, ctypes.c_void_p) for name in "values efforts preference feed table".split()),
+        *(
+            (name, ctypes.c_void_p)
+            for name in "values efforts preference feed table transitions".split()
+        ),
         ("cells", TreeArguments),
     ]
 

@@ -41,10 +41,10 @@ class NumpyActions:
         dt, m = [formulation.horizon / steps], formulation.values.shape[1]
         actions = np.zeros(count, action_type(m))
         actions["base_symbol"] = -1
-        x, total, path, controls = states.T, np.zeros(count), [], []
+        x, total, path, controls, labels = states.T, np.zeros(count), [], [], None
         for k in range(steps):
             if isinstance(signal, Policy):
-                labels = predicted_labels(signal, x.T)
+                labels = predicted_labels(signal, x.T, labels)
                 u = signal.controls[labels].T
                 if k == 0:
                     actions["base_symbol"] = np.where(labels == len(signal.alphabet), -1, labels)
@@ -156,8 +156,13 @@ def outside_label(policy: Policy) -> int:
     return count if policy.outside == "error" else int(policy.outside) % (count + 1)
 
 
-def predicted_labels(policy: Policy, states: np.ndarray) -> np.ndarray:
-    """Return labels (B,) of predicted states; the default where a rule would raise."""
+def predicted_labels(
+    policy: Policy, states: np.ndarray, in_force: np.ndarray | None = None
+) -> np.ndarray:
+    """Return labels (B,) of predicted states; the default where a rule would raise.
+
+    They follow those in force (B,), by default the default's.
+    """
     rule = outside_label(policy)
-    labels = policy.leaves(states, rule < 0, "numpy")
+    labels = policy.leaves(states, rule < 0, "numpy", in_force)
     return np.where(labels < 0, len(policy.alphabet) if rule < 0 else rule, labels)

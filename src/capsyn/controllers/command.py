@@ -40,5 +40,6 @@ def hold(controls: np.ndarray, symbols: np.ndarray | None = None) -> Command:
     )
 
 
-Decide = Callable[[float, np.ndarray], Command]
-"""``(time, measured states (B, n)) -> command``."""
+Decide = Callable[[float, np.ndarray, np.ndarray], Command]
+"""``(time, measured states (B, n), symbols in force (B,)) -> command``; those are -1 for the
+default, `NONE` before the first and where they are no symbols."""

@@ -27,13 +27,26 @@ class Formulation:
     default: np.ndarray  # (m,): control of the prediction [input units]
     horizon: float  # of the prediction, T [time unit]
     settings: SsacSettings
+    prices: np.ndarray | None = None  # (N + 1, N + 1) of `SwitchRules`; None: nothing is in force
+    delay: float = 0.0  # input delay that is compensated [time unit]
 
     @staticmethod
     def of(source: Problem | Policy, model: Model) -> Formulation:
-        """Return that of a problem or a policy, which has horizon and settings, and its model."""
+        """Return that of a problem or a policy, which has horizon and settings, and its model.
+
+        The price of its `Switching`, if it has one, is no share.
+        """
         assert source.horizon is not None and source.settings is not None
         values, default = source.alphabet.values, source.default
-        return Formulation(model, source.domain, values, default, source.horizon, source.settings)
+        prices = None
+        if source.switching is not None:
+            prices = source.switching.prices(source.alphabet, source.default)
+        elif source.delay:
+            prices = np.zeros((len(values) + 1,) * 2)
+        return Formulation(
+            model, source.domain, values, default, source.horizon, source.settings, prices,
+            source.delay,
+        )  # fmt: skip
 
     def to_text(self) -> str:
         """Return the formulation as JSON, with the programs as a policy's file holds them."""
@@ -44,6 +57,8 @@ class Formulation:
             "default": self.default.tolist(),
             "horizon": self.horizon,
             "settings": self.settings.to_json(),
+            "prices": None if self.prices is None else self.prices.tolist(),
+            "delay": self.delay,
         }
         return json.dumps(plain, sort_keys=True)
 
@@ -59,4 +74,6 @@ class Formulation:
             np.array(data["default"]),
             data["horizon"],
             SsacSettings(**data["settings"]),
+            None if data["prices"] is None else np.array(data["prices"]),
+            data["delay"],
         )

@@ -33,6 +33,7 @@ from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Box
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.switching import SwitchRules
 from capsyn.modelling.targets import Target
 from capsyn.modelling.transcription import transcribe, transcribe_target
 from capsyn.native.compiled import compiled
@@ -107,6 +108,8 @@ class OnlineController:
         Default control of the prediction, where it is no constant.
     kernel, numpy
         What finds actions: compiled, where there is a compiler, and in NumPy.
+    rules : SwitchRules, optional
+        Least times and forbidden transitions of symbols, which a closed loop keeps.
     """
 
     method: str
@@ -118,6 +121,7 @@ class OnlineController:
     kernel: ActionKernel | None
     numpy: NumpyActions
     time_unit: str
+    rules: SwitchRules | None
 
     def __repr__(self) -> str:
         kind = "policy" if isinstance(self.background, Policy) else "signal"
@@ -176,10 +180,12 @@ class OnlineController:
         acts = np.asarray((planned.duration > 0) & (planned.start <= 0))
         return np.where(acts[..., None], planned.control, planned.base)
 
-    def decide(self, time: float, measured: np.ndarray) -> Command:
+    def decide(
+        self, time: float, measured: np.ndarray, in_force: np.ndarray | None = None
+    ) -> Command:
         """Return the command over a sample: default control, action, default control.
 
-        `measured` are the states (B, n) at `time`; `simulate` calls this.
+        `measured` are the states (B, n) at `time`, whatever is in force; `simulate` calls this.
         """
         planned = self.actions(measured, time)
         start = np.where(planned.duration > 0, planned.start, np.inf)
@@ -244,6 +250,8 @@ class OnlineController:
             outside, lost = outside_label(policy), len(policy.alphabet)
             gap = lost if policy.gaps else -1
             arrays["table"] = policy.controls
+            if policy.remembers:
+                arrays["transitions"] = np.ascontiguousarray(policy.transitions)
             cells = TreeArguments.of(policy.domain, policy.cells)
         else:
             outside, lost, gap, cells = -1, -1, -1, TreeArguments()
@@ -284,6 +292,9 @@ def online_controller(
     backend: str = "auto",
 ) -> OnlineController:
     """Return sSAC or SAC in receding horizon for a problem, or for the model of a policy.
+
+    It plans without prices on switching and without the problem's delay; least times and forbidden
+    transitions of its symbols are kept in closed loops.
 
     Parameters
     ----------
@@ -353,6 +364,7 @@ def online_controller(
         kernel,
         NumpyActions(formulation, chooser, sac),
         source.time_unit,
+        SwitchRules.of(source) if method == "ssac" and source.switching is not None else None,
     )
 
 

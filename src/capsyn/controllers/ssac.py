@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.cells.masks import empty, masks_of_members, preferred
+from capsyn.cells.masks import empty, masks_of_members, preferred, priced_sets, word_count
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import TIE, Solver, bind_default, make_solver
 from capsyn.errors import warn
 from capsyn.modelling.settings import SsacSettings
 from capsyn.policies.policy import Policy
+from capsyn.programs.builder import bind
 from capsyn.programs.step_doubling import UNRESOLVED, fewest_steps
 
 STEP_LADDER = tuple(steps << k for k in range(10) for steps in (4, 6)) + (4096,)
 """Steps that `choose_steps` tries."""
+DELAY_STEPS = 4
+"""Least Runge-Kutta steps over a delay."""
 STEP_SAMPLES = 512
 """Random states at which it tries them."""
 
@@ -67,9 +71,15 @@ class BatchController:
                 distance = (distance - self._wanted(solution)) ** 2
         return distance + self.efforts
 
+    @property
+    def in_force(self) -> int:
+        """Number of labels in force that `masks` tells apart: 1, or N + 1, the default last."""
+        return 1 if self.formulation.prices is None else len(self.formulation.prices)
+
     def symbols(self, states: np.ndarray) -> np.ndarray:
-        """Return the symbols (B,) that sSAC applies at t0; see `masks` and `chosen`."""
-        return self.chosen(self.masks(states))
+        """Return the symbols (B,) that sSAC applies at t0 before the first decision; see `masks`."""
+        masks = self.masks(states)
+        return self.chosen(masks if self.in_force == 1 else masks[:, -1])
 
     def chosen(self, masks: np.ndarray) -> np.ndarray:
         """Return the symbols (B,) of masks (B, W); -1 is the default control.
@@ -84,14 +94,89 @@ class BatchController:
         """Return the symbols that could be best as bit masks (B, W), 0 without a finite result.
 
         A symbol could be best when it is for some perturbation of each mode insertion gradient
-        by at most `TIE` of its scale. Bit N stands for the default control.
+        by at most `TIE` of its scale. Bit N stands for the default control. With prices on
+        switching, or a delay, there is one for each label in force, (B, J, W).
         """
-        return self.possible(self.solve(states))
+        if self.in_force == 1:
+            return self.possible(self.solve(states))
+        if not self.formulation.delay:
+            return self.next_possible(self.solve(states))
+        return self._after_delay(states)
 
     def scored(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `masks` (B, W) and, of the same solves, `smooth_scores` of states (B, n)."""
+        """Return `masks` and, of the same solves, `smooth_scores` of states (B, n).
+
+        Not with a delay: what decides is then another state for each label in force.
+        """
         solution = self.solve(states)
-        return self.possible(solution), self.smooth_scores(solution)
+        find = self.possible if self.in_force == 1 else self.next_possible
+        return find(solution), self.smooth_scores(solution)
+
+    def _after_delay(self, states: np.ndarray) -> np.ndarray:
+        """Return `masks` (B, J, W) for where states (B, n) will be when a decision takes effect.
+
+        ``T_d(j, x) = T(j, Phi_d(x, u_j))``, with the flow under the control in force.
+        """
+        formulation = self.formulation
+        controls = np.vstack([formulation.values, formulation.default])
+        prices = formulation.prices
+        assert prices is not None
+        sets = np.empty((len(states), self.in_force, word_count(len(prices))), dtype=np.uint64)
+        unique, kind = np.unique(controls, axis=0, return_inverse=True)
+        for k, control in enumerate(unique):
+            solution = self.solve(flow(formulation, states, control))
+            some = np.flatnonzero(kind.ravel() == k)
+            sets[:, some] = self.next_possible(solution, some)
+        return sets
+
+    def next_possible(
+        self, solution: Solution, in_force: np.ndarray | slice = slice(None)
+    ) -> np.ndarray:
+        """Return the masks (B, J, W) of solved states, for some labels in force; see `masks`."""
+        assert self.formulation.prices is not None
+        low, high = self._score_bounds(solution)
+        return priced_sets(low, high, self.formulation.prices[in_force])
+
+    def _score_bounds(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+        """Return bounds (B, N + 1) of minus the first of `smooth_scores`, the default's last.
+
+        They are those of a tie; infinite for labels that are no candidates, and where there is no
+        finite result. The default competes by what it would have to save: the best score less the
+        mode insertion gradient of its symbol.
+        """
+        margin, gradients = TIE * solution.scales, solution.gradients
+        with np.errstate(all="ignore"):
+            if self.settings.rule == "steepest":
+                low, high = (gradients + side + self.efforts for side in (-margin, margin))
+            else:
+                wanted, extra = self._wanted(solution), self.efforts - self.efforts.min()
+                size = self._size(solution)
+                squares = gradients * (gradients - 2 * wanted) + margin**2 + extra
+                distance = np.abs(gradients - wanted)
+                reach = 2 * margin * distance
+                low = np.where(distance > margin, squares - reach, extra - wanted**2)
+                high = squares + reach
+                low, high = (np.where(size > 0, side / size, extra) for side in (low, high))
+            lost = ~(np.isfinite(high) & np.isfinite(solution.scales)).all(axis=1)
+            idle_low = idle_high = np.full((len(low), 1), np.inf)
+            if self.settings.on_no_descent == "default":
+                own = (self.formulation.values == self.formulation.default).all(axis=1)
+                low[:, own], high[:, own] = np.inf, np.inf
+                could = low <= high.min(axis=1, keepdims=True)
+                rises = np.where(could, gradients + margin, -np.inf).max(axis=1, keepdims=True)
+                falls = np.where(could, gradients - margin, np.inf).min(axis=1, keepdims=True)
+                idle_low = low.min(axis=1, keepdims=True) - rises
+                idle_high = high.min(axis=1, keepdims=True) - falls
+        low, high = np.hstack([low, idle_low]), np.hstack([high, idle_high])
+        low[lost], high[lost] = np.inf, np.inf
+        return low, high
+
+    def spread(self, solution: Solution) -> float:
+        """Return the median, over solved states, of the worst score less the best [cost / time]."""
+        scores = self.smooth_scores(solution)[:, 0, : len(self.efforts)]
+        ranges = np.ptp(scores, axis=1)
+        ranges = ranges[np.isfinite(ranges)]
+        return float(np.median(ranges)) if ranges.size else 0.0
 
     def smooth_scores(self, solution: Solution) -> np.ndarray:
         """Return scores (B, V, N) as affine in the state as can be, in V variants.
@@ -111,7 +196,7 @@ class BatchController:
                 scores = (-gradients - self.efforts)[:, None]
             else:
                 wanted, extra = self._wanted(solution), self.efforts - self.efforts.min()
-                size = 2 * np.sqrt(wanted**2 + (gradients**2).mean(axis=1, keepdims=True))
+                size = self._size(solution)
                 squares = (2 * wanted - gradients) * gradients - extra
                 first = np.where(size > 0, squares / size, -extra)
                 price = np.where(extra > 0, extra / (2 * np.abs(wanted)), 0.0)
@@ -142,6 +227,11 @@ class BatchController:
                 could[:, :-1] &= solution.gradients - margin < 0
         could[~np.isfinite(high).all(axis=1)] = False
         return masks_of_members(could)
+
+    def _size(self, solution: Solution) -> np.ndarray:
+        """Return what the scores of eq. (8) are divided by, (B, 1); see `smooth_scores`."""
+        squares = (solution.gradients**2).mean(axis=1, keepdims=True)
+        return np.asarray(2 * np.sqrt(self._wanted(solution) ** 2 + squares))
 
     def _wanted(self, solution: Solution) -> np.ndarray:
         """Return ``alpha_d`` (B, 1)."""
@@ -189,6 +279,22 @@ def policy_controller(policy: Policy, backend: str = "auto") -> BatchController 
     if policy.model is None or policy.horizon is None or policy.settings is None:
         return None
     return batch_controller(Formulation.of(policy, policy.model), backend)
+
+
+def flow(formulation: Formulation, states: np.ndarray, control: np.ndarray) -> np.ndarray:
+    """Return where states (B, n) are after the delay, under a control (m,) that is held.
+
+    Runge-Kutta steps are no longer than those of the prediction, and at least `DELAY_STEPS`.
+    """
+    settings, delay = formulation.settings, formulation.delay
+    assert settings.steps is not None
+    count = max(DELAY_STEPS, math.ceil(delay / formulation.horizon * settings.steps))
+    step = bind(formulation.model.step, u=control)
+    x = np.ascontiguousarray(states.T)
+    with np.errstate(all="ignore"):
+        for _ in range(count):
+            x = step.evaluate(x, [delay / count])[0]
+    return x.T
 
 
 def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: SsacSettings) -> int:

@@ -17,6 +17,7 @@ from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.grid import Grid
 from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.switching import Switching, check_switching
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
 from capsyn.validation import describe, finite_number, keep, one_line, true_or_false
@@ -48,7 +49,8 @@ class Problem:
     outside : "error", "nearest" or symbol
         What a state outside the domain gets; carried in the policy.
     min_dwell : float
-        Least time between switches [time unit]; carried in the policy.
+        Least time between switches [time unit]: the short form of one ``hold`` for all symbols, of
+        a policy that does not depend on the symbol in force; carried in the policy.
     settings : SsacSettings
         Options of the controller.
     partitions, refinement : int or (n,)
@@ -62,6 +64,12 @@ class Problem:
     outside_at_once : bool
         Whether the symbol of a state outside the domain does not wait for `min_dwell`, as that of a
         state that is not finite never does; carried in the policy.
+    switching : Switching, optional
+        Prices on switching, least times and forbidden transitions. Then the policy depends on the
+        symbol in force, which stays where it ties; carried in the policy.
+    delay : float
+        Known time from a sample until its control acts [time unit]. The policy compensates it: its
+        decision at a state is that for the state which the symbol in force leads to meanwhile.
 
     Raises
     ------
@@ -87,6 +95,8 @@ class Problem:
     description: str = ""
     time_unit: str = "s"
     outside_at_once: bool = False
+    switching: Switching | None = None
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
@@ -101,6 +111,8 @@ class Problem:
         keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
         keep(self, outside=check_outside(self.outside, self.alphabet))
+        check_switching(self)
+        keep(self, delay=finite_number("delay", self.delay, least=0.0))
         if not isinstance(self.settings, SsacSettings):
             raise ProblemError(
                 f"`settings` must be a capsyn.SsacSettings; got {describe(self.settings)}"

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from capsyn.cells.affine_leaves import ROW_ARRAYS, AffineLeaves
+from capsyn.cells.affine_leaves import PRICE_ARRAYS, ROW_ARRAYS, AffineLeaves
 from capsyn.cells.cell_tree import CELL_ARRAYS, SPLIT_ARRAYS, CellTree
 from capsyn.cells.feature_tree import Features, FeatureTree
 from capsyn.cells.masks import WORD
@@ -27,6 +27,7 @@ from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.grid import MAX_COUNT, Grid
 from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.switching import Switching
 from capsyn.modelling.targets import Target
 from capsyn.policies.guarantee import Guarantee
 from capsyn.programs.model import Model
@@ -36,23 +37,45 @@ from capsyn.validation import describe, whole_numbers
 Made = TypeVar("Made")
 
 FORMAT = "capsyn-policy"
-VERSION = 8
+VERSION = 9
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
 split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6, trees
-with features 7, more than 63 symbols, or some of equal control, 8."""
+with features 7, more than 63 symbols, or some of equal control, 8, what depends on the symbol in
+force, has prices or least times of its own, or compensates a delay, 9."""
+TRANSITIONS = {"transitions": np.uint16}
+"""The rows of a transition function, (R - N - 1, N + 1), that are not constant, in order."""
+ALL_ARRAYS = {
+    **CELL_ARRAYS,
+    **ROW_ARRAYS,
+    **SPLIT_ARRAYS,
+    **TREE_ARRAYS,
+    **PRICE_ARRAYS,
+    **TRANSITIONS,
+}
+"""All arrays that a file may hold, and their types."""
 ARRAYS = [
-    set(TREE_ARRAYS),
-    *({*CELL_ARRAYS, *rows, *splits} for rows in ((), ROW_ARRAYS) for splits in ((), SPLIT_ARRAYS)),
+    {*arrays, *transitions}
+    for arrays in (
+        TREE_ARRAYS,
+        *(
+            {**CELL_ARRAYS, **rows, **splits}
+            for rows in ({}, ROW_ARRAYS, {**ROW_ARRAYS, **PRICE_ARRAYS})
+            for splits in ({}, SPLIT_ARRAYS)
+        ),
+    )
+    for transitions in ((), TRANSITIONS)
 ]
 """The sets of arrays that a file may hold."""
+PLANAR = {"planes", "row_slopes", "row_ratios", "transitions"}
+"""Those of two dimensions."""
 KEYS = set(
     "name domain alphabet default outside min_dwell target horizon settings model "
     "statistics".split()
 )
 CELL_KEYS = KEYS | {"partitions", "refinement", "max_level"}
 TREE_KEYS = KEYS | {"counts", "guarantee"}
-RARE_KEYS = {"gaps", "time_unit", "outside_at_once", "features"}
-"""Keys that are there where they say something else than False, s, and none."""
+RARE_KEYS = {"gaps", "time_unit", "outside_at_once", "features", "switching", "delay"}
+"""Keys that are there where they say something else than False, s, none, and 0."""
 STATISTICS: dict[str, tuple[type, ...]] = {
     "solves": (int,),
     "solves_by_role": (dict,),
@@ -80,7 +103,7 @@ SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost
 
 def save(policy: Any, path: str | os.PathLike[str]) -> None:
     """Write a policy file atomically; the same policy gives the same bytes."""
-    content, arrays = content_of(policy), policy.cells.arrays()
+    content, arrays = content_of(policy), _arrays(policy)
     document = {
         "format": FORMAT,
         "version": _least_version(arrays, content),
@@ -91,6 +114,13 @@ def save(policy: Any, path: str | os.PathLike[str]) -> None:
         document["evidence"] = policy.evidence
     metadata = {FORMAT: _canonical(document)}
     atomic_write(path, lambda temporary: _write(arrays, temporary, metadata))
+
+
+def _arrays(policy: Any) -> dict[str, np.ndarray]:
+    """Return the arrays of a policy by their names in a file."""
+    rows = policy.transitions[len(policy.alphabet) + 1 :]
+    table = {"transitions": rows.astype(TRANSITIONS["transitions"])} if len(rows) else {}
+    return {**policy.cells.arrays(), **table}
 
 
 def _write(arrays: dict[str, np.ndarray], path: Path, metadata: dict[str, str]) -> None:
@@ -112,6 +142,8 @@ def content_of(policy: Any) -> dict[str, Any]:
         **({"gaps": True} if policy.gaps else {}),
         **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
         **({"outside_at_once": True} if policy.outside_at_once else {}),
+        **({} if policy.switching is None else {"switching": policy.switching.to_json()}),
+        **({"delay": policy.delay} if policy.delay else {}),
         "name": policy.name,
         "domain": policy.domain.to_json(),
         "alphabet": policy.alphabet.to_json(),
@@ -128,13 +160,15 @@ def content_of(policy: Any) -> dict[str, Any]:
 
 def content_hash(policy: Any) -> str:
     """Return the SHA-256 of what the policy is, the same that its file carries."""
-    return digest(policy.cells.arrays(), _canonical(content_of(policy)))
+    return digest(_arrays(policy), _canonical(content_of(policy)))
 
 
 def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> int:
     """Return the first version that has files with such arrays and content."""
     values = [tuple(value) for value in content["alphabet"]["values"]]
+    news = "transitions" in arrays or "row_prices" in arrays
     needed = {
+        9: news or "switching" in content or "delay" in content,
         8: len(values) >= WORD or len(set(values)) < len(values),
         7: "features" in content,
         6: "time_unit" in content or "outside_at_once" in content,
@@ -211,8 +245,8 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     content = document["policy"]
     is_tree = "split" in arrays
     for name in arrays:
-        dtype = (CELL_ARRAYS | ROW_ARRAYS | SPLIT_ARRAYS | TREE_ARRAYS)[name]
-        axes, words = (2, "two") if name in ("planes", "row_slopes") else (1, "one")
+        dtype = ALL_ARRAYS[name]
+        axes, words = (2, "two") if name in PLANAR else (1, "one")
         wide = name == "mixed_labels" and arrays[name].ndim == 3  # for more than one word
         if arrays[name].dtype != dtype or not (arrays[name].ndim == axes or wide):
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
@@ -223,6 +257,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         set(content) - RARE_KEYS != known
         or not all(content.get(key, True) is True for key in ("gaps", "outside_at_once"))
         or content.get("time_unit") == "s"
+        or content.get("delay", 1.0) == 0
         or ("features" in content and not is_tree)
         or document["version"] < _least_version(arrays, content)
     ):
@@ -243,6 +278,9 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         "gaps": "gaps" in content,
         "time_unit": content.get("time_unit", "s"),
         "outside_at_once": "outside_at_once" in content,
+        "switching": _switching(content.get("switching")),
+        "delay": content.get("delay", 0.0),
+        "transitions": _transitions(arrays.pop("transitions", None), len(alphabet) + 1),
     }
     if is_tree:
         counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)
@@ -255,11 +293,32 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     grid = Grid.of(content["partitions"], content["refinement"], content["max_level"], domain.n)
     affine = None
     if "row_starts" in arrays:
-        affine = AffineLeaves(len(alphabet) + 1, *(arrays[name] for name in ROW_ARRAYS))
+        first = len(alphabet) + 1 if fields["transitions"] is None else len(fields["transitions"])
+        tables = [arrays[name] for name in (*ROW_ARRAYS, *PRICE_ARRAYS) if name in arrays]
+        affine = AffineLeaves(first, *tables)
     domain.check_resolution(grid.counts)
     entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
     cells = CellTree(grid, entries, mixed, labels, affine, arrays.get("splits"))
     return fields | {"cells": cells}
+
+
+def _switching(data: Any) -> Switching | None:
+    return None if data is None else Switching(**data)
+
+
+def _transitions(rows: np.ndarray | None, count: int) -> np.ndarray | None:
+    """Return the whole table of rows, of those that are not constant, checked."""
+    if rows is None:
+        return None
+    if not len(rows) or rows.shape[1] != count or (rows >= count).any():
+        raise PolicyFormatError("its transitions are none of its symbols")
+    before, after = rows[:-1].astype(np.int64), rows[1:].astype(np.int64)
+    first = np.argmax(before != after, axis=1)[:, None]
+    step = np.take_along_axis(after - before, first, axis=1)
+    if (rows == rows[:, :1]).all(axis=1).any() or (step <= 0).any():
+        raise PolicyFormatError("its transitions are constant somewhere, or not in order")
+    constant = np.repeat(np.arange(count, dtype=np.int32)[:, None], count, axis=1)
+    return np.concatenate([constant, rows.astype(np.int32)])
 
 
 def _settings(data: dict[str, Any]) -> SsacSettings:

@@ -2,7 +2,8 @@
  * SplitTree for the rules.
  *
  * Needs STATES before it, and -ffp-contract=off: the faces must be rounded as everywhere else.
- * A label is a leaf number, OUTSIDE or NOT_FINITE.
+ * A label is the number of a row (of an affine leaf the label that follows the one in force), OUTSIDE
+ * or NOT_FINITE.
  */
 #include <float.h>
 #include <math.h>
@@ -30,6 +31,9 @@ typedef struct {
     int64_t affine; /* number of the first affine leaf of a cell tree; see AffineLeaves */
     const int32_t *row_starts, *row_symbols, *row_constants;
     const int16_t *row_slopes;
+    const int32_t *row_prices; /* of affine leaves, or none */
+    const int16_t *row_ratios; /* (labels, labels), from each label to each */
+    int64_t labels;
 } tree;
 
 /* What a lookup needs of a tree beside its arrays. */
@@ -154,31 +158,42 @@ static int32_t label_of_node(const uint32_t *restrict k, const tree *t)
     return t->nodes[at].threshold;
 }
 
-/* The symbol of an affine leaf at the finest cell k: that of the first of its largest rows. */
-static int32_t label_of_rows(const uint32_t *restrict k, const tree *t, int64_t leaf)
+/* The symbol of an affine leaf at the finest cell k: that of the first of its largest rows; with
+ * prices, of those that may follow the label `now`, which comes first of equals. */
+static int32_t label_of_rows(const uint32_t *restrict k, const tree *t, int64_t leaf, int32_t now)
 {
     int64_t most = INT64_MIN;
-    int32_t best = 0;
+    int32_t best = now;
     for (int32_t row = t->row_starts[leaf]; row < t->row_starts[leaf + 1]; ++row) {
         int64_t value = t->row_constants[row];
         for (int i = 0; i < STATES; ++i)
             value += t->row_slopes[(int64_t)row * STATES + i] * (int64_t)k[i];
-        if (value > most) {
+        const int32_t symbol = t->row_symbols[row];
+        int stays = 0;
+        if (t->row_prices) {
+            const int64_t ratio = t->row_ratios[now * t->labels + symbol];
+            if (ratio < 0)
+                continue;
+            value -= t->row_prices[leaf] * ratio;
+            stays = value == most && symbol == now;
+        }
+        if (value > most || stays) {
             most = value;
-            best = t->row_symbols[row];
+            best = symbol;
         }
     }
     return best;
 }
 
-static inline int32_t label_of(const uint32_t *restrict k, const tree *cells, const measures *m)
+static inline int32_t label_of(const uint32_t *restrict k, const tree *cells, const measures *m,
+                               const int32_t now)
 {
     if (cells->nodes)
         return label_of_node(k, cells);
     const int32_t leaf = -1 - (!m->binary      ? leaf_of(k, cells, m)
                                : cells->splits ? leaf_of_some_bits(k, cells, m->level)
                                                : leaf_of_bits(k, cells, m->level));
-    return leaf >= cells->affine ? label_of_rows(k, cells, leaf - cells->affine) : leaf;
+    return leaf >= cells->affine ? label_of_rows(k, cells, leaf - cells->affine, now) : leaf;
 }
 
 /* The finest cell that holds a state or is nearest to it; whether there is one. */
@@ -223,10 +238,11 @@ static inline int quantise(const tree *cells, const measures *m, const double *r
 
 /* The label of the cell that holds a state or is nearest to it, or NOT_FINITE. */
 static inline int32_t nearest_label(const tree *cells, const measures *m,
-                                    const double *restrict state, int *restrict outside)
+                                    const double *restrict state, const int32_t now,
+                                    int *restrict outside)
 {
     uint32_t steps[STATES];
-    return quantise(cells, m, state, steps, outside) ? label_of(steps, cells, m) : NOT_FINITE;
+    return quantise(cells, m, state, steps, outside) ? label_of(steps, cells, m, now) : NOT_FINITE;
 }
 
 /* Labels of WALKS states by a decision tree. */
@@ -264,8 +280,9 @@ static void walk(const double *restrict states, const tree *t, const measures *m
                                              : t->nodes[at[w]].threshold;
 }
 
+/* `in_force` (count) are labels in force, or NULL: the default's. */
 void capsyn_lookup(const int64_t count, const double *restrict states, const tree *cells,
-                   const int nearest, int32_t *restrict labels)
+                   const int nearest, const int32_t *in_force, int32_t *restrict labels)
 {
     const tree local = *cells;
     const measures m = measure(&local);
@@ -275,7 +292,8 @@ void capsyn_lookup(const int64_t count, const double *restrict states, const tre
             walk(states + b * STATES, &local, &m, nearest, labels + b);
     for (; b < count; ++b) {
         int outside;
-        const int32_t label = nearest_label(&local, &m, states + b * STATES, &outside);
+        const int32_t now = in_force ? in_force[b] : (int32_t)local.labels - 1;
+        const int32_t label = nearest_label(&local, &m, states + b * STATES, now, &outside);
         labels[b] = label != NOT_FINITE && outside && !nearest ? OUTSIDE : label;
     }
 }

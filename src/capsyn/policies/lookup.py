@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.affine_leaves import ROW_ARRAYS
+from capsyn.cells.affine_leaves import PRICE_ARRAYS, ROW_ARRAYS
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.modelling.domain import Box
@@ -40,6 +40,7 @@ LOOKUP_ARRAYS = {
     "planes": np.int32,
     "starts": np.int32,
     **ROW_ARRAYS,
+    **PRICE_ARRAYS,
 }
 """The arrays that lookup.c reads, in its order; those of other cells are null there."""
 
@@ -48,9 +49,10 @@ class TreeArguments(ctypes.Structure):
     """The ``tree`` of lookup.c: where the arrays of a domain and its tree lie."""
 
     _fields_ = [
-        *((name, ctypes.c_void_p) for name in LOOKUP_ARRAYS if name not in ROW_ARRAYS),
+        *((name, ctypes.c_void_p) for name in LOOKUP_ARRAYS if not name.startswith("row_")),
         *((name, ctypes.c_int64) for name in ("oblique", "shift", "affine")),
-        *((name, ctypes.c_void_p) for name in ROW_ARRAYS),
+        *((name, ctypes.c_void_p) for name in LOOKUP_ARRAYS if name.startswith("row_")),
+        ("labels", ctypes.c_int64),
     ]
 
     @staticmethod
@@ -89,18 +91,33 @@ class LookupKernel:
         function = load(source, ("-ffp-contract=off",)).capsyn_lookup
         function.restype = None
         p = ctypes.c_void_p
-        function.argtypes = [ctypes.c_int64, p, p, ctypes.c_int, p]
+        function.argtypes = [ctypes.c_int64, p, p, ctypes.c_int, p, p]
         return LookupKernel(function, n)
 
     def __call__(
-        self, states: np.ndarray, domain: Box, cells: CellTree | SplitTree, nearest: bool
+        self,
+        states: np.ndarray,
+        domain: Box,
+        cells: CellTree | SplitTree,
+        nearest: bool,
+        in_force: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return leaf numbers (B,) int32, `OUTSIDE` or `NOT_FINITE`, of states (B, n)."""
+        """Return numbers of rows (B,) int32, `OUTSIDE` or `NOT_FINITE`, of states (B, n).
+
+        Those of affine leaves are the labels that follow those in force (B,), by default the
+        default's.
+        """
         states = np.ascontiguousarray(states, dtype=np.float64)
         labels = np.empty(len(states), dtype=np.int32)
         tree = TreeArguments.of(domain, cells)
+        now = None if in_force is None else np.ascontiguousarray(in_force, dtype=np.int32)
         self.function(
-            len(states), pointer(states), ctypes.addressof(tree), nearest, pointer(labels)
+            len(states),
+            pointer(states),
+            ctypes.addressof(tree),
+            nearest,
+            None if now is None else pointer(now),
+            pointer(labels),
         )
         return labels
 

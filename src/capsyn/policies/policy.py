@@ -1,4 +1,4 @@
-"""The control alphabet policy: one symbol for every state."""
+"""The control alphabet policy: one symbol for every state, and symbol in force if it remembers."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.grid import places_or_some
 from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.switching import DEFAULT, Switching, SwitchRules, check_switching
 from capsyn.modelling.targets import Target, check_target
 from capsyn.modelling.time_unit import check_time_unit
 from capsyn.policies.guarantee import Guarantee
@@ -80,6 +81,14 @@ class Policy:
         domain, and have no symbol of a nearest cell either.
     time_unit, outside_at_once
         See `Problem`.
+    transitions : (R, N + 1) ints, optional
+        The transition function T: which label follows each label in force, the default's last; a
+        row for each leaf number of `cells` but those of affine leaves. The first N + 1 rows are
+        constant. Default: no more than these, so that the symbol in force does not matter.
+    switching : Switching, optional
+        The prices that `transitions` keeps, as numbers; least times, and forbidden transitions.
+    delay : float
+        Input delay that the policy compensates [time unit].
     """
 
     name: str
@@ -99,6 +108,9 @@ class Policy:
     gaps: bool = False
     time_unit: str = "s"
     outside_at_once: bool = False
+    transitions: Any = None
+    switching: Switching | None = None
+    delay: float = 0.0
 
     _structure: ClassVar[type] = CellTree
 
@@ -124,9 +136,39 @@ class Policy:
             raise ProblemError(
                 f"`cells` must have {self.domain.n} axes like the domain; got {self.cells.n}"
             )
-        self.cells.check(len(self.alphabet) + 1)
+        check_switching(self)
+        keep(self, delay=finite_number("delay", self.delay, least=0.0))
+        keep(self, transitions=checked_transitions(self.transitions, len(self.alphabet) + 1))
+        self.cells.check(len(self.alphabet) + 1, self.transitions)
+        self._check_forbidden()
 
-    def __call__(self, states: Any, outside: Outside | None = None, backend: str = "auto") -> Any:
+    def _check_forbidden(self) -> None:
+        """Raise unless no leaf takes a forbidden transition, and prices are numbers."""
+        if self.switching is None:
+            return
+        if self.switching.has_share:
+            raise ProblemError(
+                f"`switching` must have a price in numbers; got {describe(self.switching.price)}"
+            )
+        forbidden = self.switching.forbids(self.alphabet)
+        if forbidden.any():
+            used = np.unique(self.cells.constant_leaves(len(self.transitions)))
+            taken = self.transitions[used]
+            if forbidden[np.arange(taken.shape[1]), taken].any():
+                raise ProblemError("`transitions` must not take a forbidden transition; it does")
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the next symbol depends on the symbol in force."""
+        return len(self.transitions) > len(self.alphabet) + 1 or self.cells.priced
+
+    def __call__(
+        self,
+        states: Any,
+        outside: Outside | None = None,
+        backend: str = "auto",
+        current: Any = None,
+    ) -> Any:
         """Return the symbol indices (...,) of states (..., n); -1 is the default control.
 
         Parameters
@@ -137,6 +179,9 @@ class Policy:
             Overrides the policy's own rule.
         backend : "auto", "c" or "numpy"
             Which lookup to use; all give the same symbols. Features are for NumPy in any case.
+        current : symbol indices (...,), or the name of one, optional
+            The symbols in force, -1 for the default control, which is in force before the first
+            decision. Default: that. A policy that does not remember is the same for all.
 
         Raises
         ------
@@ -144,12 +189,13 @@ class Policy:
             A state outside the domain under rule ``"error"``, or one in a gap, or one that is not
             finite, under ``"error"`` or ``"nearest"``.
         ProblemError
-            States of another shape.
+            States of another shape, or symbols in force that are none.
         """
         states = state_array(states, self.domain.n)
         rule = check_outside(self.outside if outside is None else outside, self.alphabet)
         flat = states.reshape(-1, self.domain.n)
-        labels = self.leaves(flat, rule == "nearest", backend)
+        in_force = self._in_force(current, states.shape[:-1])
+        labels = self.leaves(flat, rule == "nearest", backend, in_force)
         lost = labels < 0
         if lost.any():
             if isinstance(rule, str):
@@ -160,20 +206,81 @@ class Policy:
         labels[labels == len(self.alphabet)] = -1
         return labels.reshape(states.shape[:-1])[()]
 
-    def leaves(self, states: np.ndarray, nearest: bool, backend: str = "auto") -> np.ndarray:
-        """Return leaf numbers (B,) of states (B, n): symbols, N for the default, negative for none.
+    def _in_force(self, current: Any, shape: tuple[int, ...]) -> np.ndarray | None:
+        """Return the labels in force (B,) for states (...), checked; None for the default's."""
+        if current is None:
+            return None
+        count = len(self.alphabet)
+        if isinstance(current, str):
+            names = [*self.alphabet.names, DEFAULT]
+            if current not in names:
+                raise ProblemError(
+                    f"`current` must be a symbol ({', '.join(names)}); got {describe(current)}"
+                )
+            current = names.index(current)
+        labels = np.asarray(current)
+        if labels.dtype.kind not in "iu" or (labels < -1).any() or (labels > count).any():
+            raise ProblemError(
+                f"`current` must be symbols, -1 to {count - 1}; got {describe(current)}"
+            )
+        try:
+            labels = np.broadcast_to(labels, shape)
+        except ValueError:
+            raise ProblemError(
+                f"`current` must be of shape {shape}, one symbol for each state; got {labels.shape}"
+            ) from None
+        labels = labels.reshape(-1).astype(np.int32)
+        return np.where(labels < 0, np.int32(count), labels)
 
-        With `nearest` a finite state outside the domain has that of the nearest cell; `backend` is
-        that of a call.
+    def leaves(
+        self,
+        states: np.ndarray,
+        nearest: bool,
+        backend: str = "auto",
+        in_force: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return the next labels (B,) of states (B, n): symbols, N for the default, or negative.
+
+        It is negative where there is none. With `nearest` a finite state outside the domain has
+        that of the nearest cell; `backend` is that of a call; `in_force` (B,) are the labels in
+        force, by default the default's.
         """
-        kernel = lookup_kernel(self.domain.n, backend, len(states), self.cells.compiled)
-        if kernel is None:
-            labels = self._labels(states, nearest)
-        else:
-            labels = kernel(states, self.domain, self.cells, nearest)
+        labels = self._numbers(states, nearest, backend, in_force)
+        if len(self.transitions) > len(self.alphabet) + 1:
+            known = labels >= 0
+            now = len(self.alphabet) if in_force is None else in_force[known]
+            labels[known] = self.transitions[labels[known], now]
         if self.gaps:
             labels[labels == len(self.alphabet)] = GAP
         return labels
+
+    def rows(self, states: Any) -> Any:
+        """Return which rows of `transitions` hold at states (..., n), numbers (...,).
+
+        They are negative outside the domain and where a state is not finite. Numbers from R on
+        are those of affine leaves, whose row varies with the state; see ``cells.affine``.
+
+        Raises
+        ------
+        ProblemError
+            States of another shape, or that are no numbers.
+        """
+        states = state_array(states, self.domain.n)
+        flat = states.reshape(-1, self.domain.n)
+        inside = self.domain.contains(flat)
+        numbers = np.full(len(flat), OUTSIDE, dtype=np.int32)
+        steps = self.domain.locate(flat[inside], self.cells.counts)
+        numbers[inside] = self.cells.labels_at(self.cells.find(steps))
+        return numbers.reshape(states.shape[:-1])[()]
+
+    def _numbers(
+        self, states: np.ndarray, nearest: bool, backend: str, in_force: np.ndarray | None
+    ) -> np.ndarray:
+        """Return the rows (B,) int32 of states (B, n), of affine leaves the label; or negative."""
+        kernel = lookup_kernel(self.domain.n, backend, len(states), self.cells.compiled)
+        if kernel is None:
+            return self._labels(states, nearest, in_force)
+        return kernel(states, self.domain, self.cells, nearest, in_force)
 
     def covers(self, states: Any) -> Any:
         """Return whether states (..., n) are in the domain and in no gap, booleans (...).
@@ -187,27 +294,35 @@ class Policy:
         leaves = self.leaves(states.reshape(-1, self.domain.n), False)
         return (leaves >= 0).reshape(states.shape[:-1])[()]
 
-    def _labels(self, states: np.ndarray, nearest: bool) -> np.ndarray:
-        """Return leaf numbers of states (B, n), negative for states outside or not finite."""
+    def _labels(self, states: np.ndarray, nearest: bool, in_force: np.ndarray | None) -> np.ndarray:
+        """Return `_numbers` by NumPy."""
         finite = np.isfinite(states).all(axis=1)
         covered = finite if nearest else self.domain.contains(states)
         labels = np.full(len(states), OUTSIDE, dtype=np.int32)
         steps = self.domain.locate(states[covered], self.cells.counts)
-        labels[covered] = self.cells.labels(steps)
+        now = None if in_force is None else in_force[covered]
+        labels[covered] = self.cells.labels(steps, now)
         return labels
 
-    def control(self, states: Any, outside: Outside | None = None) -> np.ndarray:
+    def control(
+        self, states: Any, outside: Outside | None = None, current: Any = None
+    ) -> np.ndarray:
         """Return the control vectors (..., m) [input units] of states (..., n).
 
-        `outside` and errors are those of a call of the policy.
+        `outside`, `current` and errors are those of a call of the policy.
         """
-        return self.controls[self(states, outside)]
+        return self.controls[self(states, outside, current=current)]
 
     @functools.cached_property
     def controls(self) -> np.ndarray:
         """Control vectors (N + 1, m) of the symbols, the default control last [input units]."""
         table = np.vstack([self.alphabet.values, self.default])
         return read_only(table)
+
+    @functools.cached_property
+    def rules(self) -> SwitchRules:
+        """What a change of symbols costs and waits for, for each symbol and the default."""
+        return SwitchRules.of(self)
 
     def symbol_name(self, symbol: int) -> str:
         """Return the name of a symbol index; -1 is ``default``."""
@@ -217,15 +332,28 @@ class Policy:
     def volume_shares(self) -> np.ndarray:
         """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
 
-        Where planes bound symbols it is estimated at `SAMPLES` random states, if they are fewer.
+        It is that of the next symbol, the mean over all symbols in force where that matters. Where
+        planes bound symbols it is estimated at `SAMPLES` random states, if they are fewer.
         """
+        count = len(self.alphabet) + 1
+        in_force = range(count - 1) if self.remembers else [count - 1]
+        return np.mean([self._shares(now) for now in in_force], axis=0)
+
+    def _shares(self, now: int) -> np.ndarray:
+        """Return the shares (N + 1,) of the volume of what follows a label."""
         count = len(self.alphabet) + 1
         if self.has_planes:
             steps = places_or_some(self.cells.counts, SAMPLES)
-            return np.bincount(self.cells.labels(steps), minlength=count) / len(steps)
+            numbers = self.cells.labels(steps, np.full(len(steps), now, dtype=np.int32))
+            return np.bincount(self.transitions[numbers, now], minlength=count) / len(steps)
+        numbers, volumes = self._leaf_volumes
+        return np.bincount(self.transitions[numbers, now], volumes, count)
+
+    @functools.cached_property
+    def _leaf_volumes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (L,) of all leaves, which no planes bound, and their share (L,) of the volume."""
         boxes = self.cells.boxes()
-        total = np.prod(self.cells.counts, dtype=float)
-        return np.bincount(boxes.labels, boxes.volumes() / total, count)
+        return boxes.labels, boxes.volumes() / np.prod(self.cells.counts, dtype=float)
 
     @property
     def has_planes(self) -> bool:
@@ -369,6 +497,32 @@ class DecisionTree(Policy):
             f"DecisionTree('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
             f"{self.node_count} nodes, {self.guarantee.mode})"
         )
+
+
+def checked_transitions(transitions: Any, count: int) -> np.ndarray:
+    """Return a table of rows (R, N + 1), int32 and read-only, of so many labels, N + 1."""
+    constant = _constant_rows(count)
+    if transitions is None:
+        return constant
+    table = np.asarray(transitions)
+    if np.array_equal(table, _constant_rows(len(table))):  # of any alphabet
+        return constant
+    wide = table.ndim == 2 and table.shape[0] >= count and table.shape[1] == count
+    if table.dtype.kind not in "iu" or not wide:
+        raise ProblemError(
+            f"`transitions` must be a table of whole numbers (R, {count}), R >= {count}; got "
+            f"{table.dtype} of shape {table.shape}"
+        )
+    if (table < 0).any() or (table >= count).any() or (table[:count] != constant).any():
+        raise ProblemError(
+            f"`transitions` must be labels 0 to {count - 1}, its first {count} rows constant"
+        )
+    return read_only(table.astype(np.int32))
+
+
+def _constant_rows(count: int) -> np.ndarray:
+    """Return the rows (K, K) of labels that follow whatever is in force; no memory is taken."""
+    return np.broadcast_to(np.arange(count, dtype=np.int32)[:, None], (count, count))
 
 
 def cell_tree(policy: Any) -> CellTree:

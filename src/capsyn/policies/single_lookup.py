@@ -15,8 +15,10 @@ from capsyn.policies.policy import Policy
 from capsyn.validation import numbers
 
 
-def single_lookup(policy: Policy) -> Callable[[Any], int]:
-    """Return ``state (n,) -> symbol``, the same as calling the policy, -1 for the default control.
+def single_lookup(policy: Policy) -> Callable[..., int]:
+    """Return ``(state (n,), current=-1) -> symbol``, the same as calling the policy.
+
+    -1 is the default control; `current` is the symbol in force.
 
     It is compiled where there is a compiler, and then takes some microseconds. Not for threads. A
     state of another shape, or that is no numbers, is a `ProblemError`.
@@ -31,17 +33,24 @@ def single_lookup(policy: Policy) -> Callable[[Any], int]:
 
     kernel = compiled(lambda: LookupKernel.build(n), "auto") if policy.cells.compiled else None
     if kernel is None:
-        return lambda state: int(policy(checked(state)))
-    buffer, label = np.empty(n), np.empty(1, dtype=np.int32)
+        return lambda state, current=-1: int(policy(checked(state), current=current))
+    buffer, (in_force, label) = np.empty(n), np.empty((2, 1), dtype=np.int32)
     tree = TreeArguments.of(policy.domain, policy.cells)
     nearest = policy.outside == "nearest"
-    places = (buffer.ctypes.data, ctypes.addressof(tree), nearest, label.ctypes.data)
-    keep = (buffer, label, tree)
+    arrays = (in_force.ctypes.data, label.ctypes.data)
+    places = (buffer.ctypes.data, ctypes.addressof(tree), nearest, *arrays)
+    keep = (buffer, in_force, label, tree)
+    table = policy.transitions
 
-    def look_up(state: Any) -> int:
+    def look_up(state: Any, current: int = -1) -> int:
         keep[0][:] = checked(state)
+        if not -1 <= current <= count:
+            return int(policy(keep[0], current=current))  # which says what is wrong
+        now = count if current < 0 else current
+        keep[1][0] = now
         kernel.function(1, *places)
-        found = int(label[0])
-        return found if 0 <= found < count else int(policy(keep[0]))  # by its rules
+        row = int(label[0])
+        found = int(table[row, now]) if row >= 0 else row
+        return found if 0 <= found < count else int(policy(keep[0], current=current))
 
     return look_up

@@ -7,9 +7,12 @@ At every sample ``t = k period`` of a trial, in this order:
 2. At the last sample the trial ends. Else the state plus measurement noise is what the controller
    sees. Outside the policy's domain, the policy's rule holds: the trial ends, or goes on with the
    nearest cell or the safe symbol, and the sample is counted.
-3. A control that differs from the one before is taken only when that has been held for the
-   minimum dwell time, rounded up to whole samples. That of a measured state that is not finite
-   does not wait, nor does that of one outside where the policy says so; it is held anew.
+3. A symbol that differs from the one in force is taken only when that has been held for its least
+   time, rounded up to whole samples. Where inputs have least times of their own, those that are yet
+   held keep their values and the others take theirs, if there is such a symbol that may follow;
+   else the symbol in force stays. That of a measured state that is not finite does not wait, nor
+   does that of one outside where the policy says so; it is held anew. Between symbols of the same
+   control is no switch, unless it has a price.
 4. The plant gets the control after the input delay and holds it; before the first arrives, it
    gets the default control. Between samples the classical Runge-Kutta method is used, with a step
    boundary where the control changes.
@@ -36,13 +39,48 @@ NOISE_BYTES = 1 << 24
 
 
 @dataclass(frozen=True)
+class Holds:
+    """What a change of symbols must wait for. Of controllers without symbols N is 0."""
+
+    symbols: np.ndarray  # (N + 1,) ints: samples that each is held once entered, the default last
+    inputs: np.ndarray  # (m,) ints: samples that each input is held once it has changed
+    kinds: np.ndarray  # (N + 1,) ints, equal where a change is no switch
+    forbidden: np.ndarray  # (N + 1, N + 1) bool: transitions, from each to each
+    controls: np.ndarray  # (N + 1, m): of the symbols [input units]
+
+    @property
+    def any(self) -> bool:
+        """Whether anything waits."""
+        return bool(self.symbols.any() or self.inputs.any())
+
+    def permitted(
+        self, now: np.ndarray, wanted: np.ndarray, held: np.ndarray, held_inputs: np.ndarray
+    ) -> np.ndarray:
+        """Return the labels (B,) that are taken while `now` (B,) are in force and others wanted.
+
+        `held` (B,) and `held_inputs` (B, m) are the samples that symbols and inputs have been held.
+        """
+        stays = (held < self.symbols[now]) | self.forbidden[now, wanted]
+        taken = np.where(stays, now, wanted)
+        if not self.inputs.any():
+            return taken
+        own, other = self.controls[now], self.controls[taken]
+        lock = held_inputs < self.inputs
+        mixed = np.where(lock, own, other)
+        for b in np.flatnonzero((mixed != other).any(axis=1)):
+            same = (self.controls[:-1] == mixed[b]).all(axis=1) & ~self.forbidden[now[b], :-1]
+            taken[b] = np.argmax(same) if same.any() else now[b]
+        return taken
+
+
+@dataclass(frozen=True)
 class Loop:
     """How the closed loop runs."""
 
     period: float  # sample time [time unit]
     samples: int  # samples to go; a trial has one state more
     substeps: int  # Runge-Kutta steps between samples
-    dwell: int  # samples that a control is held at least
+    holds: Holds  # what a change waits for
     outside_at_once: bool  # whether the symbol of a state outside does not wait for that
     inside: Program  # x -> whether it is in the target
     stop_at_target: bool  # whether arriving ends a trial
@@ -146,7 +184,7 @@ def run(
             measured = trials["state"][live[see]]
             if draw:
                 measured = measured + drawn[live[see], k % chunk]
-            command = decide(k * loop.period, measured)
+            command = decide(k * loop.period, measured, trials["symbol"][live[see]])
             at_once = ~np.isfinite(measured).all(axis=1) | (command.outside & loop.outside_at_once)
             queue.append(_take(loop, trials, live[see], command, at_once, *queue[-1]))
             ended[see] = command.ended
@@ -195,21 +233,40 @@ def _take(
     It does not wait for that `at_once`.
     """
     trials["outside"][see] += command.outside
-    good = command.ended == TIME
+    good, holds = command.ended == TIME, loop.holds
     live, wanted, until = see[good], command.controls[good], command.ends[good]
-    if loop.dwell > 0:  # no second control within a sample: the first is held
+    symbols, now = command.symbols[good], trials["symbol"][live]
+    if holds.any:  # no second control within a sample: the first is held
         wanted, until = wanted[:, :1], np.full((len(live), 1), np.inf)
-    changes = (wanted[:, 0] != trials["control"][live]).any(axis=1)
-    first, held = trials["held"][live] == 0, trials["held"][live]
-    take = first | ~changes | (held >= loop.dwell) | at_once[good]
-    trials["held"][live] = np.where(changes & take | first, 1, held + 1)
-    trials["symbol"][live[take]] = command.symbols[good][take]
-    wanted = np.where(take[:, None, None], wanted, trials["control"][live][:, None])
+    held, own = trials["held"][live], trials["control"][live]
+    first = held == 0
+    changes = (wanted[:, 0] != own).any(axis=1)
+    known = ~first & (now >= -1) & (symbols >= -1) & (len(holds.symbols) > 1)
+    changes[known] |= holds.kinds[symbols[known]] != holds.kinds[now[known]]
+    wait = changes & ~first & ~at_once[good]
+    if (asked := wait & known).any():
+        labels = len(holds.symbols) - 1
+        before, after = (np.where(s < 0, labels, s)[asked] for s in (now, symbols))
+        locks = trials["held_inputs"][live[asked]]
+        taken = holds.permitted(before, after, held[asked], locks)
+        symbols[asked] = np.where(taken == labels, -1, taken)
+        wanted[asked, 0] = np.where(
+            (taken == after)[:, None], wanted[asked, 0], holds.controls[taken]
+        )
+        changes[asked] = holds.kinds[taken] != holds.kinds[before]
+    stay = wait & ~known & (held < holds.symbols[-1])
+    changes &= ~stay
+    symbols = np.where(stay, now, symbols)
+    wanted = np.where(stay[:, None, None], own[:, None], wanted)
+    trials["held"][live] = np.where(changes | first, 1, held + 1)
+    trials["symbol"][live] = symbols
+    moved = (wanted[:, 0] != own) | first[:, None]
+    trials["held_inputs"][live] = np.where(moved, 1, trials["held_inputs"][live] + 1)
     current, time = trials["control"][live], np.zeros(len(live))
     for piece in range(wanted.shape[1]):
         acts = np.minimum(until[:, piece], loop.period) > time
-        switch = acts & (wanted[:, piece] != current).any(axis=1)
-        trials["switches"][live] += switch & ~(first & (piece == 0))
+        moves = (wanted[:, piece] != current).any(axis=1) if piece else changes & ~first
+        trials["switches"][live] += acts & moves
         current = np.where(acts[:, None], wanted[:, piece], current)
         time = np.maximum(time, until[:, piece])
     trials["control"][live] = current

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 
 from capsyn.controllers.command import NOT_FINITE, TIME, Command, Decide, hold
 from capsyn.controllers.online import OnlineController
-from capsyn.errors import ProblemError
+from capsyn.errors import ProblemError, warn
 from capsyn.execution.cluster import check_client
 from capsyn.execution.memory import check_memory
 from capsyn.execution.processors import processors
@@ -21,7 +20,7 @@ from capsyn.modelling.targets import Target, check_target, target_program
 from capsyn.modelling.transcription import target_condition
 from capsyn.policies.policy import Policy
 from capsyn.programs.program import Program
-from capsyn.simulation.closed_loop import SLACK, Loop, Noise, Record, new_trials, run
+from capsyn.simulation.closed_loop import SLACK, Holds, Loop, Noise, Record, new_trials, run
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import Plant, choose_substeps
 from capsyn.simulation.policy_loop import run_policy
@@ -99,9 +98,6 @@ def set_up(
             )
         check_client(options.executor)
     own = described(controller)
-    dwell = options.min_dwell
-    if dwell is None:
-        dwell = own.min_dwell if own else 0.0
     target = _target(own or plant, plant, options)
     outside = _rule(controller, options.outside)
     idle, alphabet, period = (own or plant).default, (own or plant).alphabet, 1 / rate
@@ -115,7 +111,7 @@ def set_up(
         period,
         samples,
         substeps,
-        math.ceil(min(dwell * rate - SLACK, samples)),
+        _holds(controller, options.min_dwell, rate, samples),
         _at_once(controller, options.outside_at_once),
         target_program(target, plant.domain),
         options.stop_at_target,
@@ -123,6 +119,30 @@ def set_up(
         pushes,
     )
     return Experiment(controller, outside, plant, loop, rate, target, options)
+
+
+def _holds(controller: Any, dwell: float | None, rate: float, samples: int) -> Holds:
+    """Return what changes wait for; a given least time holds for all symbols, and no input."""
+
+    def whole(times: np.ndarray) -> np.ndarray:
+        return np.ceil(np.minimum(times * rate - SLACK, samples)).astype(np.int64)
+
+    own = described(controller)
+    if own is None or own.rules is None:
+        times = np.array([(own.min_dwell if own else 0.0) if dwell is None else dwell])
+        none = np.zeros((1, 1), dtype=bool)
+        return Holds(whole(times), np.zeros(1, dtype=np.int64), none[0].astype(int), none, none)
+    rules = own.rules
+    symbols, inputs = rules.holds, rules.input_holds
+    if dwell is not None:
+        symbols, inputs = np.full_like(symbols, dwell), np.zeros_like(inputs)
+    longest = max(symbols.max(), inputs.max(initial=0.0))
+    if longest * rate > samples + SLACK:
+        warn(
+            f"the hold of {longest:g} {own.time_unit} is longer than the run of "
+            f"{samples / rate:g} {own.time_unit}: what is entered stays"
+        )
+    return Holds(whole(symbols), whole(inputs), rules.kinds, rules.forbidden, rules.controls)
 
 
 def described(controller: Any) -> Policy | OnlineController | None:
@@ -165,7 +185,10 @@ def _rule(controller: Any, outside: Outside | None) -> Outside | None:
     """Return the rule outside the domain that holds; None for what is no policy."""
     if isinstance(controller, Policy):
         rule = controller.outside if outside is None else outside
-        return check_outside(rule, controller.alphabet)
+        rule = check_outside(rule, controller.alphabet)
+        if controller.switching is not None:
+            controller.switching.check(controller.alphabet, rule)
+        return rule
     if outside is not None:
         raise ProblemError("`outside` must be given for policies only")
     return None
@@ -213,7 +236,7 @@ def called(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
 def _function_decide(function: Callable[..., Any], m: int) -> Decide:
     """Return the decision of a function ``(time, states (B, n)) -> controls (B, m)``."""
 
-    def decide(time: float, measured: np.ndarray) -> Command:
+    def decide(time: float, measured: np.ndarray, _: np.ndarray) -> Command:
         controls = numbers("controller", called("controller", function, time, measured))
         wanted = (len(measured), m)
         if controls.shape != wanted:

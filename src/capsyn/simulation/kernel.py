@@ -25,10 +25,13 @@ class LoopArguments(ctypes.Structure):
         *(
             (name, ctypes.c_int64)
             for name in (
-                "substeps dwell last outside_error outside_symbol stop symbols outside_at_once"
+                "substeps last outside_error outside_symbol stop symbols outside_at_once"
             ).split()
         ),
-        ("controls", ctypes.c_void_p),
+        *(
+            (name, ctypes.c_void_p)
+            for name in "controls holds inputs kinds forbidden transitions".split()
+        ),
         ("gap", ctypes.c_int64),
         ("cells", TreeArguments),
     ]
@@ -47,7 +50,7 @@ def trial_type(n: int, m: int, parameters: int, queue: int) -> np.dtype:
         ("queue", real, (queue, m)),
     ]
     names = "delay symbol held switches outside ended end arrived away".split()
-    return np.dtype(fields + [(name, whole) for name in names])
+    return np.dtype([*fields, *((name, whole) for name in names), ("held_inputs", whole, (m,))])
 
 
 @dataclass(frozen=True)

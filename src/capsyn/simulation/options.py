@@ -41,7 +41,7 @@ class LoopOptions:
     parameters: Any = None
     disturbance: Any = None
     noise: Any = None
-    delay: Any = 0.0
+    delay: Any = None
     min_dwell: float | None = None
     outside: Outside | None = None
     outside_at_once: bool | None = None

@@ -47,6 +47,7 @@ class Plant:
     target: Target | None  # what arriving means
     parameters: tuple[str, ...] = ()  # names of the components of p
     time_unit: str = "s"  # what its rates are per
+    delay: float = 0.0  # input delay that is known [time unit]
 
     @property
     def n(self) -> int:
@@ -133,6 +134,7 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
         source.default,
         target,
         time_unit=source.time_unit,
+        delay=getattr(source, "delay", 0.0),
     )
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))

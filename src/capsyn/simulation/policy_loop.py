@@ -47,9 +47,10 @@ def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> Simulatio
 def policy_decide(policy: Policy, outside: Outside) -> Decide:
     """Return the decision of a policy under an out-of-domain rule."""
 
-    def decide(time: float, measured: np.ndarray) -> Command:
+    def decide(time: float, measured: np.ndarray, in_force: np.ndarray) -> Command:
         finite = np.isfinite(measured).all(axis=1)
-        leaves = policy.leaves(measured, outside == "nearest", "numpy")
+        now = np.where(in_force < 0, len(policy.alphabet), in_force).astype(np.int32)
+        leaves = policy.leaves(measured, outside == "nearest", "numpy", now)
         lost = leaves < 0
         out = lost | ~policy.domain.contains(measured)
         symbols = np.where(lost, outside if isinstance(outside, int) else -1, leaves)
@@ -80,9 +81,21 @@ def _run_compiled(
     tree = TreeArguments.of(policy.domain, policy.cells)
     rule = -1 if isinstance(outside, str) else outside % (symbols + 1)
     error = outside == "error"
+    holds = loop.holds
+    arrays = {
+        "controls": table,
+        "holds": np.ascontiguousarray(holds.symbols, dtype=np.int64),
+        "kinds": np.ascontiguousarray(holds.kinds, dtype=np.int64),
+        "forbidden": np.ascontiguousarray(holds.forbidden, dtype=np.uint8),
+    }
+    if holds.inputs.any():
+        arrays["inputs"] = np.ascontiguousarray(holds.inputs, dtype=np.int64)
+    if len(policy.transitions) > symbols + 1:
+        arrays["transitions"] = np.ascontiguousarray(policy.transitions)
     arguments = LoopArguments(
-        loop.period, loop.substeps, loop.dwell, loop.samples, error, rule, loop.stop_at_target,
-        symbols, loop.outside_at_once, table.ctypes.data, symbols if policy.gaps else -1, tree,
+        loop.period, loop.substeps, loop.samples, error, rule, loop.stop_at_target, symbols,
+        loop.outside_at_once, gap=symbols if policy.gaps else -1, cells=tree,
+        **{name: array.ctypes.data for name, array in arrays.items()},
     )  # fmt: skip
 
     def part(bounds: tuple[int, int]) -> None:
@@ -92,8 +105,8 @@ def _run_compiled(
         for first in range(0, loop.samples, chunk):
             samples = min(chunk, loop.samples - first)
             pushes = None if loop.pushes is None else loop.pushes[first : first + samples]
-            arrays = (record.states, record.symbols, record.costs) if record else (None,) * 3
-            views = [None if a is None else a[start:stop] for a in arrays]
+            kept = (record.states, record.symbols, record.costs) if record else (None,) * 3
+            views = [None if a is None else a[start:stop] for a in kept]
             own = trials[start:stop]
             kernel(own, first, samples, arguments, draw and draw(samples), pushes, views)
 

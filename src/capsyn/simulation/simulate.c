@@ -14,13 +14,19 @@ typedef struct {
 #endif
     double control[INPUTS], queue[QUEUE][INPUTS];
     int64_t delay, symbol, held, switches, outside, ended, end, arrived, away;
+    int64_t held_inputs[INPUTS];
 } trial;
 
 typedef struct {
     double period;
-    int64_t substeps, dwell, last, outside_error, outside_symbol, stop, symbols, outside_at_once;
+    int64_t substeps, last, outside_error, outside_symbol, stop, symbols, outside_at_once;
     const double *controls; /* (symbols + 1, INPUTS), the default last */
-    int64_t gap;            /* the label of cells that are outside, or -1 */
+    const int64_t *holds;   /* (symbols + 1): samples that each is held once entered */
+    const int64_t *inputs;  /* (INPUTS): samples that each is held once changed, or NULL */
+    const int64_t *kinds;   /* (symbols + 1), equal where a change is no switch */
+    const uint8_t *forbidden;   /* (symbols + 1, symbols + 1), from each to each */
+    const int32_t *transitions; /* (rows, symbols + 1), or NULL where rows are labels */
+    int64_t gap;                /* the label of cells that are outside, or -1 */
     tree cells;
 } loop;
 
@@ -89,6 +95,53 @@ static void advance(block *b, const lanes_of_inputs u, const lanes duration, con
     }
 }
 
+/* The label that is taken while `now` is in force and another is wanted: that, or `now` while it is
+ * held, or, while some inputs are held, the first with their values and else those that are wanted. */
+static int64_t permitted(const trial *t, const loop *l, const int64_t now, const int64_t wanted)
+{
+    const double *own = l->controls + now * INPUTS, *other = l->controls + wanted * INPUTS;
+    double u[INPUTS];
+    int locked = 0;
+    if (t->held < l->holds[now] || l->forbidden[now * (l->symbols + 1) + wanted])
+        return now;
+    if (!l->inputs)
+        return wanted;
+    for (int i = 0; i < INPUTS; ++i) {
+        const int lock = t->held_inputs[i] < l->inputs[i];
+        locked |= lock && own[i] != other[i];
+        u[i] = lock ? own[i] : other[i];
+    }
+    if (!locked)
+        return wanted;
+    for (int64_t s = 0; s < l->symbols; ++s) {
+        int same = !l->forbidden[now * (l->symbols + 1) + s];
+        for (int i = 0; i < INPUTS; ++i)
+            same &= l->controls[s * INPUTS + i] == u[i];
+        if (same)
+            return s;
+    }
+    return now;
+}
+
+/* Take the label that is wanted, if it is permitted or does not wait. */
+static void take(trial *t, const loop *l, int64_t wanted, const int at_once)
+{
+    const int64_t now = t->symbol;
+    if (now != NONE && !at_once && l->kinds[wanted] != l->kinds[now])
+        wanted = permitted(t, l, now, wanted);
+    const double *u = l->controls + wanted * INPUTS;
+    if (now == NONE || l->kinds[wanted] != l->kinds[now]) {
+        t->switches += now != NONE;
+        t->held = 0;
+    }
+    ++t->held;
+    for (int i = 0; i < INPUTS; ++i) {
+        t->held_inputs[i] = now == NONE || u[i] != t->control[i] ? 1 : t->held_inputs[i] + 1;
+        t->control[i] = u[i];
+    }
+    t->symbol = wanted;
+}
+
 /* What a trial does at sample k: end, or take a new control into its queue. */
 static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
                    const double *noise, const int target)
@@ -109,7 +162,10 @@ static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
         int outside;
         for (int i = 0; i < STATES; ++i)
             measured[i] = t->state[i] + (noise ? noise[i] : 0.0);
-        int64_t symbol = nearest_label(&l->cells, m, measured, &outside);
+        const int64_t now = t->symbol == NONE ? l->symbols : t->symbol;
+        int64_t symbol = nearest_label(&l->cells, m, measured, (int32_t)now, &outside);
+        if (l->transitions && symbol >= 0)
+            symbol = l->transitions[symbol * (l->symbols + 1) + now];
         const int lost = symbol == l->gap; /* in a gap; there is no nearest symbol */
         outside |= symbol == NOT_FINITE || lost;
         t->outside += outside;
@@ -121,20 +177,7 @@ static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
             const int at_once = symbol == NOT_FINITE || (outside && l->outside_at_once);
             if (outside && l->outside_symbol >= 0)
                 symbol = l->outside_symbol;
-            const double *u = l->controls + symbol * INPUTS;
-            int changes = 0;
-            for (int i = 0; i < INPUTS; ++i)
-                changes |= u[i] != t->control[i];
-            if (t->symbol == NONE || (changes && (at_once || t->held >= l->dwell))) {
-                t->switches += t->symbol != NONE;
-                t->held = 0;
-            }
-            if (t->held == 0 || !changes) {
-                t->symbol = symbol;
-                for (int i = 0; i < INPUTS; ++i)
-                    t->control[i] = u[i];
-            }
-            ++t->held;
+            take(t, l, symbol, at_once);
             for (int i = 0; i < INPUTS; ++i)
                 t->queue[k % QUEUE][i] = t->control[i];
         }

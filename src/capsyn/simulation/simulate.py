@@ -182,7 +182,7 @@ def simulate(
     parameters: Mapping[str, float] | None = None,
     disturbance: Any = None,
     noise: Any = None,
-    delay: float = 0.0,
+    delay: float | None = None,
     min_dwell: float | None = None,
     outside: Outside | None = None,
     outside_at_once: bool | None = None,
@@ -215,10 +215,11 @@ def simulate(
         sample.
     noise : float or (n,), optional
         Standard deviation of Gaussian noise on the measured states [state units].
-    delay : float
-        Time from a sample until its control acts [time unit].
+    delay : float, optional
+        Time from a sample until its control acts [time unit]. Default: that of the plant, which the
+        policy compensates.
     min_dwell : float, optional
-        Least time between switches [time unit]. Default: the policy's own.
+        One least time for all symbols [time unit]. Default: those of the policy.
     outside : "error", "nearest" or symbol, optional
         What a state outside the domain gets. Default: the policy's own rule.
     outside_at_once : bool, optional
@@ -264,12 +265,14 @@ def simulate(
 
 def trajectories(controller: Any, x0: Any, options: LoopOptions) -> Trajectory:
     """Return what `simulate` does from initial states (..., n)."""
-    delay = finite_number("delay", options.delay, least=0.0)
+    if options.delay is not None:
+        finite_number("delay", options.delay, least=0.0)
     x0 = numbers("x0", x0)
     values = np.array(
         [finite_number(f"parameters {name}", p) for name, p in options.parameters.items()]
     )
     plant = plant_of(controller, options.model, tuple(options.parameters))
+    delay = plant.delay if options.delay is None else options.delay
     n, m = plant.n, plant.m
     if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
         raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")

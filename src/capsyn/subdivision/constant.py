@@ -112,8 +112,8 @@ class ConstantSubdivision:
         starts = np.cumsum([0] + [len(x.entries) for x in self._levels[:-1]])
         mixed = [x.mixed + start for x, start in zip(self._levels, starts)]
         entries = np.concatenate([x.entries for x in self._levels])
-        others = entries < -self._rows.label_count
-        entries[others] = -1 - self._rows.renumbered(-1 - entries[others])
+        leaves = entries < 0
+        entries[leaves] = -1 - self._rows.settle(-1 - entries[leaves])
         return CellTree(
             self._grid,
             entries,

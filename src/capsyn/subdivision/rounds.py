@@ -77,10 +77,10 @@ class RoundSubdivision:
         elif self._max_solves is not None:
             ledger.stopped = ledger.stopped or "max_solves"
         self._points.check_finite(self._points.count)
-        table, _ = self._row_table.ordered()
-        others = cells.label >= self._labels
-        cells.label[others] = self._row_table.renumbered(cells.label[others])
-        tree = cells.tree(self._lattice, len(table), self._rows, plan.adaptive)
+        leaves = cells.child < 0
+        cells.label[leaves] = self._row_table.settle(cells.label[leaves])
+        first = len(self._row_table.labels())
+        tree = cells.tree(self._lattice, first, self._rows, plan.adaptive)
         self._summary = self._counts_of(cells) | {"mixed_cells": len(tree.mixed_cells)}
         if plan.affine:
             self._summary["affine_leaves"] = 0 if tree.affine is None else len(tree.affine)

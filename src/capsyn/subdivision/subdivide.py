@@ -217,7 +217,7 @@ def carry_out(
     started = time.perf_counter()
     with pool_of(threads) as pool:
         points = LatticePoints(
-            (_scored if plan.affine else _masks)(label, returns, n_symbols),
+            (_scored if plan.affine else _masks)(label, returns, n_symbols, labelling.in_force),
             domain,
             plan.lattice,
             n_symbols,
@@ -241,25 +241,30 @@ def carry_out(
         outside=outside,
         statistics=work.statistics(),
         timings={"label": points.seconds, "subdivide": seconds - points.seconds},
+        transitions=None if labelling.in_force == 1 else rows.labels(),
     )
 
 
-def _masks(label: Callable[[np.ndarray], Any], returns: str, n_symbols: int) -> Label:
-    """Return a labelling function that gives checked masks."""
+def _masks(
+    label: Callable[[np.ndarray], Any], returns: str, n_symbols: int, in_force: int = 1
+) -> Label:
+    """Return a labelling function that gives checked masks, for so many labels in force."""
     if returns == "masks":
-        return checked_masks(label, n_symbols)
+        return checked_masks(label, n_symbols, in_force)
     if returns == "symbols":
         return masks_of_symbols(label, n_symbols)
-    scored = _scored(label, returns, n_symbols)
+    scored = _scored(label, returns, n_symbols, in_force)
     return lambda states: scored(states)[0]
 
 
-def _scored(label: Callable[[np.ndarray], Any], returns: str, n_symbols: int) -> Scored:
+def _scored(
+    label: Callable[[np.ndarray], Any], returns: str, n_symbols: int, in_force: int = 1
+) -> Scored:
     """Return a labelling function that gives checked masks and scores."""
     if returns == "scores":
         return masks_of_scores(label, n_symbols)
     if returns == "masks+scores":
-        return checked_pair(label, n_symbols)
+        return checked_pair(label, n_symbols, in_force)
     return indicators(_masks(label, returns, n_symbols), n_symbols)
 
 

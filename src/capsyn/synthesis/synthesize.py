@@ -21,6 +21,7 @@ from capsyn.modelling.alphabet import Outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.switching import Switching
 from capsyn.modelling.transcription import transcribe, transcribe_target
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import Model
@@ -45,6 +46,8 @@ def synthesize(
     outside: Outside | None = None,
     min_dwell: float | None = None,
     outside_at_once: bool | None = None,
+    switching: Switching | None = None,
+    delay: float | None = None,
     leaves: str = "constant",
     leaf_error: float = 0.01,
     refine: str = "isotropic",
@@ -66,7 +69,8 @@ def synthesize(
     ----------
     problem : Problem
         System, goal and alphabet, with their own settings.
-    partitions, refinement, max_level, settings, outside, min_dwell, outside_at_once : optional
+    partitions, refinement, max_level, settings, outside, min_dwell, outside_at_once, switching, \
+    delay : optional
         Override the problem's own.
     leaves : "constant" or "affine"
         One symbol for each cell, or rows that are affine in the state for cells on a switching
@@ -131,6 +135,8 @@ def synthesize(
         outside=outside,
         min_dwell=min_dwell,
         outside_at_once=outside_at_once,
+        switching=switching,
+        delay=delay,
     )
     threads = processors(threads)
     plan = SubdivisionPlan.of(
@@ -147,13 +153,15 @@ def synthesize(
         check_client(executor)
     plan.check(problem.domain, len(problem.alphabet))
     started = time.perf_counter()
-    controller = problem_controller(problem, transcribe(problem), backend, plan.seed)
+    problem, controller = priced(problem, transcribe(problem), backend, plan.seed)
+    if plan.affine and problem.delay:
+        raise ProblemError("`leaves` must be constant for a problem with a delay; got affine")
     prepared = time.perf_counter() - started
     method, returns = ("scored", "masks+scores") if plan.affine else ("masks", "masks")
     run = (threads, backend, executor, checkpoint, _asked(problem, plan))
     with answerer(controller, method, *run) as answers:
         controller = answers.controller
-        how = (returns, controller.preference, answers.threads, progress)
+        how = (returns, controller.preference, answers.threads, progress, controller.in_force)
         policy = carry_out(plan, Labelling(answers.label, *how), problem.domain, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
     return _described(dataclasses.replace(policy, timings=timings), problem, controller, plan.seed)
@@ -174,6 +182,8 @@ def _asked(problem: Problem, plan: SubdivisionPlan) -> dict[str, Any]:
         **plan.grid.to_json(),
         "outside": problem.outside,
         "min_dwell": problem.min_dwell,
+        "switching": None if problem.switching is None else problem.switching.to_json(),
+        "delay": problem.delay,
         **plan.asked(),
     }
 
@@ -196,6 +206,8 @@ def _described(policy: Policy, problem: Problem, controller: BatchController, se
         min_dwell=problem.min_dwell,
         time_unit=problem.time_unit,
         outside_at_once=problem.outside_at_once,
+        switching=problem.switching,
+        delay=problem.delay,
         target=transcribe_target(problem),
         horizon=problem.horizon,
         settings=controller.settings,
@@ -209,6 +221,25 @@ def problem_controller(
 ) -> BatchController:
     """Return sSAC for a problem and its transcribed model; see `batch_controller`."""
     return batch_controller(Formulation.of(problem, model), backend, seed)
+
+
+def priced(
+    problem: Problem, model: Model, backend: str = "auto", seed: int = 0
+) -> tuple[Problem, BatchController]:
+    """Return a problem whose price on switching is a number, and its controller.
+
+    A share is of the median over random states of the worst score less the best; see `Switching`.
+    """
+    switching = problem.switching
+    if switching is None or not switching.has_share:
+        return problem, problem_controller(problem, model, backend, seed)
+    free = problem_controller(problem.replace(switching=None, delay=0.0), model, backend, seed)
+    spread = free.spread(free.solve(problem.domain.sample(SAMPLES, seed + 1)))
+    problem = problem.replace(switching=switching.with_spread(spread))
+    formulation = dataclasses.replace(
+        Formulation.of(problem, model), settings=free.formulation.settings
+    )
+    return problem, dataclasses.replace(free, formulation=formulation)
 
 
 def sample_statistics(controller: BatchController, domain: Box, seed: int) -> dict[str, Any]:

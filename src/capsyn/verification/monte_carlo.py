@@ -15,6 +15,7 @@ from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Outside
 from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.switching import DEFAULT
 from capsyn.modelling.targets import describe_target, with_tolerance
 from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy
@@ -177,7 +178,7 @@ def monte_carlo(
     parameters: Mapping[str, Any] | None = None,
     disturbance: Any = None,
     noise: Any = None,
-    delay: Any = 0.0,
+    delay: Any = None,
     min_dwell: float | None = None,
     outside: Outside | None = None,
     outside_at_once: bool | None = None,
@@ -216,8 +217,9 @@ def monte_carlo(
         Added to the rates of the states [state units / time unit].
     noise : float, (n,) or Uniform, optional
         Standard deviation of Gaussian noise on the measured states [state units].
-    delay : float or Uniform
-        Time from a sample until its control acts [time unit].
+    delay : float or Uniform, optional
+        Time from a sample until its control acts [time unit]. Default: that of the plant, which the
+        policy compensates.
     seed : int
         Of everything that is drawn. The first trials do not depend on how many there are.
     confidence : float
@@ -257,6 +259,9 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     """Return what `monte_carlo` does."""
     parameters = drawn_parameters(options)
     plant = plant_of(controller, options.loop.model, tuple(parameters))
+    if options.loop.delay is None:
+        known = dataclasses.replace(options.loop, delay=plant.delay)
+        options = dataclasses.replace(options, loop=known)
     target = options.loop.target
     if target is None:
         target = (described(controller) or plant).target
@@ -328,7 +333,7 @@ def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) 
         "hold": options.hold,
         "target": describe_target(experiment.target, domain),
         "initial": describe_target(options.initial or domain, domain),
-        "min_dwell": experiment.loop.dwell / experiment.rate,
+        **_holds(experiment),
         "substeps": experiment.loop.substeps,
         "controller": _controller_name(controller),
         "model": "its own" if loop.model is None else _name(loop.model),
@@ -339,6 +344,18 @@ def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) 
         "disturbance": _plain(loop.disturbance),
         "parameters": {name: _plain(value) for name, value in loop.parameters.items()},
     }
+
+
+def _holds(experiment: Experiment) -> dict[str, Any]:
+    """Return the least times of symbols and inputs, of all symbols where they have the same."""
+    holds, rate = experiment.loop.holds, experiment.rate
+    each = (holds.symbols / rate).tolist()
+    if len(set(each)) == 1 and not holds.inputs.any():
+        return {"min_dwell": each[0]}
+    alphabet = experiment.controller.alphabet
+    names = (*alphabet.names, DEFAULT, *alphabet.inputs)
+    times = zip(names, [*each, *(holds.inputs / rate).tolist()])
+    return {"min_dwell": 0.0, "holds": {name: time for name, time in times if time}}
 
 
 def _name(value: Any) -> str:
