@@ -21,7 +21,7 @@ errors validation random_streams statistics version
 
 programs: operations program texts builder intervals expansion model step_doubling
 native: build compiled source
-modelling: domain alphabet settings targets grid time_unit problem transcription
+modelling: domain alphabet settings targets grid time_unit switching problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
@@ -40,7 +40,7 @@ compression: optimal induction freedom surface plane_tree oblique coarsening aff
 compression.features: growing space cell_fit controller_fit
 compression: proof judge compress curve complexity
 plots: figure policy trajectory automaton curve
-exports: plan constants golden target certificate identifiers text crossings ranks feature_texts
+exports: plan constants golden sequence target certificate identifiers text crossings ranks feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
     styles.grid styles.cells readings.single readings.lines readings.counts features code
     readings.places readings.quantiser notes dwell header source packages sizes timing.programs

@@ -10,7 +10,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from capsyn.cells.masks import holds, last_all, last_any, most_voted, preferred
+from capsyn.cells.masks import (
+    holds,
+    last_all,
+    last_any,
+    masks_of_members,
+    members,
+    most_voted,
+    preferred,
+    word_count,
+)
 
 
 class RowTable:
@@ -102,6 +111,20 @@ class RowTable:
         """Return the labels (R, J) of all rows so far, by number."""
         constant = np.repeat(np.arange(self._labels, dtype=np.int32)[:, None], self._in_force, 1)
         return np.concatenate([constant, *(row[None] for row in self._rows)])
+
+
+def row_sets(sets: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return the sets (M, W) of rows (R, N + 1) whose labels are in sets (M, J, W), as bit masks.
+
+    Of one set for all labels in force (J is 1) these are the constant rows of its labels.
+    """
+    count = len(rows)
+    if sets.shape[1] == 1:
+        held = np.zeros((len(sets), count), dtype=bool)
+        held[:, : rows.shape[1]] = members(sets[:, 0], rows.shape[1])
+    else:
+        held = np.stack([last_all(holds(sets, row)) for row in rows], axis=-1)
+    return masks_of_members(held, word_count(count))
 
 
 def whole(common: np.ndarray) -> np.ndarray:

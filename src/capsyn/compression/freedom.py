@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from capsyn.cells.masks import Label, members, or_else, singles
+from capsyn.cells.row_table import row_sets
 from capsyn.compression.induction import Prices
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.random_streams import stream
@@ -17,7 +18,7 @@ VOTES = 16
 
 def exact_prices(policy: Policy) -> Prices:
     """Return prices under which every cell keeps its own label."""
-    none = np.zeros((0, len(policy.alphabet) + 1), dtype=np.int64)
+    none = np.zeros((0, len(policy.transitions)), dtype=np.int64)
     return Prices(allowed_masks(policy, False), cell_tree(policy).mixed_cells[:0], none, 1)
 
 
@@ -62,13 +63,13 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
 
 
 def allowed_masks(policy: Policy, freedom: bool) -> np.ndarray:
-    """Return the labels (M, W) that each entry of the cells may take, as bit masks; 0 for blocks.
+    """Return the rows (M, W) that each entry of the cells may take, as bit masks; 0 for blocks.
 
-    With `freedom`, mixed cells may take any label that was seen in them.
+    With `freedom`, mixed cells may take any row whose labels were seen in them.
     """
     cells = cell_tree(policy)
-    masks = singles(np.maximum(-1 - cells.entries, 0), len(policy.alphabet) + 1)
+    masks = singles(np.maximum(-1 - cells.entries, 0), len(policy.transitions))
     masks[cells.entries >= 0] = 0
     if freedom:
-        masks[cells.mixed_cells] |= cells.mixed_labels[:, 0]
+        masks[cells.mixed_cells] |= row_sets(cells.mixed_labels, policy.transitions)
     return masks

@@ -77,7 +77,7 @@ class BatchController:
         return 1 if self.formulation.prices is None else len(self.formulation.prices)
 
     def symbols(self, states: np.ndarray) -> np.ndarray:
-        """Return the symbols (B,) that sSAC applies at t0 before the first decision; see `masks`."""
+        """Return the symbols (B,) that sSAC applies at t0, the default in force; see `masks`."""
         masks = self.masks(states)
         return self.chosen(masks if self.in_force == 1 else masks[:, -1])
 

@@ -17,6 +17,7 @@ from capsyn.exports.certificate import certificate
 from capsyn.exports.feature_texts import features_of
 from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import MOST_NODES, Files, Plan, tree_within
+from capsyn.exports.sequence import golden_sequence
 from capsyn.exports.target import Target
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
@@ -33,7 +34,9 @@ TARGETS = {
 }
 """Targets and their modules, each of which has its `Target` as ``TARGET``."""
 GOLDEN, CERTIFICATE, MEASURED = "golden.csv", "certificate.json", "measured.json"
-"""Files beside those of a target: vectors, costs, and what is measured here, of C."""
+SEQUENCE = "sequence.csv"
+"""Files beside those of a target: vectors, costs, what is measured here, of C, and, where there is
+more to remember than one least time, a sequence."""
 
 
 def _load(name: str) -> Target:
@@ -52,6 +55,8 @@ def all_targets(policy: Policy) -> tuple[str, ...]:
         small = tree_within(policy, MOST_NODES) is not None
         targets = {k: target for k, target in targets.items() if target.planes}
         targets = {k: target for k, target in targets.items() if small or target.cells}
+    if policy.remembers:
+        targets = {k: target for k, target in targets.items() if target.remembers}
     if features_of(policy.cells):
         targets = {k: target for k, target in targets.items() if target.features}
     return tuple(targets)
@@ -84,6 +89,7 @@ def export(
     outside_at_once: bool | None = None,
     scale: Any = None,
     offset: Any = None,
+    hold_off: float = 0.0,
     **options: Any,
 ) -> tuple[Path, ...]:
     """Write a policy or a decision tree in another language, and return the files.
@@ -102,12 +108,15 @@ def export(
     safe : symbol index or name, optional
         Symbol of states that have no other. Default: the policy's own safe symbol, or the default.
     dwell : float, optional
-        Least time between switches [time unit of the policy]. Default: the policy's.
+        One least time for all symbols [time unit of the policy]. Default: those of the policy.
     outside_at_once : bool, optional
         Whether the symbol of a state outside the domain does not wait for that, as that of a state
         that is not finite never does. Default: as the policy says.
     scale, offset : float or (n,), optional
         A state is ``reading * scale + offset``. Default: readings are states.
+    hold_off : float
+        Time after the start, or a power failure, for which the safe symbol is in force, whatever
+        the state [time unit of the policy].
     options
         Those of the target, see the `Target` in its module.
 
@@ -131,6 +140,7 @@ def export(
         outside_at_once=outside_at_once,
         scale=scale,
         offset=offset,
+        hold_off=hold_off,
     )
     golden = golden_vectors(plan)
     files: Files = {}
@@ -144,16 +154,23 @@ def export(
 def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) -> Files:
     """Return all files of one target, with vectors, costs and what is measured."""
     target = _load(name)
+    if plan.remembers and not target.remembers:
+        able = ", ".join(x for x in TARGETS if _load(x).remembers)
+        raise ProblemError(
+            f"target {name} takes no policy that remembers the symbol in force; these do: {able}"
+        )
     if features_of(plan.policy.cells) and not target.features:
         able = ", ".join(x for x in TARGETS if _load(x).features)
         raise ProblemError(f"target {name} takes no tree with features; these do: {able}")
     chosen = target.options(**options)
     exported = target.export(plan, golden, chosen)
     plan, chosen = exported.plan or plan, dataclasses.replace(chosen, **exported.chosen)
-    for file in {GOLDEN, CERTIFICATE, MEASURED} & set(exported.files):
+    for file in {GOLDEN, CERTIFICATE, MEASURED, SEQUENCE} & set(exported.files):
         raise ProblemError(f"`name` must be another: the export has a {file} of its own")
     vectors, beside = (exported.golden or golden).to_csv(plan), exported.beside
     files = exported.files | {beside + GOLDEN: vectors}
+    if plan.remembers:
+        files[beside + SEQUENCE] = (exported.sequence or golden_sequence(plan)).to_csv(plan)
     exported = dataclasses.replace(exported, files=files)
     files = files | {beside + CERTIFICATE: _json(certificate(plan, exported, name, vars(chosen)))}
     if target.measure is not None:

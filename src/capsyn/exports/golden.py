@@ -25,7 +25,8 @@ class Golden:
 
     Steps are those of the nearest state in the domain, 0 where a state is not finite. Readings
     (K, n) are what an export gets: the states themselves, or, where a plan has a scale or an
-    offset, numbers of which the states are ``reading * scale + offset``.
+    offset, numbers of which the states are ``reading * scale + offset``. `in_force` (K,) are the
+    labels in force, where a policy remembers; else None.
     """
 
     states: np.ndarray
@@ -33,6 +34,7 @@ class Golden:
     labels: np.ndarray
     statuses: np.ndarray
     readings: np.ndarray
+    in_force: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -40,20 +42,33 @@ class Golden:
     def to_csv(self, plan: Plan) -> bytes:
         """Return the vectors as CSV: readings in full precision, steps, symbol, status.
 
-        First come the lines of the plan's header, each after a ``#``.
+        Where a policy remembers, ``in_force`` is before the symbol, which follows it. First come
+        the lines of the plan's header, each after a ``#``.
         """
-        names = plan.policy.domain.names
-        steps = (f"step_{i}" for i in range(self.steps.shape[1]))
-        head = io.StringIO()
-        csv.writer(head, lineterminator="").writerow([*names, *steps, "symbol", "status"])
-        columns = head.getvalue()
-        if columns.startswith("#"):  # no remark
-            columns = f'"{names[0]}"{columns[len(names[0]) :]}'
-        rows = [*(f"# {line}" for line in plan.header), columns]
-        arrays = (self.readings, self.steps, self.labels, self.statuses)
-        for reading, step, label, status in zip(*(array.tolist() for array in arrays)):
-            rows.append(",".join([*map(repr, reading), *map(str, [*step, label, status])]))
-        return ("\n".join(rows) + "\n").encode()
+        whole = {f"step_{i}": column for i, column in enumerate(self.steps.T)}
+        if self.in_force is not None:
+            whole["in_force"] = self.in_force
+        return table(
+            plan, self.readings, {}, {**whole, "symbol": self.labels, "status": self.statuses}
+        )
+
+
+def table(
+    plan: Plan, readings: np.ndarray, first: dict[str, np.ndarray], last: dict[str, np.ndarray]
+) -> bytes:
+    """Return a CSV of readings (K, n) between columns (K,) of whole numbers, after the header."""
+    names = plan.policy.domain.names
+    head = io.StringIO()
+    csv.writer(head, lineterminator="").writerow([*first, *names, *last])
+    columns = head.getvalue()
+    if columns.startswith("#"):  # no remark
+        columns = f'"{names[0]}"{columns[len(names[0]) :]}'
+    rows = [*(f"# {line}" for line in plan.header), columns]
+    columns_before, columns_after = ([c.tolist() for c in part.values()] for part in (first, last))
+    for k, reading in enumerate(readings.tolist()):
+        before, after = ([str(c[k]) for c in part] for part in (columns_before, columns_after))
+        rows.append(",".join([*before, *map(repr, reading), *after]))
+    return ("\n".join(rows) + "\n").encode()
 
 
 def golden_vectors(plan: Plan) -> Golden:
@@ -115,16 +130,25 @@ def _readings(plan: Plan, states: np.ndarray) -> np.ndarray:
     return np.where(turn == 0, before, np.where(turn == 1, behind, np.nextafter(behind, np.inf)))
 
 
-def decide(plan: Plan, readings: np.ndarray) -> Golden:
-    """Return what an export must give for readings (K, n), which are states by default."""
+def decide(plan: Plan, readings: np.ndarray, in_force: np.ndarray | None = None) -> Golden:
+    """Return what an export must give for readings (K, n), which are states by default.
+
+    Where a policy remembers they are decided with the labels `in_force` (K,), by default all labels
+    in turn.
+    """
+    if plan.policy.remembers and in_force is None:
+        in_force = (np.arange(len(readings)) * 7 // 5) % plan.labels
     domain, cells, states = plan.policy.domain, plan.policy.cells, plan.states(readings)
     finite = np.isfinite(states).all(axis=1)
     steps = np.zeros(states.shape, dtype=np.int64)
     steps[finite] = domain.locate(states[finite], cells.counts)
     inside = domain.contains(states)
     known = finite if plan.nearest else inside
-    labels = np.where(known, cells.labels(steps), plan.safe)
+    labels = cells.labels(steps, in_force)
+    if in_force is not None:
+        labels = plan.transitions[labels, in_force]
+    labels = np.where(known, labels, plan.safe)
     inside &= labels != plan.gap
     labels = np.where(labels == plan.gap, plan.safe, labels)
     statuses = np.where(finite, np.where(inside, OK, OUTSIDE), NOT_FINITE)
-    return Golden(states, steps, labels, statuses, readings)
+    return Golden(states, steps, labels, statuses, readings, in_force)

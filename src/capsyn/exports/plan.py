@@ -16,6 +16,7 @@ from capsyn.compression.compress import affine_tree_of, tree_of
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, check_outside
 from capsyn.modelling.domain import Box
+from capsyn.modelling.switching import DEFAULT
 from capsyn.modelling.time_unit import to_seconds
 from capsyn.policies.file import content_hash
 from capsyn.policies.guarantee import Guarantee
@@ -57,6 +58,8 @@ class Plan:
         A state is ``reading * scale + offset``, rounded as written in double precision.
     as_cells : bool
         Whether what is written are the policy's cells, as affine leaves are, else its tree.
+    hold_off : float
+        Time after the start for which the safe symbol is in force, whatever the state [time unit].
     """
 
     policy: Policy
@@ -67,6 +70,7 @@ class Plan:
     scale: np.ndarray
     offset: np.ndarray
     as_cells: bool = False
+    hold_off: float = 0.0
 
     @staticmethod
     def of(
@@ -77,6 +81,7 @@ class Plan:
         outside_at_once: bool | None = None,
         scale: object = None,
         offset: object = None,
+        hold_off: float = 0.0,
     ) -> Plan:
         """Return the plan of a policy; for the arguments see `capsyn.exports.export.export`.
 
@@ -100,17 +105,29 @@ class Plan:
         at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
         true_or_false("outside_at_once", at_once)
         _check_readings(policy.domain, policy.cells.counts, *factors)
-        least_time = finite_number("dwell", policy.min_dwell if dwell is None else dwell, least=0.0)
-        finite_number("dwell in seconds", to_seconds(least_time, policy.time_unit))
+        if dwell is not None and finite_number("dwell", dwell, least=0.0) >= 0:
+            policy = _held(policy, float(dwell))
+        hold_off = finite_number("hold_off", hold_off, least=0.0)
+        for name, time in (("dwell", policy.min_dwell), ("hold_off", hold_off)):
+            finite_number(f"{name} in seconds", to_seconds(time, policy.time_unit))
+        safe_label = chosen % (labels + 1)
+        if policy.rules.forbidden[:, safe_label].any():
+            before = int(np.flatnonzero(policy.rules.forbidden[:, safe_label])[0])
+            names = (*policy.alphabet.names, DEFAULT)
+            raise ProblemError(
+                "`safe` must be a symbol that every other may go to; the transition from "
+                f"'{names[before]}' to '{names[safe_label]}' is forbidden"
+            )
         return Plan(
             policy,
-            chosen % (labels + 1),
+            safe_label,
             policy.outside == "nearest",
-            least_time,
+            policy.min_dwell,
             at_once,
             factors[0],
             factors[1],
             _is_affine(policy),
+            hold_off,
         )
 
     def written(self, as_cells: bool) -> Plan:
@@ -143,6 +160,22 @@ class Plan:
     def n(self) -> int:
         """Number of states."""
         return self.policy.domain.n
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a decision needs more between calls than one least time for all symbols.
+
+        That is the symbol in force, where the next depends on it, and the times of symbols and
+        inputs.
+        """
+        rules = self.policy.rules
+        several = len(set(rules.holds.tolist())) > 1 or rules.input_holds.any()
+        return bool(self.policy.remembers or several or self.hold_off)
+
+    @property
+    def transitions(self) -> np.ndarray:
+        """The label that follows each label in force, (R, N + 1), of the rows of leaves."""
+        return self.policy.transitions
 
     @property
     def dwell_s(self) -> float:
@@ -182,10 +215,8 @@ class Plan:
 
     @functools.cached_property
     def first_alike(self) -> list[int]:
-        """Of each label the first that has the same control, (N + 1)."""
-        first: dict[tuple[float, ...], int] = {}
-        controls = (tuple(control) for control in self.policy.controls.tolist())
-        return [first.setdefault(control, k) for k, control in enumerate(controls)]
+        """Of each label the first to which a change is no switch, (N + 1); see `SwitchRules`."""
+        return self.policy.rules.kinds.tolist()
 
     @property
     def same_control(self) -> list[tuple[int, int]]:
@@ -237,7 +268,7 @@ class Plan:
         lines.append(nearest if self.nearest else f"Outside and not finite: {lost}")
         if self.policy.gaps:
             lines.append(f"In the domain, cells without a symbol are outside: {lost}")
-        lines.append(f"Least time between switches: {self.dwell!r} {policy.time_unit}")
+        lines += self._times()
         if self.outside_at_once:
             lines.append("The symbol of a state outside does not wait for that")
         if policy.settings is not None and policy.horizon is not None:
@@ -259,10 +290,43 @@ class Plan:
         lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
         return tuple(lines)
 
+    def _times(self) -> list[str]:
+        """Return what the header says of prices and least times."""
+        policy, rules = self.policy, self.policy.rules
+        unit, switching, lines = policy.time_unit, policy.switching, []
+        if not self.remembers:
+            return [f"Least time between switches: {self.dwell!r} {unit}"]
+        if policy.remembers:
+            lines.append(
+                "The next symbol depends on the symbol in force, which stays where it ties"
+            )
+        if switching is not None and switching.price:
+            lines.append(f"Price of a switch: {switching.price!r} [cost / {unit}]")
+        if switching is not None and switching.forbidden:
+            pairs = ", ".join(f"{before} to {after}" for before, after in switching.forbidden)
+            lines.append(f"Forbidden: {pairs}")
+        names = (*self.symbol_names, *policy.alphabet.inputs)
+        times = zip(names, [*rules.holds.tolist(), *rules.input_holds.tolist()])
+        held = ", ".join(f"{name} {time!r}" for name, time in times if time)
+        lines.append(f"Least times [{unit}]: {held}" if held else "Least times: none")
+        if self.hold_off:
+            lines.append(f"After the start the safe symbol is held for {self.hold_off!r} {unit}")
+        if policy.delay:
+            lines.append(f"Compensates an input delay of {policy.delay!r} {unit}")
+        return lines
+
 
 def tree_within(policy: Policy, most: int) -> DecisionTree | None:
     """Return the tree of a policy; None where that of affine leaves has more nodes than `most`."""
     return _affine_tree_of(policy, most) if _is_affine(policy) else _tree_of(policy)
+
+
+def _held(policy: Policy, dwell: float) -> Policy:
+    """Return a policy with one least time for all symbols [time unit], and none of inputs."""
+    switching = policy.switching
+    if switching is not None:
+        switching = dataclasses.replace(switching, hold=0.0)
+    return dataclasses.replace(policy, min_dwell=dwell, switching=switching)
 
 
 def _is_affine(policy: Policy) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Files, Plan
+from capsyn.exports.sequence import Sequence
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Exported:
     `written` says how the tree is written where that is not as it is, as plain data. `beside` is
     the folder, with a slash at its end, of vectors and costs. `plan` is the plan as it was written,
     where a tree was taken for cells, or cells for a tree, and `chosen` what the target took for
-    options that were left to it.
+    options that were left to it. `sequence` are runs of such readings as `golden` has.
     """
 
     files: Files
@@ -33,6 +34,7 @@ class Exported:
     beside: str = ""
     plan: Plan | None = None
     chosen: Mapping[str, Any] = field(default_factory=dict)
+    sequence: Sequence | None = None
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,9 @@ class Target:
     ``export(plan, golden, options)`` makes its files; `options` is a frozen dataclass, each with a
     default. `planes` is whether it takes trees with oblique splits, `features` whether it takes
     those with features, `cells` whether it writes the cells of a policy with affine leaves instead
-    of a tree. ``measure(plan, golden, exported, options)`` gives what is measured of its files
-    here, as plain data; None: nothing.
+    of a tree, `remembers` whether it takes what has more to remember than one least time: the
+    symbol in force, least times of symbols and inputs, a hold-off. ``measure(plan, golden,
+    exported, options)`` gives what is measured of its files here, as plain data; None: nothing.
     """
 
     export: Callable[[Plan, Golden, Any], Exported]
@@ -64,6 +67,7 @@ class Target:
     planes: bool = True
     features: bool = False
     cells: bool = True
+    remembers: bool = False
     measure: Callable[[Plan, Golden, Exported, Any], dict[str, Any]] | None = None
 
     @property
