@@ -372,7 +372,7 @@ def one_cell(scores, offsets, size=16):
     masks = np.uint64(1) << scores.argmax(axis=1).astype(np.uint64)
     return fit_cells(
         scores[:, None, None, :],
-        masks[:, None],
+        masks[:, None, None, None],
         offsets,
         places,
         np.full((1, n), 16),
@@ -406,7 +406,8 @@ def test_used_rows_are_those_that_no_other_beats_everywhere(seed, symbols):
         not any((values[:, j] >= values[:, i] + (j > i)).all() for j in range(symbols) if j != i)
         for i in range(symbols)
     ]
-    used = _used(constants, slopes, corner, size)
+    none = np.zeros((1, symbols), dtype=np.int64)
+    used = _used(constants, slopes, corner, size, none[:, 0], none)
     assert used.tolist() == [expected] and used[0, values.argmax(axis=1)].all()
 
 

@@ -27,6 +27,33 @@ PRICE_ARRAYS = {"row_prices": np.int32, "row_ratios": np.int16}
 
 
 @dataclass(frozen=True, eq=False)
+class PriceRatios:
+    """Prices on switching as whole numbers: a price is its ratio times a unit."""
+
+    ratios: np.ndarray  # (N + 1, N + 1) int16: from each label to each, -1 where it is forbidden
+    unit: float  # what a ratio of 1 stands for [cost / time unit]
+
+    @staticmethod
+    def of(prices: np.ndarray) -> PriceRatios:
+        """Return the ratios of prices (N + 1, N + 1), infinite where a transition is forbidden.
+
+        They are exact where all are whole multiples of the least, and no more than `MOST_RATIO`;
+        else rounded to shares of the largest.
+        """
+        finite = np.isfinite(prices)
+        known = np.where(finite, prices, 0.0)
+        some = known[known > 0]
+        unit = 1.0
+        if some.size:
+            multiples = known / some.min()
+            exact = np.abs(multiples - np.rint(multiples)).max() < 1e-9
+            whole = exact and multiples.max() <= MOST_RATIO
+            unit = float(some.min() if whole else some.max() / MOST_RATIO)
+        ratios = np.where(finite, np.rint(known / unit), -1)
+        return PriceRatios(ratios.astype(np.int16), unit if some.size else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
 class AffineLeaves:
     """Tables of rows, one after the other; a leaf's rows ascend by symbol.
 
@@ -62,11 +89,17 @@ class AffineLeaves:
 
     @staticmethod
     def of(
-        first: int, rows: np.ndarray, symbols: np.ndarray, constants: np.ndarray, slopes: np.ndarray
+        first: int,
+        rows: np.ndarray,
+        symbols: np.ndarray,
+        constants: np.ndarray,
+        slopes: np.ndarray,
+        prices: np.ndarray | None = None,
+        ratios: np.ndarray | None = None,
     ) -> AffineLeaves:
         """Return the leaves with so many `rows` (A,) each."""
         starts = np.concatenate([[0], np.cumsum(rows)]).astype(np.int32)
-        return AffineLeaves(first, starts, symbols, constants, slopes)
+        return AffineLeaves(first, starts, symbols, constants, slopes, prices, ratios)
 
     def labels(
         self, leaves: np.ndarray, steps: np.ndarray, in_force: np.ndarray | None = None

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
-from capsyn.cells.affine_leaves import LARGEST_SLOPE, LARGEST_SUM
+from capsyn.cells.affine_leaves import LARGEST_SLOPE, LARGEST_SUM, MOST_RATIO, PriceRatios
 from capsyn.cells.masks import holds, members
 from capsyn.subdivision.split_axes import SplitAxes
 
 CENTER_WEIGHT = 0.5
 """Weight of the centre in a fit, all other fixed points having the rest: vertices alone see a
 square term x^2 as 1 throughout the cell, where its mean is 1/3."""
+TINY = 1e-300
+"""Least size of scores."""
+NO_PRICES = np.zeros((1, 1), dtype=np.int16)
+"""Ratios where nothing is in force: no price for any symbol."""
 TRIES = 8
 """Steps of the perceptron that corrects rows fitted to labels."""
 
@@ -26,6 +31,7 @@ class Fits:
     used: np.ndarray  # (M, S) bool: which rows are the largest anywhere in their cell
     wrong: np.ndarray  # (M,): share of the test points whose symbol is wrong
     error: np.ndarray  # (M,): estimated share of the cell where the symbol is wrong
+    price: np.ndarray  # (M,): what a ratio of prices takes off, in the rows' whole numbers
     axes: np.ndarray  # (M, n) bool: along which axes the cell is split where that is too much
 
     def better(self, other: Fits) -> Fits:
@@ -57,13 +63,15 @@ def fit_cells(
     plain: bool = False,
     split_axes: SplitAxes | None = None,
     can: np.ndarray | None = None,
+    prices: PriceRatios | None = None,
 ) -> Fits:
     """Return the affine rows of cells: of each, those of the variant of scores that do best.
 
     The scores (P, M, V, S) of the symbols at the cells' test points are in V variants; the largest
-    of the first is best. `masks` (P, M, W) are the sets of symbols that are right there, `places`
-    (P, M, n) the lattice steps, within the cell, that hold the points or are nearest to them. Rows
-    are fitted to the first points, at `offsets` (F, n) in halves of the cell: a layout that is
+    of the first is best. `masks` (P, M, J, W) are the sets of symbols that are right there, for
+    each label in force where there are `prices` on switching, which scores pay; `places` (P, M, n)
+    are the lattice steps, within the cell, that hold the points or are nearest to them. Rows are
+    fitted to the first points, at `offsets` (F, n) in halves of the cell: a layout that is
     symmetric about the centre, along every axis. `corners` and `size` (M, n) are those of the
     cells, `counts` (n,) the edge lengths of the lattice [lattice steps].
 
@@ -84,20 +92,25 @@ def fit_cells(
         some = scores[:, :, variant]
         levels, slopes = _least_squares(some[:fixed], signs, weights)
         if plain:
-            levels, slopes = _corrected(levels, slopes, masks[:fixed], signs)
+            levels, slopes = _corrected(levels, slopes, masks[:fixed, :, -1], signs)
         axes = np.ones(corners.shape, dtype=bool)
         if split_axes is not None and can is not None:
             fitted = levels + np.einsum("msi,pi->pms", slopes, signs)
             axes = split_axes.by_residuals(some[:fixed] - fitted, can)
-        rows = _rounded(levels, slopes, corners, size, counts)
-        fits = _judged(some, masks, offsets, places, corners, size, rows, axes)
+        unit = 0.0 if prices is None else prices.unit / np.maximum(largest[:, variant], TINY)
+        rows = _rounded(levels, slopes, corners, size, counts, unit)
+        ratios = NO_PRICES.repeat(scores.shape[3], axis=1)
+        if prices is not None:
+            ratios = prices.ratios[:, : scores.shape[3]]
+        fits = _judged(some, masks, offsets, places, corners, size, rows, ratios, axes)
         kept = fits if kept is None else kept.better(fits)
     assert kept is not None
     return kept
 
 
-_Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Constants (M, S), slopes (M, S, n), and the scales (M,) that they are rounded with."""
+_Rows = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Constants (M, S), slopes (M, S, n), the scales (M,) that they are rounded with, and what a ratio
+of prices comes to (M,)."""
 
 
 def _judged(
@@ -108,25 +121,27 @@ def _judged(
     corners: np.ndarray,
     size: np.ndarray,
     rows: _Rows,
+    ratios: np.ndarray,
     axes: np.ndarray,
 ) -> Fits:
-    """Return rows with what they do at the test points, for scores (P, M, S)."""
-    constants, slopes, scale = rows
+    """Return rows with what they do at the test points, for scores (P, M, S).
+
+    `ratios` (J, S) are those of prices, of each label in force. The margin of a point is that of
+    the label in force where it is least.
+    """
+    constants, slopes, scale, price = rows
     corner_values = constants + np.einsum("msi,mi->ms", slopes, corners)
     shape = masks.shape[:2]
-    wrong = np.empty(shape, dtype=bool)
-    margin, residual = np.empty(shape), np.empty(shape)
-    cells = np.arange(shape[1])
+    wrong = np.zeros(shape, dtype=bool)
+    margin, residual = np.full(shape, np.inf), np.zeros(shape)
     for p in range(shape[0]):
-        values = corner_values + np.einsum("msi,mi->ms", slopes, places[p])
-        best = values.argmax(axis=1)
-        top = values[cells, best]
-        values[cells, best] = np.iinfo(np.int64).min
-        second = values.argmax(axis=1)
-        margin[p] = (top - values[cells, second]) / scale
-        here = scores[p]
-        residual[p] = here[cells, best] - here[cells, second] - margin[p]
-        wrong[p] = ~holds(masks[p], best)
+        unpriced = corner_values + np.einsum("msi,mi->ms", slopes, places[p])
+        for j, ratio in enumerate(ratios):
+            best, gap, rest = _two_best(unpriced, scores[p], scale, price, ratio, j)
+            nearer = gap < margin[p]
+            margin[p] = np.where(nearer, gap, margin[p])
+            residual[p] = np.where(nearer, rest, residual[p])
+            wrong[p] |= ~holds(masks[p, :, j], best)
     shares = point_weights(offsets)
     if shape[0] > len(offsets):
         shares = np.full(shape[0], 1 / shape[0])
@@ -134,8 +149,37 @@ def _judged(
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = np.minimum(1.0, np.where(rho > 0, rho / margin, 0.0))
     error = np.einsum("pm,p->m", reach**2, shares)
-    used = _used(constants, slopes, corners, size)
-    return Fits(constants, slopes, used, wrong.mean(axis=0), error, axes)
+    used = _used(constants, slopes, corners, size, price, ratios)
+    return Fits(constants, slopes, used, wrong.mean(axis=0), error, price, axes)
+
+
+def _two_best(
+    values: np.ndarray,
+    scores: np.ndarray,
+    scale: np.ndarray,
+    price: np.ndarray,
+    ratio: np.ndarray,
+    label: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the symbols (M,) that follow a label, and by how much their rows beat the second.
+
+    `values` (M, S) are those of the rows, `ratio` (S,) the label's prices. The margins (M,) are in
+    scores (M, S); after them comes what these differ by from them.
+    """
+    cells = np.arange(len(values))
+    lowest = np.iinfo(np.int64).min
+    values = np.where(ratio < 0, lowest, values - price[:, None] * np.maximum(ratio, 0))
+    best = values.argmax(axis=1)
+    if label < values.shape[1]:  # which stays where it ties
+        best = np.where(values[:, label] == values[cells, best], label, best)
+    top = values[cells, best]
+    values[cells, best] = lowest
+    second = values.argmax(axis=1)
+    margin = (top - values[cells, second]) / scale
+    paid = (price / scale) * (ratio[best] - ratio[second])
+    residual = scores[cells, best] - scores[cells, second] - paid - margin
+    alone = values[cells, second] == lowest  # none other may follow
+    return best, np.where(alone, np.inf, margin), np.where(alone, 0.0, residual)
 
 
 def _least_squares(
@@ -184,8 +228,12 @@ def _rounded(
     corners: np.ndarray,
     size: np.ndarray,
     counts: tuple[int, ...],
+    unit: Any,
 ) -> _Rows:
     """Return rows as integers: constants (M, S), slopes (M, S, n), and their scales (M,).
+
+    Last come the prices (M,), of which a `unit` is so much in scores; at most a half of what sums
+    may come to.
 
     Only differences of rows count: their mean is taken off first. A row stands for the centres of
     the lattice steps.
@@ -205,13 +253,19 @@ def _rounded(
     scale[flat], levels[flat], per_step[flat] = 1.0, 0.0, 0.0
     whole = np.rint(per_step * scale[:, None, None])
     constants = np.rint(levels * scale[:, None] - np.einsum("msi,mi->ms", whole, middle))
-    return constants.astype(np.int64), whole.astype(np.int64), scale
+    price = np.minimum(np.rint(unit * scale), LARGEST_SUM // MOST_RATIO).astype(np.int64)
+    return constants.astype(np.int64), whole.astype(np.int64), scale, price
 
 
 def _used(
-    constants: np.ndarray, slopes: np.ndarray, corners: np.ndarray, size: np.ndarray
+    constants: np.ndarray,
+    slopes: np.ndarray,
+    corners: np.ndarray,
+    size: np.ndarray,
+    price: np.ndarray,
+    ratios: np.ndarray,
 ) -> np.ndarray:
-    """Return which rows (M, S) no other row beats everywhere in the cell."""
+    """Return which rows (M, S) no other row beats everywhere in the cell, whatever is in force."""
     symbols = constants.shape[1]
     used = np.ones(constants.shape, dtype=bool)
     for i in range(symbols):
@@ -219,7 +273,13 @@ def _used(
         most = constants[:, i, None] - constants
         most = most + np.einsum("msi,mi->ms", difference, corners)
         most = most + np.einsum("msi,mi->ms", np.maximum(difference, 0), size - 1)
-        beats = most >= np.where(np.arange(symbols) < i, 1, 0)
+        # what it must beat the other by at least, of equals the first: one that is in force is kept
+        lead = np.where(np.arange(symbols) < i, 1, 0)
+        if len(ratios) > 1:
+            some = ratios[ratios[:, i] >= 0].astype(np.int64)
+            lead = price[:, None] * (some[:, i, None] - some).min(axis=0)
+            lead[:, (some < 0).any(axis=0)] = np.iinfo(np.int64).min
+        beats = most >= lead
         beats[:, i] = True
         used[:, i] = beats.all(axis=1)
     return used

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.row_table import RowTable
 from capsyn.modelling.grid import grid_places
 from capsyn.subdivision.cell_points import FINE, CellPoints
@@ -93,6 +94,7 @@ class SubdivisionTask:
     rows: RowTable  # of the leaves
     points: LatticePoints  # where test points are solved
     plain: bool  # whether scores are mere indicators of labels
+    prices: PriceRatios | None = None  # on switching, that rows of affine leaves pay
 
     @functools.cached_property
     def offsets(self) -> np.ndarray:

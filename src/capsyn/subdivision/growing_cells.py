@@ -60,6 +60,7 @@ class GrowingCells:
     seen: np.ndarray  # (K, J, W) uint64: where test points disagree, their labels and the leaf's
     row: np.ndarray  # (K,): first row in `Rows`
     rows: np.ndarray  # (K,): how many rows
+    price: np.ndarray  # (K,): what a ratio of prices takes off these
 
     @staticmethod
     def uniform(
@@ -75,8 +76,9 @@ class GrowingCells:
         none, seen = np.zeros(count, dtype=np.int64), np.zeros((count, *sets), dtype=np.uint64)
         good, error = np.ones(count, dtype=bool), np.zeros(count)
         return GrowingCells(
-            corner, times, level, none - 1, axes, label, good, error, seen, none, none.copy()
-        )
+            corner, times, level, none - 1, axes, label, good, error, seen, none, none.copy(),
+            none.copy(),
+        )  # fmt: skip
 
     @staticmethod
     def joined(parts: list[GrowingCells]) -> GrowingCells:
@@ -87,7 +89,7 @@ class GrowingCells:
     def fit(
         self, cells: np.ndarray, fits: Fits, masks: np.ndarray, first_row: int, most_error: float
     ) -> Rows:
-        """Give some cells (M,) their rows; `masks` (P, M, W) are those of their test points.
+        """Give some cells (M,) their rows; `masks` (P, M, J, W) are those of their test points.
 
         Returns the rows; `first_row` have been made before.
         """
@@ -98,9 +100,10 @@ class GrowingCells:
         self.axes[cells] &= fits.axes
         single = np.where(several(masks)[..., None], masks.dtype.type(0), masks)
         seen = np.bitwise_or.reduce(single, axis=0).astype(np.uint64)
-        seen |= masks_of_members(fits.used, seen.shape[-1])
-        right = (fits.wrong == 0)[:, None]
-        self.seen[cells] = np.where(right, np.uint64(0), seen)[:, None]
+        seen |= masks_of_members(fits.used, seen.shape[-1])[:, None]
+        right = (fits.wrong == 0)[:, None, None]
+        self.seen[cells] = np.where(right, np.uint64(0), seen)
+        self.price[cells] = fits.price
         kept = fits.used & ~one[:, None]
         self.rows[cells] = kept.sum(axis=1)
         self.row[cells] = first_row + np.cumsum(self.rows[cells]) - self.rows[cells]
@@ -135,11 +138,18 @@ class GrowingCells:
             parent, number = ragged(self.children(split, grid.refinement))
             here = self.child[split][parent] + number
 
-    def tree(self, grid: Grid, first: int, rows: list[Rows], adaptive: bool) -> CellTree:
+    def tree(
+        self,
+        grid: Grid,
+        first: int,
+        rows: list[Rows],
+        adaptive: bool,
+        ratios: np.ndarray | None = None,
+    ) -> CellTree:
         """Return the cells as a tree on the lattice of a grid.
 
-        Affine leaves have numbers from `first` on. Where `adaptive`, cells may be split along some
-        axes only.
+        Affine leaves have numbers from `first` on, and prices where there are `ratios` of these.
+        Where `adaptive`, cells may be split along some axes only.
         """
         order = np.concatenate(list(self.by_level(grid)))
         split = self.child[order] >= 0
@@ -156,17 +166,20 @@ class GrowingCells:
             entries.astype(np.int32),
             mixed.astype(np.int32),
             self.seen[order[mixed]],
-            self._affine(order[affine], first, rows) if affine.size else None,
+            self._affine(order[affine], first, rows, ratios) if affine.size else None,
             splits,
         )
 
-    def _affine(self, cells: np.ndarray, first: int, rows: list[Rows]) -> AffineLeaves:
+    def _affine(
+        self, cells: np.ndarray, first: int, rows: list[Rows], ratios: np.ndarray | None
+    ) -> AffineLeaves:
         """Return the affine leaves of cells (A,)."""
         count = self.rows[cells]
         cell, number = ragged(count)
         picked = self.row[cells][cell] + number
         symbols, constants, slopes = (np.concatenate(table)[picked] for table in zip(*rows))
-        return AffineLeaves.of(first, count, symbols, constants, slopes)
+        prices = None if ratios is None else self.price[cells].astype(np.int32)
+        return AffineLeaves.of(first, count, symbols, constants, slopes, prices, ratios)
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,7 +80,9 @@ class RoundSubdivision:
         leaves = cells.child < 0
         cells.label[leaves] = self._row_table.settle(cells.label[leaves])
         first = len(self._row_table.labels())
-        tree = cells.tree(self._lattice, first, self._rows, plan.adaptive)
+        prices = self._task.prices
+        ratios = None if prices is None else prices.ratios
+        tree = cells.tree(self._lattice, first, self._rows, plan.adaptive, ratios)
         self._summary = self._counts_of(cells) | {"mixed_cells": len(tree.mixed_cells)}
         if plan.affine:
             self._summary["affine_leaves"] = 0 if tree.affine is None else len(tree.affine)
@@ -270,10 +272,10 @@ class RoundSubdivision:
         # below 2^63: cells have at most 2^31 steps, and no more lattice units than that
         places = np.minimum(places * steps // fine, steps - 1)
         corners = corners // FINE * per_cell
-        masks = masks[:, chosen, 0]
+        masks = masks[:, chosen]
         fits = fit_cells(
             scores, masks, self._offsets, places, corners, steps, self._lattice.counts,
-            self._task.plain, self._axes, cells.axes[chosen],
+            self._task.plain, self._axes, cells.axes[chosen], self._task.prices,
         )  # fmt: skip
         rows = cells.fit(chosen, fits, masks, self._row_count, self._plan.leaf_error)
         self._rows.append(rows)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.masks import (
     Label,
     Scored,
@@ -193,6 +194,7 @@ class Labelling:
     threads: int = 1
     progress: Callable[[Progress], None] | None = None
     in_force: int = 1  # symbols in force that masks (B, J, W) are given for; 1: masks (B, W)
+    prices: PriceRatios | None = None  # on switching, that scores pay while others are in force
 
 
 def carry_out(
@@ -209,6 +211,11 @@ def carry_out(
     """
     label, returns, n_symbols = labelling.label, labelling.returns, len(alphabet)
     one_of("returns", returns, list(RETURNS))
+    if plan.affine and labelling.in_force > 1 and labelling.prices is None:
+        raise ProblemError(
+            "`leaves` must be constant where labels depend on the symbol in force and no scores "
+            "pay prices; got affine"
+        )
     threads = whole_number("threads", labelling.threads, least=1)
     order = _order(labelling.preference, n_symbols)
     outside = check_outside(outside, alphabet)
@@ -228,7 +235,8 @@ def carry_out(
             labelling.in_force,
         )
         rows = RowTable(order, labelling.in_force)
-        task = SubdivisionTask(plan, rows, points, plain=not returns.endswith("scores"))
+        plain = not returns.endswith("scores")
+        task = SubdivisionTask(plan, rows, points, plain, labelling.prices)
         work = RoundSubdivision(task) if plan.in_rounds else ConstantSubdivision(task)
         cells = work.run()
     seconds = time.perf_counter() - started

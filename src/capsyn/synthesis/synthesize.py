@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.masks import empty, several
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import TIE
@@ -161,8 +162,12 @@ def synthesize(
     run = (threads, backend, executor, checkpoint, _asked(problem, plan))
     with answerer(controller, method, *run) as answers:
         controller = answers.controller
-        how = (returns, controller.preference, answers.threads, progress, controller.in_force)
-        policy = carry_out(plan, Labelling(answers.label, *how), problem.domain, problem.alphabet)
+        prices = controller.formulation.prices
+        labelling = Labelling(
+            answers.label, returns, controller.preference, answers.threads, progress,
+            controller.in_force, None if prices is None else PriceRatios.of(prices),
+        )  # fmt: skip
+        policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
     return _described(dataclasses.replace(policy, timings=timings), problem, controller, plan.seed)
 
