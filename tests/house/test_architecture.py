@@ -26,21 +26,24 @@ execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
 cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree faces packing work
-policies: lookup outside guarantee colors picture file policy single_lookup report
+policies: lookup outside guarantee evidence colors in_force picture volumes file checks policy
+    single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
-automata: rectangles regions face_rates switching automaton
+automata: rectangles regions face_rates row_faces switching automaton
 simulation: plant options kernel closed_loop policy_loop trial_job experiment simulate
 synthesis: remote_labels labelling synthesize
-sources: callables finite_control_set table text scots grid_files
-verification: bisection loop_derivative lyapunov agreement trials monte_carlo sentences
+sources: delayed sequence_costs finite_control_set callables table text scots grid_files
+verification: bisection loop_derivative lyapunov agreement trials monte_carlo
+    switching_curve sentences
 integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree
 compression.features: growing space cell_fit controller_fit
 compression: proof judge compress curve complexity
-plots: figure policy trajectory automaton curve
-exports: plan constants golden sequence target certificate identifiers text crossings ranks feature_texts
+plots: figure policy trajectory automaton curve switching
+exports: plan constants golden sequence target certificate identifiers text crossings ranks
+    feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
     styles.grid styles.cells readings.single readings.lines readings.counts features code
     readings.places readings.quantiser notes dwell header source packages sizes timing.programs

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from capsyn.automata.rectangles import fewest_rectangles
-from capsyn.cells.cell_tree import CellTree, digits_of, ragged
+from capsyn.cells.boxes import digits_of, ragged
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.faces import shared_faces
 from capsyn.cells.split_tree import SplitTree
 from capsyn.modelling.domain import Box

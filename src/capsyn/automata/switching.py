@@ -13,6 +13,10 @@ happens there [1]_:
 < 0                > 0                leaves the face on either side (repelling)
 =================  =================  =========================================
 
+The symbols are those in force on the two sides. Of a policy that remembers several may be, and a
+switch is where a symbol that stays on one side is followed by another on the other, see `Sides`.
+Where that would stay on the first side, too, the loop does not slide, whatever the signs.
+
 All statements are for continuous time and dynamics that are locally Lipschitz on each side of a
 face. A loop that is sampled may jump over a thin region, and chatters beside a sliding face instead
 of sliding in it. A trajectory may also go through an edge or corner of cells, from one region to
@@ -37,13 +41,16 @@ from capsyn.automata.face_rates import (
     DOWNWARD,
     IMPOSSIBLE,
     MAX_PARTS,
+    POSSIBLE,
+    REPELLING,
     SAMPLES,
     SLIDING,
     UNDECIDED,
     UPWARD,
     AxisFaces,
 )
-from capsyn.cells.cell_tree import ragged
+from capsyn.automata.row_faces import Rows, Sides
+from capsyn.cells.boxes import Boxes, ragged
 from capsyn.cells.faces import Faces, shared_faces
 from capsyn.errors import ProblemError
 from capsyn.policies.policy import Policy
@@ -59,9 +66,12 @@ MAX_SAMPLES = 1 << 22
 class Switching:
     """What the loop does on the faces between symbols, for N symbols and the default, F faces.
 
+    A face where several pairs of symbols may meet counts once for each.
+
     Rates are of states spread evenly over the domain: how many per time unit, of one state, arrive
     at faces. A loop spends its time elsewhere than evenly, so they compare policies, and say what a
-    loop does at first, not what it does at last.
+    loop does at first, not what it does at last. Where several symbols may be in force they are
+    equally likely.
 
     The statuses tell whether the loop reaches a face from below, from above, and slides in it:
     `IMPOSSIBLE`, `UNDECIDED` or `POSSIBLE`. The first and the last are proved by interval
@@ -111,12 +121,15 @@ def switching(policy: Policy) -> Switching:
             f"`policy` must have a model to follow; '{policy.name}' was made without one"
         )
     cells, domain, number = policy.cells, policy.domain, len(policy.alphabet) + 1
-    boxes = cells.boxes()
-    label_at = np.zeros(boxes.places.max() + 1, dtype=np.int64)
-    label_at[boxes.places] = boxes.labels
-    faces = shared_faces(cells, lambda a, b: label_at[a] != label_at[b], domain.periodic)
-    faces = _pieces(faces, cells.counts)
-    labels = np.stack([label_at[faces.below], label_at[faces.above]], axis=1)
+    boxes, rows = cells.boxes(), Rows.of(policy)
+    row_at = np.zeros(boxes.places.max() + 1, dtype=np.int64)
+    row_at[boxes.places] = boxes.labels
+    met = shared_faces(cells, lambda a, b: row_at[a] != row_at[b], domain.periodic)
+    met = _pieces(met, cells.counts)
+    beside = np.stack([row_at[met.below], row_at[met.above]], axis=1)
+    sides = Sides.of(rows, beside)
+    columns = (met.axis, met.lower, met.upper, met.below, met.above)
+    faces, labels = Faces(*(column[sides.face] for column in columns)), sides.labels
     low, high = domain.points(faces.lower, cells.counts), domain.points(faces.upper, cells.counts)
 
     shares, flows = np.empty((len(faces), 4)), np.empty((len(faces), 4))
@@ -127,22 +140,31 @@ def switching(policy: Policy) -> Switching:
         own = np.flatnonzero(faces.axis == axis)
         at = low[own, axis]
         seam = faces.lower[own, axis] == 0
-        sides = np.stack([np.where(seam, domain.upper[axis], at), at])
-        some = AxisFaces(policy, axis, low[own].T, high[own].T, sides, labels[own].T)
+        ends = np.stack([np.where(seam, domain.upper[axis], at), at])
+        some = AxisFaces(policy, axis, low[own].T, high[own].T, ends, labels[own].T)
         areas[own] = some.areas
         shares[own], flows[own], points = some.sampled()
         statuses[own] = some.decided(points)
-        exits += _exits(policy, axis, boxes.lower, boxes.upper, boxes.labels)
+        exits += _exits(policy, rows, axis, boxes)
+    _one_way(sides, statuses, shares, flows)
+    flows *= rows.weights[sides.rows][:, [0, 1, 0, 1]]
 
     def total(values: np.ndarray, downward: bool) -> np.ndarray:
         table = np.zeros((number, number))
-        np.add.at(table, tuple(labels.T[::-1] if downward else labels.T), values)
+        for places, before, after in _hops(rows, sides, downward):
+            np.add.at(table, (before, after), values[places])
         return table
 
-    switches, slidings = _tables(labels, statuses, number)
+    def between(values: np.ndarray) -> np.ndarray:
+        table = np.zeros((number, number))
+        np.add.at(table, tuple(labels.T), values)
+        return table + table.T
+
+    switches, slidings = _tables(rows, sides, boxes.labels, statuses)
     slides = np.flatnonzero(statuses[:, SLIDING] != IMPOSSIBLE)
-    ends = np.where(domain.periodic, cells.counts, 0)
-    around = _around_sliding(faces, labels, slides, ends, number)
+    round_trip = np.where(domain.periodic, cells.counts, 0)
+    around = _around_sliding(met, beside, rows, sides, slides, round_trip)
+    around |= _from_outside(policy, rows, boxes)
     switches[around & (switches == IMPOSSIBLE)] = UNDECIDED
     return Switching(
         faces=faces,
@@ -154,12 +176,22 @@ def switching(policy: Policy) -> Switching:
         slidings=slidings,
         switch_rates=total(flows[:, 0], False) + total(flows[:, 1], True),
         sliding_rates=total(flows[:, 2], False) + total(flows[:, 3], True),
-        areas_between=total(areas, False) + total(areas, True),
-        sliding_areas=total(areas * shares[:, SLIDING], False)
-        + total(areas * shares[:, SLIDING], True),
+        areas_between=between(areas),
+        sliding_areas=between(areas * shares[:, SLIDING]),
         exit_rates=exits,
         volume_shares=policy.volume_shares,
     )
+
+
+def _one_way(sides: Sides, statuses: np.ndarray, shares: np.ndarray, flows: np.ndarray) -> None:
+    """Correct what is said of faces that only switch one way: they cross wherever they arrive."""
+    for way, other, switches in ((UPWARD, DOWNWARD, sides.down), (DOWNWARD, UPWARD, sides.up)):
+        only = ~switches
+        statuses[only, other] = statuses[only, SLIDING] = IMPOSSIBLE
+        shares[only, way] += shares[only, SLIDING]
+        flows[only, way] += flows[only, SLIDING + way]
+        shares[np.ix_(only, [other, SLIDING, REPELLING])] = 0.0
+        flows[np.ix_(only, [other, SLIDING, SLIDING + 1])] = 0.0
 
 
 def _pieces(faces: Faces, counts: Sequence[int]) -> Faces:
@@ -182,44 +214,86 @@ def _pieces(faces: Faces, counts: Sequence[int]) -> Faces:
     return Faces(faces.axis[source], lower, upper, faces.below[source], faces.above[source])
 
 
-def _tables(labels: np.ndarray, statuses: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return whether symbols switch and slide on any of the faces, (N + 1, N + 1) each."""
-    switches, slidings = np.zeros((2, number, number), dtype=np.int8)
-    below, above = labels.T
-    np.maximum.at(switches, (below, above), statuses[:, UPWARD])
-    np.maximum.at(switches, (above, below), statuses[:, DOWNWARD])
-    np.maximum.at(slidings, (below, above), statuses[:, SLIDING])
+def _hops(rows: Rows, sides: Sides, downward: bool) -> Iterator[tuple[np.ndarray, ...]]:
+    """Yield the switches of crossing faces: places among `sides`, and the labels from and to."""
+    here = np.flatnonzero(sides.down if downward else sides.up)
+    own, other = (1, 0) if downward else (0, 1)
+    for places, before, after in rows.hops(sides.rows[here, other], sides.labels[here, own]):
+        yield here[places], before, after
+
+
+def _tables(
+    rows: Rows, sides: Sides, numbers: np.ndarray, statuses: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return whether symbols switch and slide on any of the faces, (N + 1, N + 1) each.
+
+    In cells of rows (M,) a start may take several switches one after the other.
+    """
+    count = rows.next.shape[1]
+    switches, slidings = np.zeros((2, count, count), dtype=np.int8)
+    for downward, way in ((False, UPWARD), (True, DOWNWARD)):
+        for places, before, after in _hops(rows, sides, downward):
+            np.maximum.at(switches, (before, after), statuses[places, way])
+            np.maximum.at(slidings, (before, after), statuses[places, SLIDING])
+    used = np.unique(numbers)
+    place, label = rows.residents(used)
+    for row, labels in (
+        (used, rows.next[used, -1]),
+        (used[place], label),  # of which those that take turns for ever
+    ):
+        for _, before, after in rows.hops(row, labels):
+            switches[before, after] = POSSIBLE
+    turns = rows.next[used[place], label]
+    slidings[label[turns != label], turns[turns != label]] = POSSIBLE
     return switches, np.maximum(slidings, slidings.T)
 
 
 def _around_sliding(
-    faces: Faces, labels: np.ndarray, slides: np.ndarray, ends: np.ndarray, number: int
+    faces: Faces,
+    beside: np.ndarray,
+    rows: Rows,
+    sides: Sides,
+    slides: np.ndarray,
+    ends: np.ndarray,
 ) -> np.ndarray:
     """Return which switches (N + 1, N + 1) sliding may lead to through edges and corners.
 
     Sliding gathers states on the edges of a face, where other cells meet: those across another face
-    of one of its two cells that touches it. The loop may slide on faces `slides` (S,); `ends` (n,)
-    are the finest cells along periodic axes, whose ends meet, and 0 along others.
+    of one of its two cells that touches it. Faces have rows `beside` (F, 2); the loop may slide on
+    `slides` (S,) of `sides`; `ends` (n,) are the finest cells along periodic axes, whose ends meet,
+    and 0 along others.
     """
-    table = np.zeros((number, number), dtype=bool)
-    cells, rows = np.concatenate([faces.below, faces.above]), np.tile(np.arange(len(faces)), 2)
+    number, count = rows.next.shape
+    table = np.zeros((count, count), dtype=bool)
+    cells, places = np.concatenate([faces.below, faces.above]), np.tile(np.arange(len(faces)), 2)
     order = np.argsort(cells, kind="stable")
-    cells, rows = cells[order], rows[order]
-    others = np.concatenate([labels[:, 1], labels[:, 0]])[order]  # beyond the face, from the cell
+    cells, places = cells[order], places[order]
+    beyond = np.concatenate([beside[:, 1], beside[:, 0]])[order]  # the row there, from the cell
     for side in (faces.below, faces.above):
-        start, stop = (np.searchsorted(cells, side[slides], end) for end in ("left", "right"))
+        cell = side[sides.face[slides]]
+        start, stop = (np.searchsorted(cells, cell, end) for end in ("left", "right"))
         for part in _chunks(stop - start, MAX_PARTS):
             slide, within = ragged(stop[part] - start[part])
-            face, place = slides[part][slide], start[part][slide] + within
+            entry, place = slides[part][slide], start[part][slide] + within
+            face, other = sides.face[entry], places[place]
             low, high = faces.lower[face], faces.upper[face]
-            low_other, high_other = faces.lower[rows[place]], faces.upper[rows[place]]
+            low_other, high_other = faces.lower[other], faces.upper[other]
             touch = (low <= high_other) & (low_other <= high)
             touch |= (ends > 0) & (low == 0) & (high_other == ends)
             touch |= (ends > 0) & (low_other == 0) & (high == ends)
             touch = touch.all(axis=1)
-            for own in labels[face[touch]].T:
-                table[own, others[place[touch]]] = True
-    return table | table.T
+            entry, far = entry[touch], beyond[place[touch]]
+            for way in range(2):
+                own, near = sides.labels[entry, way], sides.rows[entry, way]
+                both = np.unique(own * number + far)
+                moves = [(both % number, both // number)]
+                pairs = np.unique(far * number + near)
+                resident, label = rows.residents(pairs // number)
+                moves.append((pairs[resident] % number, label))
+                for numbers, labels in moves:
+                    for _, before, after in rows.hops(numbers, labels):
+                        table[before, after] = True
+    return table
 
 
 def _chunks(sizes: np.ndarray, most: int) -> Iterator[slice]:
@@ -233,19 +307,34 @@ def _chunks(sizes: np.ndarray, most: int) -> Iterator[slice]:
         start = stop
 
 
-def _exits(
-    policy: Policy, axis: int, lower: np.ndarray, upper: np.ndarray, labels: np.ndarray
-) -> np.ndarray:
+def _from_outside(policy: Policy, rows: Rows, boxes: Boxes) -> np.ndarray:
+    """Return which switches (N + 1, N + 1) the safe symbol takes where the loop comes back in."""
+    table = np.zeros((rows.next.shape[1],) * 2, dtype=bool)
+    if policy.remembers and not isinstance(policy.outside, str):
+        outer = (boxes.lower == 0) | (boxes.upper == policy.cells.counts)
+        numbers = np.unique(boxes.labels[(outer & ~np.array(policy.domain.periodic)).any(axis=1)])
+        for _, before, after in rows.hops(numbers, np.full(len(numbers), policy.outside)):
+            table[before, after] = True
+    return table
+
+
+def _exits(policy: Policy, rows: Rows, axis: int, boxes: Boxes) -> np.ndarray:
     """Return the rates (N + 1,) at which states leave the domain on one axis by symbol."""
     domain, counts = policy.domain, policy.cells.counts
     rates = np.zeros(len(policy.alphabet) + 1)
     if domain.periodic[axis]:
         return rates
-    for outer, side in ((lower[:, axis] == 0, 1), (upper[:, axis] == counts[axis], 0)):
-        low, high = (domain.points(corner[outer], counts) for corner in (lower, upper))
+    ends = (boxes.lower[:, axis] == 0, 1), (boxes.upper[:, axis] == counts[axis], 0)
+    for outer, side in ends:
+        numbers = boxes.labels[outer]
+        place, label = rows.residents(numbers)
+        low, high = (
+            domain.points(corner[outer][place], counts) for corner in (boxes.lower, boxes.upper)
+        )
         at = (high if side == 0 else low)[:, axis]
-        both = np.stack([labels[outer]] * 2)
+        both = np.stack([label] * 2)
         faces = AxisFaces(policy, axis, low.T, high.T, np.stack([at, at]), both)
         _, flows, _ = faces.sampled()
-        rates += np.bincount(both[0], flows[:, side], minlength=len(rates))
+        flow = flows[:, side] * rows.weights[numbers[place]]
+        rates += np.bincount(label, flow, minlength=len(rates))
     return rates

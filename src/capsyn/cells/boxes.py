@@ -37,3 +37,25 @@ class Boxes:
     def volumes(self) -> np.ndarray:
         """Return the finest cells in each box, (M,) floats."""
         return np.prod(self.upper - self.lower, axis=1, dtype=float)
+
+
+def ragged(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row and the place in it, (sum,) each, of the items of rows of `counts` (M,)."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    return row, np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
+
+
+def digits_of(numbers: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Return where cells (M,), numbered in C order, are in blocks of some shapes, both (M, n)."""
+    digits = np.empty(shapes.shape, dtype=np.int64)
+    for i in reversed(range(shapes.shape[1])):
+        numbers, digits[:, i] = np.divmod(numbers, shapes[:, i])
+    return digits
+
+
+def number_of(digits: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Return the numbers (M,) of cells; the inverse of `digits_of`."""
+    numbers = digits[:, 0]
+    for i in range(1, shapes.shape[1]):
+        numbers = numbers * shapes[:, i] + digits[:, i]
+    return numbers

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from capsyn.cells.affine_leaves import AffineLeaves
-from capsyn.cells.boxes import Boxes, Cells
+from capsyn.cells.boxes import Boxes, Cells, digits_of, number_of, ragged
 from capsyn.cells.masks import WORD, members, singles, word_count
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.modelling.grid import Grid, grid_places
@@ -381,25 +381,3 @@ class CellTree:
         numbers = leaves[leaves >= first] - first
         if not np.array_equal(numbers, np.arange(len(self.affine))):
             raise PolicyFormatError("the affine leaves are not numbered in the order of the cells")
-
-
-def ragged(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row and the place in it, (sum,) each, of the items of rows of `counts` (M,)."""
-    row = np.repeat(np.arange(len(counts)), counts)
-    return row, np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
-
-
-def digits_of(numbers: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Return where cells (M,), numbered in C order, are in blocks of some shapes, both (M, n)."""
-    digits = np.empty(shapes.shape, dtype=np.int64)
-    for i in reversed(range(shapes.shape[1])):
-        numbers, digits[:, i] = np.divmod(numbers, shapes[:, i])
-    return digits
-
-
-def number_of(digits: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Return the numbers (M,) of cells; the inverse of `digits_of`."""
-    numbers = digits[:, 0]
-    for i in range(1, shapes.shape[1]):
-        numbers = numbers * shapes[:, i] + digits[:, i]
-    return numbers

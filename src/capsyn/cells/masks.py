@@ -165,18 +165,18 @@ def most_voted(sets: np.ndarray, order: Sequence[int]) -> tuple[np.ndarray, np.n
 def checked_masks(label: Callable[[np.ndarray], Any], n_symbols: int, in_force: int = 1) -> Label:
     """Return a labelling function of sets (B, W), or (B,) where W is 1, with its sets checked.
 
-    For several labels `in_force` they are sets (B, J, W).
+    For several labels `in_force` they are sets (B, J, W), or (B, J).
     """
     words = word_count(n_symbols + 1)
     top = np.uint64(2 ** ((n_symbols + 1) % WORD or WORD) - 1)
 
     def masks(states: np.ndarray) -> np.ndarray:
         sets = np.asarray(label(states))
-        if sets.ndim == 1 and words == 1:
-            sets = sets[:, None]
         wanted = (len(states), words) if in_force == 1 else (len(states), in_force, words)
+        if sets.ndim == len(wanted) - 1 and words == 1:
+            sets = sets[..., None]
         if sets.shape != wanted or sets.dtype.kind != "u":
-            shape = f"({len(states)},)" if wanted[1:] == (1,) else str(wanted)
+            shape = wanted[:-1] if words == 1 else wanted
             raise ProblemError(
                 f"`label` must return {shape} unsigned integers; got "
                 f"{sets.dtype} of shape {sets.shape}"
@@ -195,26 +195,27 @@ def checked_masks(label: Callable[[np.ndarray], Any], n_symbols: int, in_force: 
 
 
 def masks_of_symbols(
-    label: Callable[[np.ndarray], Any], n_symbols: int, name: str = "label"
+    label: Callable[[np.ndarray], Any], n_symbols: int, name: str = "label", in_force: int = 1
 ) -> Label:
     """Return a labelling function that gives masks from one that gives symbols.
 
-    Errors call it `name`.
+    Errors call it `name`. For several labels `in_force` they are symbols (B, J).
     """
 
     def masks(states: np.ndarray) -> np.ndarray:
         symbols = np.asarray(label(states))
-        if symbols.shape != (len(states),) or not np.issubdtype(symbols.dtype, np.integer):
+        wanted = (len(states),) if in_force == 1 else (len(states), in_force)
+        if symbols.shape != wanted or not np.issubdtype(symbols.dtype, np.integer):
             raise ProblemError(
-                f"`{name}` must return ({len(states)},) integers; got "
+                f"`{name}` must return {wanted} integers; got "
                 f"{symbols.dtype} of shape {symbols.shape}"
             )
         wrong = (symbols < -1) | (symbols >= n_symbols)
         if wrong.any():
-            i = int(np.flatnonzero(wrong)[0])
+            i = tuple(np.argwhere(wrong)[0])
             raise ProblemError(
                 f"`{name}` must return symbols from -1 to {n_symbols - 1}; got {symbols[i]} "
-                f"at state {states[i].tolist()}"
+                f"at state {states[i[0]].tolist()}"
             )
         return singles(np.where(symbols < 0, n_symbols, symbols), n_symbols + 1)
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from capsyn.cells.masks import (
+    WORD,
     holds,
     last_all,
     last_any,
@@ -20,6 +21,9 @@ from capsyn.cells.masks import (
     preferred,
     word_count,
 )
+
+ROOM = 2**26
+"""Bytes that sets of rows may take at once beside the result, roughly."""
 
 
 class RowTable:
@@ -118,13 +122,36 @@ def row_sets(sets: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
     Of one set for all labels in force (J is 1) these are the constant rows of its labels.
     """
-    count = len(rows)
+    labels, words = rows.shape[1], word_count(len(rows))
     if sets.shape[1] == 1:
-        held = np.zeros((len(sets), count), dtype=bool)
-        held[:, : rows.shape[1]] = members(sets[:, 0], rows.shape[1])
-    else:
-        held = np.stack([last_all(holds(sets, row)) for row in rows], axis=-1)
-    return masks_of_members(held, word_count(count))
+        return masks_of_members(members(sets[:, 0], labels), words)
+    tables = [_rows_by_label(column, labels, words) for column in rows.T]
+    found = np.full((len(sets), words), ~np.uint64(0))
+    size = max(1, ROOM // (8 * labels * words))
+    for start in range(0, len(sets), size):
+        some = slice(start, start + size)
+        for j, table in enumerate(tables):
+            kinds, kind = np.unique(sets[some, j], axis=0, return_inverse=True)
+            found[some] &= _united(kinds, table)[kind.ravel()]
+    return found
+
+
+def _rows_by_label(column: np.ndarray, labels: int, words: int) -> np.ndarray:
+    """Return the sets (N + 2, W) of rows that have each label in a column (R,); the last: none."""
+    table = np.zeros((labels + 1, words), dtype=np.uint64)
+    place = np.arange(len(column))
+    bits = np.uint64(1) << (place % WORD).astype(np.uint64)
+    np.bitwise_or.at(table, (column, place // WORD), bits)
+    return table
+
+
+def _united(sets: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Return what the labels of each of U sets (U, V) have in a table, together, (U, W)."""
+    held = np.ones((len(sets), len(table)), dtype=bool)  # the last entry, of nothing, always
+    held[:, :-1] = members(sets, len(table) - 1)
+    _, label = np.nonzero(held)
+    counts = held.sum(axis=1)
+    return np.asarray(np.bitwise_or.reduceat(table[label], np.cumsum(counts) - counts, axis=0))
 
 
 def whole(common: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import typer
 from capsyn.cli.compression import automaton, compress
 from capsyn.cli.console import notes, print_table, progress_bars, show, working
 from capsyn.cli.doctor import doctor
-from capsyn.cli.evidence import verify
+from capsyn.cli.evidence import switching, verify
 from capsyn.cli.explore import explore
 from capsyn.cli.export import export
 from capsyn.cli.import_table import import_table
@@ -27,6 +27,7 @@ from capsyn.cli.options import (
     Outside,
     OutsideAtOnce,
     Seed,
+    SwitchingOptions,
     Threads,
     assignments,
     executor,
@@ -170,6 +171,7 @@ def synth(
     outside: Outside = None,
     min_dwell: MinDwell = None,
     outside_at_once: OutsideAtOnce = None,
+    switching: SwitchingOptions,
     subdivision: SubdivisionOptions,
     dask: Dask = None,
     checkpoint: Annotated[
@@ -183,8 +185,10 @@ def synth(
     """Make the control alphabet policy of a problem."""
     from capsyn.policies.report import report
     from capsyn.synthesis.synthesize import synthesize
+    from capsyn.verification.switching_curve import chatter_hint
 
     chosen, path = _chosen_problem(problem, changes)
+    chosen = chosen.replace(switching=switching.of(chosen.switching))
     with (
         executor(dask) as client,
         progress_bars() as progress,
@@ -199,6 +203,7 @@ def synth(
             outside=outside,
             min_dwell=min_dwell,
             outside_at_once=outside_at_once,
+            delay=switching.delay,
             **vars(subdivision),
             executor=client,
             checkpoint=checkpoint,
@@ -206,6 +211,8 @@ def synth(
         )
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
+    if (hint := chatter_hint(policy)) is not None:
+        data["hints"] = [*data["hints"], hint]
     end = f"wrote {path} in {sum(policy.timings.values()):.2f} s"
     show(as_json, data, lambda: print_report(data), end)
 
@@ -328,6 +335,7 @@ app.command()(export)
 app.command()(explore)
 app.command()(simulate)
 app.command()(verify)
+app.command()(switching)
 app.command()(bench)
 app.command()(reproduce)
 app.command()(doctor)

@@ -7,12 +7,15 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Ball, Box
+
+if TYPE_CHECKING:
+    from capsyn.modelling.switching import Switching
 
 Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A policy file.")]
@@ -100,6 +103,60 @@ def _field_parameters(kind: Any) -> list[inspect.Parameter]:
         before = extra.get("before")
         ordered.insert(names.index(before) if before else len(names), parameter)
     return ordered
+
+
+@dataclasses.dataclass(frozen=True)
+class SwitchingOptions:
+    """A `capsyn.Switching` as texts, and the delay that is compensated."""
+
+    switch_price: str | None = option(
+        "Price of a switch: a number [cost / time unit], a share as 1%, or INPUT=P,.. for each "
+        "unit of its change; none: forget the symbol in force [default: the problem's].",
+        metavar="P|INPUT=P[,..]|none",
+    )
+    hold: str | None = option(
+        "Least time of all symbols, or of some symbols or inputs [time unit].",
+        metavar="T|NAME=T[,..]",
+    )
+    forbid: list[str] | None = option(
+        "Symbols between which there must be no switch; may be repeated.", metavar="FROM:TO[,..]"
+    )
+    delay: float | None = option("Known input delay, which the policy compensates [time unit].")
+
+    def of(self, switching: Switching | None) -> Switching | None:
+        """Return the problem's `Switching`, changed, or a new one; None for none."""
+        from capsyn.modelling.switching import Switching
+
+        changes: dict[str, Any] = {}
+        if self.switch_price == "none":
+            if self.hold is not None or self.forbid:
+                raise ProblemError("--switch-price none takes no --hold and no --forbid")
+            return None
+        if self.switch_price is not None:
+            changes["price"] = _one_or_named("--switch-price", self.switch_price, price)
+        if self.hold is not None:
+            changes["hold"] = _one_or_named("--hold", self.hold, number)
+        if self.forbid:
+            pairs = [part.split(":") for text in self.forbid for part in text.split(",")]
+            if any(len(pair) != 2 for pair in pairs):
+                raise ProblemError(f"--forbid must be FROM:TO; got '{' '.join(self.forbid)}'")
+            changes["forbidden"] = pairs
+        if not changes:
+            return switching
+        return dataclasses.replace(switching or Switching(), **changes)
+
+
+def price(name: str, text: str) -> Any:
+    """Return a number, or a share as text."""
+    return text if text.endswith("%") else number(name, text)
+
+
+def _one_or_named(name: str, text: str, meaning: Callable[[str, str], Any]) -> Any:
+    """Return what a text means, or of ``NAME=TEXT,..`` what each does, by name."""
+    if "=" not in text:
+        return meaning(name, text)
+    parts = assignments(name, text.split(","))
+    return {key: meaning(name, value) for key, value in parts.items()}
 
 
 @contextlib.contextmanager

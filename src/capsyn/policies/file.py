@@ -29,6 +29,7 @@ from capsyn.modelling.grid import MAX_COUNT, Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching
 from capsyn.modelling.targets import Target
+from capsyn.policies.evidence import EVIDENCE, is_evidence
 from capsyn.policies.guarantee import Guarantee
 from capsyn.programs.model import Model
 from capsyn.programs.program import Program
@@ -90,12 +91,6 @@ STATISTICS: dict[str, tuple[type, ...]] = {
     "table": (dict,),
 }
 """What statistics hold, if they hold it; there may be more."""
-EVIDENCE = {
-    "monte_carlo": (("trials", "successes"), ("low", "high", "confidence")),
-    "lyapunov": ((), ("proved", "negative", "violated", "undecided")),
-    "agreement": (("states", "agreeing"), ("share", "low", "high", "confidence")),
-}
-"""Kinds of evidence, and the counts and shares that each has at least."""
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
 TABLE = ("points", "outside", "several")
 SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
@@ -307,16 +302,11 @@ def _switching(data: Any) -> Switching | None:
 
 
 def _transitions(rows: np.ndarray | None, count: int) -> np.ndarray | None:
-    """Return the whole table of rows, of those that are not constant, checked."""
+    """Return the whole table of rows, of those that are not constant."""
     if rows is None:
         return None
-    if not len(rows) or rows.shape[1] != count or (rows >= count).any():
+    if not len(rows) or rows.shape[1] != count:
         raise PolicyFormatError("its transitions are none of its symbols")
-    before, after = rows[:-1].astype(np.int64), rows[1:].astype(np.int64)
-    first = np.argmax(before != after, axis=1)[:, None]
-    step = np.take_along_axis(after - before, first, axis=1)
-    if (rows == rows[:, :1]).all(axis=1).any() or (step <= 0).any():
-        raise PolicyFormatError("its transitions are constant somewhere, or not in order")
     constant = np.repeat(np.arange(count, dtype=np.int32)[:, None], count, axis=1)
     return np.concatenate([constant, rows.astype(np.int32)])
 
@@ -357,36 +347,9 @@ def _evidence(document: dict[str, Any]) -> dict[str, Any]:
     if evidence and evidence.get("sha256") != document["sha256"]:
         raise PolicyFormatError("its evidence is that of another policy")
     for kind in set(evidence) - {"sha256"}:
-        if not _is_evidence(kind, evidence[kind]):
+        if not is_evidence(kind, evidence[kind]):
             raise PolicyFormatError(f"its evidence '{kind}' is of another kind")
     return evidence
-
-
-def _is_evidence(kind: str, data: Any) -> bool:
-    """Return whether plain data has the figures of a kind of evidence, and they make sense."""
-    if kind not in EVIDENCE or not isinstance(data, dict) or not _is_clean(data):
-        return False
-    counts, shares = ([data.get(name) for name in names] for names in EVIDENCE[kind])
-    numbers = [count for count in counts if type(count) is int]
-    return (
-        len(numbers) == len(counts)
-        and numbers == sorted(numbers, reverse=True)  # no more successes than trials
-        and min(numbers, default=0) >= 0
-        and all(isinstance(share, (int, float)) and 0 <= share <= 1 for share in shares)
-        and data.get("low", 0) <= data.get("high", 1)
-        and isinstance(data.get("conditions", {}), dict)
-    )
-
-
-def _is_clean(value: Any) -> bool:
-    """Return whether plain data holds printable text and finite numbers only."""
-    if isinstance(value, dict):
-        return all(map(_is_clean, [*value, *value.values()]))
-    if isinstance(value, list):
-        return all(map(_is_clean, value))
-    if isinstance(value, str):
-        return value.isprintable()
-    return value is None or (isinstance(value, (int, float)) and abs(value) < 1e300)
 
 
 def add_evidence(policy: Any, kinds: dict[str, Any]) -> dict[str, Any]:
@@ -396,7 +359,7 @@ def add_evidence(policy: Any, kinds: dict[str, Any]) -> dict[str, Any]:
             _canonical(data)
         except (TypeError, ValueError):
             data = None
-        if not _is_evidence(kind, data):
+        if not is_evidence(kind, data):
             raise ProblemError(
                 f"`{kind}` must be what to_json() of evidence of a kind ({', '.join(EVIDENCE)}) "
                 f"gives; got {describe(data)}"

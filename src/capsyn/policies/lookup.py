@@ -133,6 +133,29 @@ def lookup_kernel(n: int, backend: str, count: int, compiles: bool = True) -> Lo
     return compiled(lambda: _built(n), backend, "looking up")
 
 
+def row_numbers(
+    states: np.ndarray,
+    domain: Box,
+    cells: CellTree | SplitTree,
+    nearest: bool,
+    backend: str = "auto",
+    in_force: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the rows (B,) int32 of states (B, n), of affine leaves the next label; or negative.
+
+    With `nearest` a finite state outside the domain has that of the nearest cell; `in_force` (B,)
+    are the labels in force, by default the default's.
+    """
+    kernel = lookup_kernel(domain.n, backend, len(states), cells.compiled)
+    if kernel is not None:
+        return kernel(states, domain, cells, nearest, in_force)
+    covered = np.isfinite(states).all(axis=1) if nearest else domain.contains(states)
+    numbers = np.full(len(states), OUTSIDE, dtype=np.int32)
+    steps = domain.locate(states[covered], cells.counts)
+    numbers[covered] = cells.labels(steps, None if in_force is None else in_force[covered])
+    return numbers
+
+
 @functools.lru_cache(maxsize=16)
 def _built(n: int) -> LookupKernel:
     return LookupKernel.build(n)

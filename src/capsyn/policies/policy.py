@@ -15,26 +15,20 @@ from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
-from capsyn.modelling.grid import places_or_some
 from capsyn.modelling.settings import SsacSettings
-from capsyn.modelling.switching import DEFAULT, Switching, SwitchRules, check_switching
-from capsyn.modelling.targets import Target, check_target
-from capsyn.modelling.time_unit import check_time_unit
+from capsyn.modelling.switching import Switching, SwitchRules
+from capsyn.modelling.targets import Target
+from capsyn.policies.checks import check_fields, labels_in_force
 from capsyn.policies.guarantee import Guarantee
-from capsyn.policies.lookup import GAP, OUTSIDE, lookup_kernel
+from capsyn.policies.lookup import GAP, OUTSIDE, row_numbers
 from capsyn.policies.outside import outside_text
+from capsyn.policies.volumes import mixed_share, volume_shares
 from capsyn.programs.model import Model
 from capsyn.validation import (
     describe,
-    finite_number,
-    keep,
     read_only,
     state_array,
-    true_or_false,
 )
-
-SAMPLES = 100_000
-"""States at which the volumes of symbols are estimated where planes bound them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,47 +109,7 @@ class Policy:
     _structure: ClassVar[type] = CellTree
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name.isprintable():
-            raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
-        keep(self, default=self.alphabet.control("default", self.default))
-        keep(self, outside=check_outside(self.outside, self.alphabet))
-        check_time_unit(self.time_unit)
-        keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
-        check_target(self.target, self.domain)
-        true_or_false("gaps", self.gaps)
-        true_or_false("outside_at_once", self.outside_at_once)
-        if self.horizon is not None:
-            keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
-        if self.settings is not None:
-            self.settings.efforts(self.alphabet.values)
-        if not isinstance(self.cells, self._structure):
-            raise ProblemError(
-                f"`cells` must be a {self._structure.__name__}; got {describe(self.cells)}"
-            )
-        if self.cells.n != self.domain.n:
-            raise ProblemError(
-                f"`cells` must have {self.domain.n} axes like the domain; got {self.cells.n}"
-            )
-        check_switching(self)
-        keep(self, delay=finite_number("delay", self.delay, least=0.0))
-        keep(self, transitions=checked_transitions(self.transitions, len(self.alphabet) + 1))
-        self.cells.check(len(self.alphabet) + 1, self.transitions)
-        self._check_forbidden()
-
-    def _check_forbidden(self) -> None:
-        """Raise unless no leaf takes a forbidden transition, and prices are numbers."""
-        if self.switching is None:
-            return
-        if self.switching.has_share:
-            raise ProblemError(
-                f"`switching` must have a price in numbers; got {describe(self.switching.price)}"
-            )
-        forbidden = self.switching.forbids(self.alphabet)
-        if forbidden.any():
-            used = np.unique(self.cells.constant_leaves(len(self.transitions)))
-            taken = self.transitions[used]
-            if forbidden[np.arange(taken.shape[1]), taken].any():
-                raise ProblemError("`transitions` must not take a forbidden transition; it does")
+        check_fields(self, self._structure)
 
     @property
     def remembers(self) -> bool:
@@ -194,7 +148,7 @@ class Policy:
         states = state_array(states, self.domain.n)
         rule = check_outside(self.outside if outside is None else outside, self.alphabet)
         flat = states.reshape(-1, self.domain.n)
-        in_force = self._in_force(current, states.shape[:-1])
+        in_force = labels_in_force(current, states.shape[:-1], self.alphabet)
         labels = self.leaves(flat, rule == "nearest", backend, in_force)
         lost = labels < 0
         if lost.any():
@@ -205,32 +159,6 @@ class Policy:
             labels[lost] = rule
         labels[labels == len(self.alphabet)] = -1
         return labels.reshape(states.shape[:-1])[()]
-
-    def _in_force(self, current: Any, shape: tuple[int, ...]) -> np.ndarray | None:
-        """Return the labels in force (B,) for states (...), checked; None for the default's."""
-        if current is None:
-            return None
-        count = len(self.alphabet)
-        if isinstance(current, str):
-            names = [*self.alphabet.names, DEFAULT]
-            if current not in names:
-                raise ProblemError(
-                    f"`current` must be a symbol ({', '.join(names)}); got {describe(current)}"
-                )
-            current = names.index(current)
-        labels = np.asarray(current)
-        if labels.dtype.kind not in "iu" or (labels < -1).any() or (labels > count).any():
-            raise ProblemError(
-                f"`current` must be symbols, -1 to {count - 1}; got {describe(current)}"
-            )
-        try:
-            labels = np.broadcast_to(labels, shape)
-        except ValueError:
-            raise ProblemError(
-                f"`current` must be of shape {shape}, one symbol for each state; got {labels.shape}"
-            ) from None
-        labels = labels.reshape(-1).astype(np.int32)
-        return np.where(labels < 0, np.int32(count), labels)
 
     def leaves(
         self,
@@ -245,7 +173,7 @@ class Policy:
         that of the nearest cell; `backend` is that of a call; `in_force` (B,) are the labels in
         force, by default the default's.
         """
-        labels = self._numbers(states, nearest, backend, in_force)
+        labels = row_numbers(states, self.domain, self.cells, nearest, backend, in_force)
         if len(self.transitions) > len(self.alphabet) + 1:
             known = labels >= 0
             now = len(self.alphabet) if in_force is None else in_force[known]
@@ -273,15 +201,6 @@ class Policy:
         numbers[inside] = self.cells.labels_at(self.cells.find(steps))
         return numbers.reshape(states.shape[:-1])[()]
 
-    def _numbers(
-        self, states: np.ndarray, nearest: bool, backend: str, in_force: np.ndarray | None
-    ) -> np.ndarray:
-        """Return the rows (B,) int32 of states (B, n), of affine leaves the label; or negative."""
-        kernel = lookup_kernel(self.domain.n, backend, len(states), self.cells.compiled)
-        if kernel is None:
-            return self._labels(states, nearest, in_force)
-        return kernel(states, self.domain, self.cells, nearest, in_force)
-
     def covers(self, states: Any) -> Any:
         """Return whether states (..., n) are in the domain and in no gap, booleans (...).
 
@@ -293,16 +212,6 @@ class Policy:
         states = state_array(states, self.domain.n)
         leaves = self.leaves(states.reshape(-1, self.domain.n), False)
         return (leaves >= 0).reshape(states.shape[:-1])[()]
-
-    def _labels(self, states: np.ndarray, nearest: bool, in_force: np.ndarray | None) -> np.ndarray:
-        """Return `_numbers` by NumPy."""
-        finite = np.isfinite(states).all(axis=1)
-        covered = finite if nearest else self.domain.contains(states)
-        labels = np.full(len(states), OUTSIDE, dtype=np.int32)
-        steps = self.domain.locate(states[covered], self.cells.counts)
-        now = None if in_force is None else in_force[covered]
-        labels[covered] = self.cells.labels(steps, now)
-        return labels
 
     def control(
         self, states: Any, outside: Outside | None = None, current: Any = None
@@ -333,27 +242,9 @@ class Policy:
         """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
 
         It is that of the next symbol, the mean over all symbols in force where that matters. Where
-        planes bound symbols it is estimated at `SAMPLES` random states, if they are fewer.
+        planes bound symbols it is estimated at random states, if they are fewer.
         """
-        count = len(self.alphabet) + 1
-        in_force = range(count - 1) if self.remembers else [count - 1]
-        return np.mean([self._shares(now) for now in in_force], axis=0)
-
-    def _shares(self, now: int) -> np.ndarray:
-        """Return the shares (N + 1,) of the volume of what follows a label."""
-        count = len(self.alphabet) + 1
-        if self.has_planes:
-            steps = places_or_some(self.cells.counts, SAMPLES)
-            numbers = self.cells.labels(steps, np.full(len(steps), now, dtype=np.int32))
-            return np.bincount(self.transitions[numbers, now], minlength=count) / len(steps)
-        numbers, volumes = self._leaf_volumes
-        return np.bincount(self.transitions[numbers, now], volumes, count)
-
-    @functools.cached_property
-    def _leaf_volumes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows (L,) of all leaves, which no planes bound, and their share (L,) of the volume."""
-        boxes = self.cells.boxes()
-        return boxes.labels, boxes.volumes() / np.prod(self.cells.counts, dtype=float)
+        return volume_shares(self)
 
     @property
     def has_planes(self) -> bool:
@@ -372,10 +263,7 @@ class Policy:
     @functools.cached_property
     def mixed_share(self) -> float:
         """Share of the volume of finest cells whose test points did not agree."""
-        cells = cell_tree(self)
-        places, volumes = cells.volumes()
-        mixed = volumes[np.isin(places, cells.mixed_cells)]
-        return float(mixed.sum() / np.prod(cells.counts, dtype=float))
+        return mixed_share(cell_tree(self))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the policy to a file at `path`, whole or not at all.
@@ -497,32 +385,6 @@ class DecisionTree(Policy):
             f"DecisionTree('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
             f"{self.node_count} nodes, {self.guarantee.mode})"
         )
-
-
-def checked_transitions(transitions: Any, count: int) -> np.ndarray:
-    """Return a table of rows (R, N + 1), int32 and read-only, of so many labels, N + 1."""
-    constant = _constant_rows(count)
-    if transitions is None:
-        return constant
-    table = np.asarray(transitions)
-    if np.array_equal(table, _constant_rows(len(table))):  # of any alphabet
-        return constant
-    wide = table.ndim == 2 and table.shape[0] >= count and table.shape[1] == count
-    if table.dtype.kind not in "iu" or not wide:
-        raise ProblemError(
-            f"`transitions` must be a table of whole numbers (R, {count}), R >= {count}; got "
-            f"{table.dtype} of shape {table.shape}"
-        )
-    if (table < 0).any() or (table >= count).any() or (table[:count] != constant).any():
-        raise ProblemError(
-            f"`transitions` must be labels 0 to {count - 1}, its first {count} rows constant"
-        )
-    return read_only(table.astype(np.int32))
-
-
-def _constant_rows(count: int) -> np.ndarray:
-    """Return the rows (K, K) of labels that follow whatever is in force; no memory is taken."""
-    return np.broadcast_to(np.arange(count, dtype=np.int32)[:, None], (count, count))
 
 
 def cell_tree(policy: Any) -> CellTree:

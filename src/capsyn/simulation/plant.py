@@ -154,6 +154,12 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
             "`parameters` need a `model` that is a function of x, u and p; got "
             + ("none" if model is None else describe(model, 40))
         )
+    _check_fit(controller, plant)
+    return plant
+
+
+def _check_fit(controller: Any, plant: Plant) -> None:
+    """Raise unless a controller that has dimensions, and a unit of time, has those of a plant."""
     domain, alphabet = getattr(controller, "domain", None), getattr(controller, "alphabet", None)
     if domain is not None and alphabet is not None and (domain.n, alphabet.m) != (plant.n, plant.m):
         raise ProblemError(
@@ -165,7 +171,6 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
         raise ProblemError(
             f"`model` must count time in {own} like the controller; got {plant.time_unit}"
         )
-    return plant
 
 
 def choose_substeps(

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from capsyn.cells.affine_leaves import LARGEST_SUM, AffineLeaves
-from capsyn.cells.cell_tree import CellTree, ragged
+from capsyn.cells.boxes import ragged
+from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.masks import masks_of_members, several
 from capsyn.errors import ProblemError
 from capsyn.modelling.grid import Grid

@@ -40,7 +40,7 @@ from capsyn.subdivision.lattice_points import LatticePoints, Progress
 from capsyn.subdivision.limits import Limits
 from capsyn.subdivision.plan import SubdivisionPlan
 from capsyn.subdivision.rounds import RoundSubdivision
-from capsyn.validation import describe, is_list, one_of, whole_number
+from capsyn.validation import describe, is_list, one_of, true_or_false, whole_number
 
 RETURNS = ("symbols", "masks", "scores", "masks+scores")
 
@@ -60,6 +60,7 @@ def subdivide(
     seed: int = 0,
     returns: str = "symbols",
     preference: Sequence[int] | None = None,
+    in_force: bool = False,
     outside: Outside = "error",
     name: str = "policy",
     time_unit: str = "s",
@@ -107,6 +108,10 @@ def subdivide(
         is no finite answer; or a pair of masks and scores.
     preference : sequence of int, optional
         Symbols (N for the default), most preferred first, to break ties. Default: by index.
+    in_force : bool
+        Whether `label` returns symbols (B, N + 1), or masks (B, N + 1) or (B, N + 1, W): one for
+        each symbol in force, and last for the default control, which is in force before the first
+        decision. Then the policy depends on the symbol in force, which stays where it ties.
     outside : "error", "nearest" or symbol
         Rule of the policy for states outside the domain.
     name : str
@@ -166,6 +171,11 @@ def subdivide(
     if not isinstance(domain, Box):
         raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(domain)}")
     check_time_unit(time_unit)
+    true_or_false("in_force", in_force)
+    if in_force and returns in ("scores", "masks+scores"):
+        raise ProblemError(
+            f"`returns` must be symbols or masks for labels `in_force`; got {describe(returns)}"
+        )
     alphabet = symbols
     if not isinstance(alphabet, Alphabet):
         alphabet = Alphabet(range(whole_number("symbols", symbols, least=1)))
@@ -179,7 +189,8 @@ def subdivide(
         seed=seed,
     )
     plan.check(domain, len(alphabet))
-    labelling = Labelling(label, returns, preference, threads, progress)
+    labels = len(alphabet) + 1 if in_force else 1
+    labelling = Labelling(label, returns, preference, threads, progress, labels)
     policy = carry_out(plan, labelling, domain, alphabet, outside, name)
     return dataclasses.replace(policy, time_unit=time_unit)
 
@@ -260,7 +271,7 @@ def _masks(
     if returns == "masks":
         return checked_masks(label, n_symbols, in_force)
     if returns == "symbols":
-        return masks_of_symbols(label, n_symbols)
+        return masks_of_symbols(label, n_symbols, in_force=in_force)
     scored = _scored(label, returns, n_symbols, in_force)
     return lambda states: scored(states)[0]
 

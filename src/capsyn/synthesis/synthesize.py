@@ -6,6 +6,7 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -70,9 +71,10 @@ def synthesize(
     ----------
     problem : Problem
         System, goal and alphabet, with their own settings.
-    partitions, refinement, max_level, settings, outside, min_dwell, outside_at_once, switching, \
-    delay : optional
+    partitions, refinement, max_level, settings, outside, min_dwell, outside_at_once : optional
         Override the problem's own.
+    switching, delay : optional
+        Likewise, of a policy that depends on the symbol in force. Affine leaves have no delay.
     leaves : "constant" or "affine"
         One symbol for each cell, or rows that are affine in the state for cells on a switching
         surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
@@ -152,19 +154,38 @@ def synthesize(
     one_of("backend", backend, BACKENDS)
     if executor is not None:
         check_client(executor)
-    plan.check(problem.domain, len(problem.alphabet))
-    started = time.perf_counter()
-    problem, controller = priced(problem, transcribe(problem), backend, plan.seed)
+    remembers = problem.switching is not None or problem.delay > 0
+    labels = len(problem.alphabet) + 1
+    plan.check(problem.domain, len(problem.alphabet), labels if remembers else 1)
     if plan.affine and problem.delay:
         raise ProblemError("`leaves` must be constant for a problem with a delay; got affine")
+    run = _Run(threads, backend, executor, checkpoint, progress)
+    return _synthesized(problem, plan, run)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """How a synthesis is run; the result does not depend on it. See `synthesize`."""
+
+    threads: int
+    backend: str
+    executor: Any
+    checkpoint: str | os.PathLike[str] | None
+    progress: Callable[[Progress], None] | None
+
+
+def _synthesized(problem: Problem, plan: SubdivisionPlan, run: _Run) -> Policy:
+    """Return the policy of a problem on a plan, both checked."""
+    started = time.perf_counter()
+    problem, controller = priced(problem, transcribe(problem), run.backend, plan.seed)
     prepared = time.perf_counter() - started
     method, returns = ("scored", "masks+scores") if plan.affine else ("masks", "masks")
-    run = (threads, backend, executor, checkpoint, _asked(problem, plan))
-    with answerer(controller, method, *run) as answers:
+    how = (run.threads, run.backend, run.executor, run.checkpoint, _asked(problem, plan))
+    with answerer(controller, method, *how) as answers:
         controller = answers.controller
         prices = controller.formulation.prices
         labelling = Labelling(
-            answers.label, returns, controller.preference, answers.threads, progress,
+            answers.label, returns, controller.preference, answers.threads, run.progress,
             controller.in_force, None if prices is None else PriceRatios.of(prices),
         )  # fmt: skip
         policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
@@ -187,8 +208,8 @@ def _asked(problem: Problem, plan: SubdivisionPlan) -> dict[str, Any]:
         **plan.grid.to_json(),
         "outside": problem.outside,
         "min_dwell": problem.min_dwell,
-        "switching": None if problem.switching is None else problem.switching.to_json(),
-        "delay": problem.delay,
+        **({} if problem.switching is None else {"switching": problem.switching.to_json()}),
+        **({"delay": problem.delay} if problem.delay else {}),
         **plan.asked(),
     }
 

@@ -1,0 +1,121 @@
+"""What the fields of a policy must be, and the symbols in force that it is asked with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import Alphabet, check_outside
+from capsyn.modelling.switching import DEFAULT, check_switching
+from capsyn.modelling.targets import check_target
+from capsyn.modelling.time_unit import check_time_unit
+from capsyn.validation import describe, finite_number, keep, read_only, true_or_false
+
+
+def check_fields(policy: Any, structure: type) -> None:
+    """Raise `ProblemError` unless the fields fit each other, and keep them as they were checked.
+
+    `structure` is the type of the cells.
+    """
+    if not isinstance(policy.name, str) or not policy.name.isprintable():
+        raise ProblemError(f"`name` must be a printable string; got {describe(policy.name)}")
+    keep(policy, default=policy.alphabet.control("default", policy.default))
+    keep(policy, outside=check_outside(policy.outside, policy.alphabet))
+    check_time_unit(policy.time_unit)
+    keep(policy, min_dwell=finite_number("min_dwell", policy.min_dwell, least=0.0))
+    check_target(policy.target, policy.domain)
+    true_or_false("gaps", policy.gaps)
+    true_or_false("outside_at_once", policy.outside_at_once)
+    if policy.horizon is not None:
+        keep(policy, horizon=finite_number("horizon", policy.horizon, above=0.0))
+    if policy.settings is not None:
+        policy.settings.efforts(policy.alphabet.values)
+    cells: Any = policy.cells
+    if not isinstance(cells, structure):
+        raise ProblemError(f"`cells` must be a {structure.__name__}; got {describe(cells)}")
+    if policy.cells.n != policy.domain.n:
+        raise ProblemError(
+            f"`cells` must have {policy.domain.n} axes like the domain; got {policy.cells.n}"
+        )
+    check_switching(policy)
+    keep(policy, delay=finite_number("delay", policy.delay, least=0.0))
+    keep(policy, transitions=_checked_transitions(policy.transitions, len(policy.alphabet) + 1))
+    policy.cells.check(len(policy.alphabet) + 1, policy.transitions)
+    _check_forbidden(policy)
+
+
+def _checked_transitions(transitions: Any, count: int) -> np.ndarray:
+    """Return a table of rows (R, N + 1), int32 and read-only, of so many labels, N + 1."""
+    constant = _constant_rows(count)
+    if transitions is None:
+        return constant
+    table = np.asarray(transitions)
+    if np.array_equal(table, _constant_rows(len(table))):  # of any alphabet
+        return constant
+    wide = table.ndim == 2 and table.shape[0] >= count and table.shape[1] == count
+    if table.dtype.kind not in "iu" or not wide:
+        raise ProblemError(
+            f"`transitions` must be a table of whole numbers (R, {count}), R >= {count}; got "
+            f"{table.dtype} of shape {table.shape}"
+        )
+    if (table < 0).any() or (table >= count).any() or (table[:count] != constant).any():
+        raise ProblemError(
+            f"`transitions` must be labels 0 to {count - 1}, its first {count} rows constant"
+        )
+    rows = table[count:].astype(np.int64)
+    differ = rows[1:] - rows[:-1]
+    first = np.argmax(differ != 0, axis=1)[:, None]
+    ordered = (np.take_along_axis(differ, first, axis=1) > 0).all()
+    if not ordered or (rows == rows[:, :1]).all(axis=1).any():
+        raise ProblemError(
+            f"`transitions` must ascend from row {count} on, row by row, with none that is constant"
+        )
+    return read_only(table.astype(np.int32))
+
+
+def _constant_rows(count: int) -> np.ndarray:
+    """Return the rows (K, K) of labels that follow whatever is in force; no memory is taken."""
+    return np.broadcast_to(np.arange(count, dtype=np.int32)[:, None], (count, count))
+
+
+def _check_forbidden(policy: Any) -> None:
+    """Raise unless no leaf takes a forbidden transition, and prices are numbers."""
+    if policy.switching is None:
+        return
+    if policy.switching.has_share:
+        raise ProblemError(
+            f"`switching` must have a price in numbers; got {describe(policy.switching.price)}"
+        )
+    forbidden = policy.switching.forbids(policy.alphabet)
+    if forbidden.any():
+        used = np.unique(policy.cells.constant_leaves(len(policy.transitions)))
+        taken = policy.transitions[used]
+        if forbidden[np.arange(taken.shape[1]), taken].any():
+            raise ProblemError("`transitions` must not take a forbidden transition; it does")
+
+
+def labels_in_force(current: Any, shape: tuple[int, ...], alphabet: Alphabet) -> np.ndarray | None:
+    """Return the labels in force (B,) for states of a shape (...), checked; None: the default's."""
+    if current is None:
+        return None
+    count = len(alphabet)
+    if isinstance(current, str):
+        names = [*alphabet.names, DEFAULT]
+        if current not in names:
+            raise ProblemError(
+                f"`current` must be a symbol ({', '.join(names)}); got {describe(current)}"
+            )
+        current = names.index(current)
+    labels = np.asarray(current)
+    if labels.dtype.kind not in "iu" or (labels < -1).any() or (labels > count).any():
+        raise ProblemError(f"`current` must be symbols, -1 to {count - 1}; got {describe(current)}")
+    try:
+        labels = np.broadcast_to(labels, shape)
+    except ValueError:
+        raise ProblemError(
+            f"`current` must be of shape {shape}, one symbol for each state; got {labels.shape}"
+        ) from None
+    labels = labels.reshape(-1).astype(np.int32)
+    return np.where(labels < 0, np.int32(count), labels)

@@ -1,0 +1,70 @@
+"""Which symbols may be in force, and where they stay though the start would take another."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def followers(policy: Any) -> np.ndarray:
+    """Return which label may follow which somewhere in the domain, (N + 1, N + 1) booleans.
+
+    Of affine leaves it may be any of their rows that is not forbidden.
+    """
+    table, cells = policy.transitions, policy.cells
+    count = table.shape[1]
+    follows = np.zeros((count, count), dtype=bool)
+    for row in table[np.unique(cells.constant_leaves(len(table)))]:
+        follows[np.arange(count), row] = True
+    affine = getattr(cells, "affine", None)
+    if affine is not None:
+        could = np.zeros((count, count), dtype=bool)
+        could[:, np.unique(affine.symbols)] = True
+        if affine.ratios is not None:
+            could &= affine.ratios >= 0
+            could |= np.eye(count, dtype=bool)  # where all rows are forbidden
+        follows |= could
+    return follows
+
+
+def reachable(policy: Any) -> np.ndarray:
+    """Return the labels (K,) that may be in force, ascending, N for the default control.
+
+    They are those that the policy gives at the start, when the default control is in force, or
+    later, in turn, and the safe symbol outside the domain. The default control is one of them only
+    where the policy gives it.
+    """
+    follows = followers(policy)
+    found = follows[-1].copy()
+    if policy.remembers and not isinstance(policy.outside, str):
+        found[policy.outside] = True
+    while True:
+        more = found | follows[found].any(axis=0)
+        if (more == found).all():
+            return np.flatnonzero(found)
+        found = more
+
+
+def staying_rows(policy: Any, current: int | None = None) -> np.ndarray:
+    """Return the rows (R,) of which a symbol in force stays though the start would take another.
+
+    Only `current` counts, or by default each symbol that may be in force.
+    """
+    table = policy.transitions
+    labels = np.array([reachable(policy) if current is None else [current]]).ravel()
+    kept = table[:, labels] == labels
+    return np.asarray((kept & (table[:, -1:] != labels)).any(axis=1))
+
+
+def stays(policy: Any, states: np.ndarray, current: int | None = None) -> np.ndarray:
+    """Return at which states (B, n) a symbol in force stays though the start would take another.
+
+    Which symbols count is as in `staying_rows`. Outside the domain the nearest cell counts.
+    """
+    first = policy.leaves(states, True)
+    found = np.zeros(len(states), dtype=bool)
+    for label in reachable(policy) if current is None else [current]:
+        now = np.full(len(states), label, dtype=np.int32)
+        found |= (policy.leaves(states, True, in_force=now) == label) & (first != label)
+    return found

@@ -1,0 +1,304 @@
+"""What prices and least times do to a policy: switches, cost and success, side by side."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capsyn.cells.affine_leaves import PriceRatios
+from capsyn.cells.cell_tree import CellTree
+from capsyn.controllers.ssac import BatchController, policy_controller
+from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.execution.files import atomic_write
+from capsyn.execution.processors import processors
+from capsyn.modelling.switching import Switching
+from capsyn.modelling.time_unit import NAMES
+from capsyn.policies.policy import Policy, cell_tree
+from capsyn.programs.program import Program
+from capsyn.simulation.experiment import set_up
+from capsyn.simulation.options import LoopOptions
+from capsyn.simulation.plant import Plant, plant_of
+from capsyn.subdivision.limits import Limits
+from capsyn.subdivision.plan import SubdivisionPlan
+from capsyn.subdivision.subdivide import Labelling, carry_out
+from capsyn.synthesis.synthesize import SAMPLES
+from capsyn.validation import describe, finite_number, whole_number
+
+PRICES = (0.0, "0.3%", "1%", "2%", "3%", "5%", "10%")
+"""Prices that are tried unless others are given."""
+DEARER = 1.03
+"""How much of the least cost the recommended price may take."""
+LOST = 0.005
+"""Share of the trials that it may lose."""
+CHATTER = 0.05
+"""Share of the samples at which a policy that does not chatter may switch."""
+HINT_TRIALS, HINT_SAMPLES, HINT_PRICES = 32, 3000, (0.0, "0.3%", "1%", "3%")
+"""Loops, and prices, that the hint looks at."""
+HINT_SOLVES = 200_000
+"""Most solves of a policy that is made anew for the hint."""
+
+
+@dataclass(frozen=True)
+class SwitchingPoint:
+    """A price and a least time, and what closed loops do with them."""
+
+    price: str  # as it was given, a number or a share
+    value: float  # what it came to, of several the largest [cost / time unit]
+    hold: float  # least time of all symbols, of several the longest [time unit]
+    rows: int  # of the transition function
+    cells: int
+    solves: int
+    switches: float  # per time unit, over all trials
+    cost: float  # mean over the trials: what the running cost gathers, or else the terminal cost
+    success: float | None  # share of the trials that are in the target at the end; None without one
+    recommended: bool = False  # fewest switches among those that cost and lose little more
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the point as plain data."""
+        return dataclasses.asdict(self)
+
+
+def switching_curve(
+    policy: Policy,
+    prices: Sequence[Any] = PRICES,
+    holds: Sequence[float] = (0.0,),
+    *,
+    trials: int = 200,
+    duration: float = 20.0,
+    rate: float | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    threads: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[SwitchingPoint, ...]:
+    """Return what prices and least times do to a policy that sSAC made, in closed loop.
+
+    For each price the policy is made anew, by the settings that it carries; loops start from the
+    same random states of its domain.
+
+    Parameters
+    ----------
+    policy : Policy
+        A policy of cells that carries its model, as `capsyn.synthesize` makes them.
+    prices : numbers >= 0 and shares such as ``"1%"``
+        One price for all switches each; see `capsyn.Switching`.
+    holds : floats
+        Least times [time unit], each tried with every price.
+    trials, duration, rate, seed, backend, threads
+        As in `capsyn.monte_carlo`; trials go on to the end.
+    progress : callable, optional
+        Told in words what is next.
+
+    Raises
+    ------
+    ProblemError
+        A policy that cannot be made anew, or an argument that cannot be used.
+    """
+    base = _controller(policy, backend)
+    trials = whole_number("trials", trials, least=1)
+    tried = [
+        (p, Switching(price=p), finite_number("holds", h, least=0.0)) for h in holds for p in prices
+    ]
+    if not tried:
+        raise ProblemError("`prices` and `holds` must have one value each at least; got none")
+    options = LoopOptions(duration=duration, rate=rate, seed=seed, backend=backend, threads=threads)
+    states = policy.domain.sample(trials, [seed, 6])
+    points: list[SwitchingPoint] = []
+    for price, switching, hold in tried:
+        if progress is not None:
+            progress(f"price {price}, hold {hold:g}")
+        made = repriced(policy, base, dataclasses.replace(switching, hold=hold))
+        points.append(
+            _point(made, price if isinstance(price, str) else f"{price:g}", states, options)
+        )
+    best = _recommended(points)
+    return tuple(dataclasses.replace(p, recommended=p is best) for p in points)
+
+
+def switching_point(
+    policy: Policy,
+    *,
+    trials: int = 200,
+    duration: float = 20.0,
+    rate: float | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    threads: int | None = None,
+) -> SwitchingPoint:
+    """Return what closed loops of a policy do, as it is; see `switching_curve` for the arguments.
+
+    Raises
+    ------
+    ProblemError
+        A policy without a model, or an argument that cannot be used.
+    """
+    trials = whole_number("trials", trials, least=1)
+    options = LoopOptions(duration=duration, rate=rate, seed=seed, backend=backend, threads=threads)
+    price = 0.0 if policy.switching is None else policy.switching.price
+    told = f"{price:.6g}" if isinstance(price, float) else "several"
+    return _point(policy, told, policy.domain.sample(trials, [seed, 6]), options)
+
+
+def _point(policy: Policy, price: str, states: np.ndarray, options: LoopOptions) -> SwitchingPoint:
+    """Return what closed loops of a policy from states (B, n) do."""
+    switching, rules = policy.switching, policy.rules
+    finite = rules.prices[np.isfinite(rules.prices)]
+    value = float(finite.max(initial=0.0)) if switching is not None else 0.0
+    return SwitchingPoint(
+        price,
+        value,
+        float(rules.holds.max()),
+        len(policy.transitions),
+        policy.cells.leaf_count,
+        policy.statistics.get("solves", 0),
+        *_figures(policy, states, options),
+    )
+
+
+def chatter_hint(policy: Policy) -> str | None:
+    """Return a sentence for a policy without memory that chatters, with the recommended price.
+
+    It chatters when more than `CHATTER` of the samples of a short closed loop switch.
+    """
+    cells, settings, statistics = policy.cells, policy.settings, policy.statistics
+    known = isinstance(cells, CellTree) and policy.model is not None and settings is not None
+    if not known or policy.switching is not None or policy.delay or "seed" not in statistics:
+        return None
+    assert settings is not None
+    rate = 1 / settings.sample_time
+    loop: dict[str, Any] = {"trials": HINT_TRIALS, "duration": HINT_SAMPLES / rate, "rate": rate}
+    with warnings.catch_warnings():  # of a loop that nobody asked for
+        warnings.simplefilter("ignore", CapsynWarning)
+        states = policy.domain.sample(HINT_TRIALS, [0, 6])
+        options = LoopOptions(duration=loop["duration"], rate=rate)
+        switches, cost, _ = _figures(policy, states, options)
+        if not switches > CHATTER * rate:
+            return None
+        unit = policy.time_unit
+        told = f"it switches {switches:.3g} times a {NAMES[unit]} at {rate:g} samples"
+        if statistics["solves"] > HINT_SOLVES:
+            return f"{told}: a price may do with far fewer, as --switch-price 1%"
+        holds = (policy.min_dwell,)
+        points = switching_curve(policy, HINT_PRICES, holds, **loop)
+        best = next(point for point in points if point.recommended)
+    if best.value == 0.0 or best.switches > 0.9 * switches:
+        return None
+    more = best.cost / cost - 1 if cost > 0 else 0.0
+    return (
+        f"{told}: --switch-price {best.price} makes that {best.switches:.3g} at {more:+.1%} of the "
+        "cost; `capsyn switching FILE --curve` shows others"
+    )
+
+
+def repriced(policy: Policy, base: BatchController, switching: Switching) -> Policy:
+    """Return a policy made anew with another `Switching`; `base` is its controller without one."""
+    cells, statistics = cell_tree(policy), policy.statistics
+    if switching.has_share:
+        sample = policy.domain.sample(SAMPLES, statistics["seed"] + 1)
+        switching = switching.with_spread(base.spread(base.solve(sample)))
+    prices = switching.prices(policy.alphabet, policy.default)
+    formulation = dataclasses.replace(base.formulation, prices=prices)
+    controller = dataclasses.replace(base, formulation=formulation)
+    affine = statistics.get("leaves") == "affine"
+    level = cells.max_level
+    if affine:  # the grid is that of the rows
+        level = max(int(cells.times(some).max()) for some in cells.levels())
+    plan = SubdivisionPlan.of(
+        dataclasses.replace(cells.grid, max_level=level),
+        Limits.of(None, None, None, None),
+        leaves="affine" if affine else "constant",
+        leaf_error=statistics.get("leaf_error", 0.01),
+        refine=statistics.get("refine", "isotropic"),
+        test_points=statistics["test_points"],
+        seed=statistics["seed"],
+    )
+    label, returns = (controller.scored, "masks+scores") if affine else (controller.masks, "masks")
+    ratios = PriceRatios.of(prices)
+    how = (returns, controller.preference, processors(None), None, controller.in_force, ratios)
+    made = carry_out(plan, Labelling(label, *how), policy.domain, policy.alphabet)
+    return dataclasses.replace(
+        policy,
+        cells=made.cells,
+        transitions=made.transitions,
+        switching=switching,
+        min_dwell=0.0,
+        statistics=made.statistics,
+        evidence={},
+    )
+
+
+def _controller(policy: Policy, backend: str) -> BatchController:
+    """Return the controller of a policy without prices; `ProblemError` where there is none."""
+    cell_tree(policy)
+    controller = policy_controller(policy, backend)
+    if controller is None or "seed" not in policy.statistics:
+        raise ProblemError(
+            "`policy` must be one that capsyn.synthesize made, with its model; got "
+            f"{describe(policy)}"
+        )
+    prices = None
+    if policy.delay:
+        prices = np.zeros((len(policy.alphabet) + 1,) * 2)
+    formulation = dataclasses.replace(controller.formulation, prices=prices)
+    return dataclasses.replace(controller, formulation=formulation)
+
+
+def _figures(
+    policy: Policy, states: np.ndarray, options: LoopOptions
+) -> tuple[float, float, float | None]:
+    """Return switches per time unit, mean cost, and share in the target at the end."""
+    plant = _gathering(plant_of(policy))
+    experiment = set_up(policy, plant, options)
+    count = len(states)
+    trials = experiment.trials(states, np.full(count, plant.delay), np.zeros((count, 0)))
+    experiment.run(trials, None, None)
+    time = trials["end"].sum() / experiment.rate
+    success = None
+    if experiment.target is not None:
+        at_end = experiment.loop.inside.evaluate(trials["state"].T)[0][0]
+        success = float((at_end != 0).mean())
+    return float(trials["switches"].sum() / time), float(trials["cost"].mean()), success
+
+
+def _gathering(plant: Plant) -> Plant:
+    """Return a plant whose running cost is its terminal cost where it has no other."""
+    if (
+        plant.running_cost.evaluate(np.zeros((plant.n, 1)))[0].any()
+        or plant.running_cost.used_inputs()
+    ):
+        return plant
+    end = plant.terminal_cost
+    cost = Program(end.name, end.inputs, end.outputs[:1], end.instructions, end.results[:1])
+    return dataclasses.replace(plant, running_cost=cost)
+
+
+def _recommended(points: Sequence[SwitchingPoint]) -> SwitchingPoint:
+    """Return the point of fewest switches that costs and loses little more than the best."""
+    least = min(point.cost for point in points)
+    most = max(point.success or 0.0 for point in points)
+    good = [
+        point
+        for point in points
+        if point.cost <= DEARER * least and (point.success or 0.0) >= most - LOST
+    ]
+    return min(good or points, key=lambda point: point.switches)
+
+
+def save_switching_curve(points: Sequence[SwitchingPoint], path: str | os.PathLike[str]) -> None:
+    """Write points as CSV, one line each."""
+
+    def write(temporary: Path) -> None:
+        with open(temporary, "w", newline="", encoding="utf-8") as file:
+            rows = csv.DictWriter(file, [f.name for f in dataclasses.fields(SwitchingPoint)])
+            rows.writeheader()
+            rows.writerows(point.to_json() for point in points)
+
+    atomic_write(path, write)
