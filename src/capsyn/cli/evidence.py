@@ -126,7 +126,7 @@ def _prove(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any
 
 
 def _comparable(policy: Policy) -> bool:
-    return policy.settings is not None and policy.model is not None
+    return None not in (policy.model, policy.horizon, policy.settings)
 
 
 def _compare(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
@@ -199,7 +199,7 @@ def verify(file: File, options: VerifyOptions, as_json: Json = False) -> None:
     kinds = [kind for kind in KINDS if getattr(options, kind.name) is not None]
     if options.agreement is not None and not _comparable(policy):
         raise ProblemError(
-            f"--agreement needs a policy with its model and settings, which '{file}' has not; in "
+            f"--agreement needs a policy with its model, horizon and settings, which '{file}' has not; in "
             "Python capsyn.agreement(policy, controller=function) compares it with a function"
         )
     _check_requirements(options)

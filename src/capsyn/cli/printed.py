@@ -188,7 +188,7 @@ def print_report(data: dict[str, Any]) -> None:
         _print_solves(statistics)
     if statistics.get("sample"):
         _print_sample(statistics["sample"])
-    if data["settings"]:
+    if data["settings"] and data["horizon"] is not None:
         _print_settings(data["settings"], f"{data['horizon']} {unit}")
     if data["target"]:
         print_line("target", data["target"])

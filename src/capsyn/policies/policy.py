@@ -60,7 +60,7 @@ class Policy:
     horizon : float, optional
         Prediction horizon T [time unit] of the controller that the policy came from.
     settings : SsacSettings, optional
-        Its settings.
+        Its settings; without a horizon, those of the problem, which say the sample time.
     model : Model, optional
         Its model, as programs.
     statistics : dict

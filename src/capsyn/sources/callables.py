@@ -13,8 +13,11 @@ from capsyn.cells.masks import Label
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.problem import Problem
+from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.transcription import transcribe, transcribe_target
 from capsyn.policies.policy import Policy
+from capsyn.sources.delayed import Answer, delayed
+from capsyn.sources.finite_control_set import FiniteControlSet
 from capsyn.subdivision.subdivide import subdivide
 from capsyn.validation import describe, one_line, one_of
 
@@ -170,25 +173,32 @@ def _symbols_of_controls(actions: np.ndarray, states: np.ndarray, alphabet: Alph
     return symbols
 
 
-def problem_policy(label: Label, problem: Problem, **options: Any) -> Policy:
+def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **options: Any) -> Policy:
     """Return the policy of a labelling function for a problem, by Algorithm 1.
 
     It is what `capsyn.subdivide` makes on the problem's domain and grid, with all of the problem
-    that does not belong to sSAC: model, target, default control, outside rule and dwell time.
+    that does not belong to sSAC: model, target, default control, outside rule, dwell time,
+    switching and delay. Where the problem has one of the latter two, or a sample time other than
+    the default, the policy has its settings, too, of which closed loops take the sample time.
 
     Parameters
     ----------
     label : callable
-        States (B, n) to symbols (B,): that of `labels_of`, a `FiniteControlSet`, any other.
+        States (B, n) to symbols (B,): that of `labels_of`, a `FiniteControlSet`, any other. With a
+        delay of the problem it is asked where states will be when its decision takes effect, which
+        may be beyond the domain.
     problem : Problem
-        The problem.
+        The problem. A function cannot pay prices on switching, nor avoid forbidden transitions,
+        unless it returns symbols for each symbol in force (``in_force=True``); a `FiniteControlSet`
+        of the same problem does.
     options
         Those of `capsyn.subdivide` that are not given by the problem, or override it.
 
     Raises
     ------
     ProblemError
-        Something else than a problem, or what `capsyn.subdivide` refuses.
+        Something else than a problem, or what `capsyn.subdivide` refuses; or a function that cannot
+        do what the problem's switching says.
     """
     if not isinstance(problem, Problem):
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
@@ -196,13 +206,69 @@ def problem_policy(label: Label, problem: Problem, **options: Any) -> Policy:
         name: getattr(problem, name)
         for name in ("partitions", "refinement", "max_level", "outside", "name")
     }
-    policy = subdivide(label, problem.domain, problem.alphabet, **{**own, **options})
+    options = {**own, **options}
+    switching = problem.switching
+    if isinstance(label, FiniteControlSet):
+        switching = label.switching_for(problem)
+        if label.in_force > 1:
+            label, options = label.masks, {**options, "returns": "masks", "in_force": True}
+    elif callable(label):
+        in_force = options.get("in_force") is True
+        _check_payable(problem, in_force)
+        if problem.delay:
+            label = delayed(_columns(label, len(problem.alphabet) + 1, in_force), problem)
+            options["in_force"] = True
+    policy = subdivide(label, problem.domain, problem.alphabet, **options)
+    settings = problem.settings
+    said = switching is not None or problem.delay > 0
+    said = said or settings.sample_time != SsacSettings.sample_time
     return dataclasses.replace(
         policy,
         default=problem.default,
         min_dwell=problem.min_dwell,
         time_unit=problem.time_unit,
         outside_at_once=problem.outside_at_once,
+        switching=switching,
+        delay=problem.delay,
         target=transcribe_target(problem),
         model=transcribe(problem),
+        settings=settings if said else None,
     )
+
+
+def _check_payable(problem: Problem, in_force: bool) -> None:
+    """Raise unless a function can do what the switching of a problem says.
+
+    `in_force` is whether it gives symbols for each symbol in force.
+    """
+    switching = problem.switching
+    if switching is None:
+        return
+    if in_force and switching.has_share:
+        raise ProblemError(
+            "`switching` must have a price in numbers for a labelling function; got "
+            f"{describe(switching.price)}"
+        )
+    prices = switching.with_spread(1.0).prices(problem.alphabet, problem.default)
+    if not in_force and prices.any():
+        raise ProblemError(
+            "`label` must be a FiniteControlSet of the problem, or give symbols for each symbol in "
+            "force (`in_force=True`), where `switching` has prices or forbidden transitions"
+        )
+
+
+def _columns(label: Callable[[np.ndarray], Any], count: int, in_force: bool) -> Answer:
+    """Return a labelling function as one of states (B, n) and some of `count` labels in force."""
+
+    def answer(states: np.ndarray, labels: np.ndarray) -> np.ndarray:
+        found = np.asarray(label(states))
+        if not in_force:
+            return np.repeat(found[:, None], len(labels), axis=1)
+        if found.shape[1:2] != (count,):
+            raise ProblemError(
+                f"`label` must return labels for {count} symbols in force, the default's last; got "
+                f"shape {found.shape}"
+            )
+        return found[:, labels]
+
+    return answer

@@ -11,6 +11,7 @@ typedef struct {
     const double *controls, *efforts; /* (SYMBOLS, INPUTS), and cost of each [cost / time unit] */
     const double *dt;                 /* (DEPTH): integration step of each move [time unit] */
     const int64_t *steps;             /* (DEPTH): integration steps of each move */
+    const double *prices;             /* (SYMBOLS, SYMBOLS) of going from each to each [cost] */
 } prediction;
 
 void capsyn_finite_control_set(const int64_t count, const double *restrict states,
@@ -40,6 +41,11 @@ void capsyn_finite_control_set(const int64_t count, const double *restrict state
                 continue;
             }
             const int s = symbol[depth];
+            const double price = depth ? plan->prices[symbol[depth - 1] * SYMBOLS + s] : ZERO;
+            if (price == (double)INFINITY) { /* forbidden */
+                ++symbol[depth];
+                continue;
+            }
             const double *u = plan->controls + s * INPUTS, *dt = plan->dt + depth;
             const double effort = plan->efforts[s] * (*dt * (double)plan->steps[depth]);
             lanes_of_states *to = path + depth + 1;
@@ -57,6 +63,10 @@ void capsyn_finite_control_set(const int64_t count, const double *restrict state
                     total[depth + 1][lane] += part[0][lane];
                 }
             }
+            if (price > ZERO)
+                EACH_LANE {
+                    total[depth + 1][lane] += price;
+                }
             if (depth + 1 < DEPTH) {
                 symbol[++depth] = 0;
                 continue;

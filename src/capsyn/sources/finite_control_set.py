@@ -9,8 +9,8 @@ References
 
 from __future__ import annotations
 
-import ctypes
 import dataclasses
+import functools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,15 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import empty, masks_of_members, preferred
+from capsyn.cells.masks import empty, holds, masks_of_members, preferred, word_count
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
 from capsyn.modelling.problem import Problem
+from capsyn.modelling.switching import Switching
 from capsyn.modelling.transcription import transcribe
-from capsyn.native.build import load
 from capsyn.native.compiled import compiled
-from capsyn.native.source import LANES, declarations, hand_written
 from capsyn.programs.program import Program
+from capsyn.sources.delayed import delayed
+from capsyn.sources.sequence_costs import BATCH, FiniteControlSetKernel, Moves, NumpyCosts
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number, whole_numbers
 
 COST_TIE = 1e-9
@@ -35,8 +36,8 @@ MOST_SEQUENCES = 1_000_000
 """Most sequences of symbols that are tried at a state."""
 MOST_DEPTH = 200
 """Most moves of a sequence, which only a single symbol comes near."""
-BATCH = 4096
-"""States that NumPy handles at once, and least that a thread gets."""
+SAMPLES = 2048
+"""Random states at which a price that is a share is made a number."""
 
 Costs = Callable[[np.ndarray], np.ndarray]
 """``states (B, n) -> costs (B, N)``, safe to call from threads."""
@@ -59,6 +60,13 @@ class FiniteControlSet:
         Numbers of states n and of symbols N.
     threads : int
         Threads that solve; the result does not depend on it.
+    problem : Problem
+        What it was made of, with numbers for prices that are shares.
+    spread : float
+        What 100 % of such a price are [cost / time unit].
+    prices : (N + 1, N), optional
+        What going from each label in force to each symbol costs [cost], infinite where that is
+        forbidden; the default control is in force last. None: nothing depends on what is in force.
     """
 
     solver: Costs
@@ -66,20 +74,27 @@ class FiniteControlSet:
     states: int
     symbols: int
     threads: int
+    problem: Problem
+    spread: float
+    prices: np.ndarray | None
+
+    @property
+    def in_force(self) -> int:
+        """Number of labels in force that `masks` tells apart: 1, or N + 1, the default last."""
+        return 1 if self.prices is None else len(self.prices)
 
     def costs(self, states: np.ndarray) -> np.ndarray:
         """Return the least costs (B, N) of the sequences from states (B, n), by first symbol.
 
-        They are infinite where no sequence has a finite cost.
+        They are infinite where no sequence has a finite cost. The price of the first symbol, which
+        depends on what is in force, is not among them, and they begin without a delay.
 
         Raises
         ------
         ProblemError
             States of another shape.
         """
-        states = np.ascontiguousarray(states, dtype=float)
-        if states.ndim != 2 or states.shape[1] != self.states:
-            raise ProblemError(f"`states` must be of shape (B, {self.states}); got {states.shape}")
+        states = self._checked(states)
         size = max(BATCH, -(-len(states) // self.threads))
         parts = [states[k : k + size] for k in range(0, len(states), size)]
         if len(parts) < 2:
@@ -91,21 +106,88 @@ class FiniteControlSet:
         """Return the symbols whose cost ties with the least, as bit masks (B, W), of states.
 
         A mask is 0 where no sequence has a finite cost. Costs within `COST_TIE` of the least,
-        relative to its size, tie.
+        relative to its size, tie. With a switching or a delay of the problem there is a mask for
+        each label in force, (B, N + 1, W).
         """
+        if self.prices is None:
+            return self._tied(self.costs(states))
+        return self._after_delay(self._checked(states))
+
+    @functools.cached_property
+    def _after_delay(self) -> Callable[[np.ndarray], np.ndarray]:
+        """``states (B, n) -> masks (B, N + 1, W)`` of where they are when a decision acts."""
+        if not self.problem.delay:
+            return lambda states: self._next(states, np.arange(self.in_force))
+        return delayed(self._next, self.problem)
+
+    def _next(self, states: np.ndarray, labels: np.ndarray) -> np.ndarray:
+        """Return the masks (B, J, W) of states (B, n) for J labels in force."""
+        assert self.prices is not None
         costs = self.costs(states)
+        return np.stack([self._tied(costs + self.prices[j]) for j in labels], axis=1)
+
+    def _tied(self, costs: np.ndarray) -> np.ndarray:
+        """Return the masks (B, W) of the costs (B, N) that tie with the least."""
         least = costs.min(axis=1, keepdims=True)
         with np.errstate(invalid="ignore"):
             good = (costs <= least + COST_TIE * np.abs(least)) & np.isfinite(costs)
-        return masks_of_members(good)
+        return masks_of_members(good, word_count(self.symbols + 1))
 
-    def __call__(self, states: np.ndarray) -> np.ndarray:
+    def __call__(self, states: np.ndarray, current: Any = -1) -> np.ndarray:
         """Return the first symbol (B,) of the best sequence from states (B, n).
 
-        Of ties it is the lowest, and -1 where no sequence has a finite cost.
+        Of ties it is that in force, else the lowest, and -1 where no sequence has a finite cost.
+        `current` are the symbols in force, one or (B,); -1 is the default control.
+
+        Raises
+        ------
+        ProblemError
+            States of another shape, or symbols in force that are none.
         """
-        masks = self.masks(states)
-        return np.where(empty(masks), -1, preferred(masks, range(self.symbols)))
+        masks, now = self.masks(states), self._in_force(current, len(states))
+        if self.prices is not None:
+            masks = masks[np.arange(len(masks)), now]
+        best = np.where(empty(masks), -1, preferred(masks, range(self.symbols)))
+        stays = holds(masks, now) & (self.prices is not None)
+        return np.where(stays, now, best)
+
+    def _in_force(self, current: Any, count: int) -> np.ndarray:
+        """Return the labels (B,) of symbols in force, checked."""
+        labels = np.asarray(current)
+        fits = labels.shape in ((), (count,)) and labels.dtype.kind in "iu"
+        if not fits or (labels < -1).any() or (labels > self.symbols).any():
+            raise ProblemError(
+                f"`current` must be symbols, -1 to {self.symbols - 1}, one or {count}; got "
+                f"{describe(current)}"
+            )
+        return np.broadcast_to(np.where(labels < 0, self.symbols, labels), (count,))
+
+    def _checked(self, states: np.ndarray) -> np.ndarray:
+        states = np.ascontiguousarray(states, dtype=float)
+        if states.ndim != 2 or states.shape[1] != self.states:
+            raise ProblemError(f"`states` must be of shape (B, {self.states}); got {states.shape}")
+        return states
+
+    def switching_for(self, problem: Problem) -> Switching | None:
+        """Return the switching of a problem, with numbers for prices.
+
+        Raises
+        ------
+        ProblemError
+            It has other prices, forbidden transitions or delay than what the control was made of.
+        """
+        switching = problem.switching
+        if switching is not None and switching.has_share:
+            switching = switching.with_spread(self.spread)
+        own = self.problem
+        prices = [_prices(p, 1.0) for p in (problem.replace(switching=switching), own)]
+        told = [None if table is None else table.tolist() for table in prices]
+        if told[0] != told[1] or problem.delay != own.delay:
+            raise ProblemError(
+                "`problem` must have the prices, forbidden transitions and delay that its "
+                "predictive control was made with; got others"
+            )
+        return switching
 
 
 def finite_control_set(
@@ -173,98 +255,47 @@ def finite_control_set(
     model = transcribe(problem)
     end = model.terminal_cost
     end = Program(end.name, end.inputs, end.outputs[:1], end.instructions, end.results[:1])
-    moves = _Moves(values, efforts, np.full(depth, period / steps), held * steps)
+    none = np.zeros((count, count))
+    moves = Moves(values, efforts, np.full(depth, period / steps), held * steps, none)
     kernel = compiled(
         lambda: FiniteControlSetKernel.build(model.step, end, moves), backend, "predicting"
     )
-    solver: Costs = kernel or _NumpyCosts(model.step, end, moves)
-    used = "c" if kernel else "numpy"
-    return FiniteControlSet(solver, used, problem.domain.n, count, processors(threads))
+    solver = kernel or NumpyCosts(model.step, end, moves)
+    control = FiniteControlSet(
+        solver, "c" if kernel else "numpy", problem.domain.n, count, processors(threads), problem,
+        0.0, None,
+    )  # fmt: skip
+    return _priced(control, period)
 
 
-@dataclass(frozen=True, eq=False)
-class _Moves:
-    """What the moves of all sequences are made of."""
+def _priced(control: FiniteControlSet, period: float) -> FiniteControlSet:
+    """Return predictive control that pays for switching as its problem says, of one that does not.
 
-    controls: np.ndarray  # (N, m) of each symbol [input units]
-    efforts: np.ndarray  # (N,) what it costs [cost / time unit]
-    dt: np.ndarray  # (D,) integration step of each move [time unit]
-    steps: np.ndarray  # (D,) ints: integration steps of each move
-
-
-@dataclass(frozen=True, eq=False)
-class _NumpyCosts:
-    """The same computation as the compiled kernel, by NumPy on blocks of states."""
-
-    step: Program
-    end: Program
-    moves: _Moves
-
-    def __call__(self, states: np.ndarray) -> np.ndarray:
-        count = len(self.moves.controls)
-        costs = np.empty((len(states), count))
-        with np.errstate(all="ignore"):
-            for k in range(0, len(states), BATCH):
-                x = np.ascontiguousarray(states[k : k + BATCH].T)
-                for symbol in range(count):
-                    costs[k : k + BATCH, symbol] = self._least(x, np.zeros(x.shape[1]), 0, [symbol])
-        return costs
-
-    def _least(self, x: np.ndarray, total: np.ndarray, depth: int, symbols: Any) -> np.ndarray:
-        """Return the least cost (B,) of going on from states (n, B) with one of some symbols."""
-        moves = self.moves
-        if depth == len(moves.dt):
-            cost = total + self.end.evaluate(x)[0][0]
-            return np.where(np.isnan(cost), np.inf, cost)
-        dt, steps = moves.dt[depth], int(moves.steps[depth])
-        best = np.full(x.shape[1], np.inf)
-        for symbol in symbols:
-            effort, y, cost = moves.efforts[symbol] * (dt * steps), x, total
-            for k in range(steps):
-                y, part = self.step.evaluate(y, moves.controls[symbol], [dt])
-                cost = cost + effort + part[0] if k == 0 else cost + part[0]
-            least = self._least(y, cost, depth + 1, range(len(moves.controls)))
-            best = np.minimum(best, least)
-        return best
+    `period` is the sample time [time unit].
+    """
+    problem, spread = control.problem, 0.0
+    if problem.switching is not None and problem.switching.has_share:
+        ranges = np.ptp(control.costs(problem.domain.sample(SAMPLES, 0)), axis=1)
+        ranges = ranges[np.isfinite(ranges)]
+        spread = float(np.median(ranges)) / period if ranges.size else 0.0
+        problem = problem.replace(switching=problem.switching.with_spread(spread))
+    prices = _prices(problem, period)
+    if prices is None:
+        return control
+    solver: Any = control.solver
+    moves = dataclasses.replace(solver.moves, prices=prices[:-1])
+    solver = dataclasses.replace(solver, moves=moves)
+    return dataclasses.replace(
+        control, solver=solver, problem=problem, spread=spread, prices=prices
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class FiniteControlSetKernel:
-    """Least costs of sequences by their first symbol, compiled. Safe to call from threads."""
+def _prices(problem: Problem, period: float) -> np.ndarray | None:
+    """Return what going from each label to each symbol costs, (N + 1, N), paid over a period.
 
-    function: Any
-    moves: _Moves
-
-    @staticmethod
-    def build(step: Program, terminal_cost: Program, moves: _Moves) -> FiniteControlSetKernel:
-        """Return the kernel of two programs of a model; `KernelBuildError` if it fails.
-
-        ``terminal_cost`` has one output, the cost.
-        """
-        sizes = dict(step.inputs)
-        source = "\n".join(
-            [
-                declarations([step, terminal_cost], "double", LANES),
-                f"#define STATES {sizes['x']}\n#define INPUTS {sizes['u']}",
-                f"#define SYMBOLS {len(moves.controls)}\n#define DEPTH {len(moves.dt)}",
-                step.to_c("step", uniform=["u", "dt"]),
-                terminal_cost.to_c("terminal_cost"),
-                hand_written("sources/finite_control_set.c"),
-            ]
-        )
-        function = load(source, ("-ffp-contract=fast",)).capsyn_finite_control_set
-        function.restype = None
-        p = ctypes.c_void_p
-        function.argtypes = [ctypes.c_int64, p, p, p]
-        return FiniteControlSetKernel(function, moves)
-
-    def __call__(self, states: np.ndarray) -> np.ndarray:
-        """Return costs (B, N) of states (B, n)."""
-        states = np.ascontiguousarray(states, dtype=np.float64)
-        costs = np.empty((len(states), len(self.moves.controls)))
-        moves, types = vars(self.moves).values(), (np.float64,) * 3 + (np.int64,)
-        arrays = [np.ascontiguousarray(array, kind) for array, kind in zip(moves, types)]
-        # the `prediction` of the C file is a pointer to each
-        plan = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
-        self.function(len(states), states.ctypes.data, ctypes.addressof(plan), costs.ctypes.data)
-        return costs
+    None: nothing depends on what is in force.
+    """
+    alphabet, switching = problem.alphabet, problem.switching
+    if switching is None:
+        return np.zeros((len(alphabet) + 1, len(alphabet))) if problem.delay else None
+    return switching.prices(alphabet, problem.default)[:, :-1] * period
