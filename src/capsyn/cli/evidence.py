@@ -199,8 +199,8 @@ def verify(file: File, options: VerifyOptions, as_json: Json = False) -> None:
     kinds = [kind for kind in KINDS if getattr(options, kind.name) is not None]
     if options.agreement is not None and not _comparable(policy):
         raise ProblemError(
-            f"--agreement needs a policy with its model, horizon and settings, which '{file}' has "
-            "not; in Python capsyn.agreement(policy, controller=function) compares it with a function"
+            f"--agreement needs a policy with its model, horizon and settings, which '{file}' "
+            "has not; in Python capsyn.agreement(policy, controller=function) compares it"
         )
     _check_requirements(options)
     _check_owners(options)
