@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from capsyn.automata.face_rates import POSSIBLE, SLIDING, UNDECIDED
-from capsyn.automata.regions import Partitions, Region, connected_partitions, regions
-from capsyn.automata.switching import Switching, switching
+from capsyn.automata.regions import Partitions, Region, connected_partitions, guards, regions
+from capsyn.automata.switching import SlidingFace, Switching, switching
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
+from capsyn.policies.in_force import followers, reachable
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
@@ -23,6 +25,8 @@ TOLD = 20
 @dataclass(frozen=True)
 class Edge:
     """A transition: whatever symbol is held, a state in region A_j takes the machine to symbol j.
+
+    Of a policy that remembers, its region is that of the pair: A_ij takes the machine from i to j.
 
     An edge with the same source and target holds the symbol. It is `possible` where the closed loop
     can take it in continuous time: False only where that is proved impossible, True only where it
@@ -40,24 +44,13 @@ class Edge:
     sliding_rate: float | None = None  # of arrivals where the loop then slides [1 / time unit]
 
 
-@dataclass(frozen=True)
-class SlidingFace:
-    """A face between two cells on which the loop slides: both sides push into it."""
-
-    axis: int  # state that is constant on the face
-    lower: tuple[float, ...]  # n bounds [state units]
-    upper: tuple[float, ...]  # the other bounds, equal on that axis
-    below: int  # the symbols on its two sides, N for the default
-    above: int
-    share: float  # of the face on which the loop slides, from samples
-
-
 @dataclass(frozen=True, eq=False)
 class Automaton:
     """A policy as a finite state machine ``<U, L, T>`` (Definition 2 of the paper).
 
     Symbols are the vertices, those that the policy uses. V of them have V^2 edges, with the
-    regions as guards.
+    regions as guards. Of a policy that remembers, the vertices are the symbols that may be in
+    force, and only switches that it makes somewhere are edges, each with a region of its own.
 
     Parameters
     ----------
@@ -70,21 +63,25 @@ class Automaton:
     symbols : int
         Symbols N of the alphabet, and the number that stands for the default control.
     vertices : tuple of int
-        The symbols that occur, ascending, N for the default control.
+        The symbols that occur, or may be in force, ascending, N for the default control.
     names : tuple of str
         Their names.
     controls : (V, m)
         Their control vectors [input units].
     regions : tuple of Region
-        Their regions, as boxes that tile them.
+        Their regions, as boxes that tile them; or those of the edges.
     edges : tuple of Edge
-        All V^2 edges, by source and then by target.
+        All edges, by source and then by target.
     partitions : Partitions
-        The connected partitions L that the regions are made of.
+        The connected partitions L that the regions are made of. Of a policy that remembers its
+        labels are rows of `Policy.transitions`, and those that a region counts are of what follows
+        its source.
     switching : Switching or None
         What the vector field does on the faces between symbols; None without a model.
     time_unit : str
         What rates are per, see `Problem`.
+    remembers : bool
+        Whether the next symbol depends on the one in force.
     """
 
     name: str
@@ -99,6 +96,7 @@ class Automaton:
     partitions: Partitions
     switching: Switching | None
     time_unit: str = "s"
+    remembers: bool = False
 
     @staticmethod
     def of(policy: Policy) -> Automaton:
@@ -121,9 +119,14 @@ class Automaton:
                 f"`policy` must have cells of one symbol each or splits along the axes; {policy!r} "
                 f"has {policy.cells.planes_are}"
             )
+        vertices = tuple(reachable(policy).tolist())
         partitions = connected_partitions(policy.cells, policy.domain.periodic)
-        areas = tuple(regions(policy.cells, partitions))
-        vertices = tuple(region.label for region in areas)
+        if policy.remembers:
+            areas = tuple(
+                guards(policy.cells, policy.domain.periodic, policy.transitions, vertices)
+            )
+        else:
+            areas = tuple(regions(policy.cells, partitions))
         names = (*policy.alphabet.names, policy.symbol_name(-1))
         analysis = None if policy.model is None else switching(policy)
         return Automaton(
@@ -135,32 +138,60 @@ class Automaton:
             names=tuple(names[label] for label in vertices),
             controls=policy.controls[list(vertices)],
             regions=areas,
-            edges=_edges(vertices, analysis),
+            edges=tuple(_edge(*pair, analysis) for pair in _pairs(policy, vertices)),
             partitions=partitions,
             switching=analysis,
             time_unit=policy.time_unit,
+            remembers=policy.remembers,
         )
 
-    def region_name(self, label: int) -> str:
-        """Return the name of the region of symbol `label`: A1 of the first, A0 of the default."""
-        return f"A{self.symbol_number(label)}"
+    def region_name(self, label: int, source: int | None = None) -> str:
+        """Return the name of the region of symbol `label`: A1 of the first, A0 of the default.
+
+        Of a policy that remembers it is that of the edge from `source`: A21 of the second to the
+        first, by default that in which the symbol stays.
+        """
+        if not self.remembers:
+            return f"A{self.symbol_number(label)}"
+        numbers = (self.symbol_number(k) for k in (label if source is None else source, label))
+        return "A" + ("" if self.symbols < 10 else ",").join(map(str, numbers))
 
     def symbol_number(self, label: int) -> int:
         """Return the number of symbol `label` in the paper: from 1, of the default control 0."""
         self._vertex(label)
         return (label + 1) % (self.symbols + 1)
 
-    def region(self, label: int) -> Region:
-        """Return the region of symbol `label`, N for the default control."""
-        return self.regions[self._vertex(label)]
+    def region(self, label: int, source: int | None = None) -> Region:
+        """Return the region of symbol `label`, N for the default control.
+
+        Of a policy that remembers it is that in which the symbol follows `source`, by default
+        itself: where it stays. That may be nowhere.
+        """
+        place = self._vertex(label)
+        if not self.remembers:
+            return self.regions[place]
+        source = label if source is None else source
+        self._vertex(source)
+        for region in self.regions:
+            if (region.source, region.label) == (source, label):
+                return region
+        none = np.zeros((0, self.domain.n), dtype=np.int64)
+        return Region(label, none, none, none[:, 0], 0, 0.0, source)
 
     def edge(self, source: int, target: int) -> Edge:
-        """Return the edge from symbol `source` to `target`, N for the default control."""
-        return self.edges[self._vertex(source) * len(self.vertices) + self._vertex(target)]
+        """Return the edge from symbol `source` to `target`; `ProblemError` if there is none."""
+        for label in (source, target):
+            self._vertex(label)
+        for edge in self.edges:
+            if (edge.source, edge.target) == (source, target):
+                return edge
+        raise ProblemError(
+            f"`target` must be a symbol that follows {source} somewhere; got {target}"
+        )
 
-    def bounds(self, label: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the `Region.bounds` of symbol `label`, (K, n) and (K, n) [state units]."""
-        return self.region(label).bounds(self.domain, self.counts)
+    def bounds(self, label: int, source: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the `Region.bounds` of a `region`, (K, n) and (K, n) [state units]."""
+        return self.region(label, source).bounds(self.domain, self.counts)
 
     def sliding_faces(self) -> list[SlidingFace]:
         """Return the faces on which the loop slides, those with most sliding area first.
@@ -195,9 +226,10 @@ class Automaton:
         Of the sliding faces, the first `TOLD`.
         """
         analysis = self.switching
-        labels = self.partitions.labels
+        kept = [self.region(label) for label in self.vertices]
         return {
             **({} if self.time_unit == "s" else {"time_unit": self.time_unit}),
+            **({"remembers": True} if self.remembers else {}),
             "name": self.name,
             "states": list(self.domain.names),
             "vertices": [
@@ -209,12 +241,15 @@ class Automaton:
                     "volume_share": region.share,
                     "cells": region.cells,
                     "boxes": len(region),
-                    "partitions": int((labels == region.label).sum()),
+                    "partitions": len(np.unique(region.partitions)),
                 }
-                for region, name, control in zip(self.regions, self.names, self.controls)
+                for region, name, control in zip(kept, self.names, self.controls)
             ],
             "edges": [
-                vars(edge) | {"region": self.region_name(edge.target)} for edge in self.edges
+                vars(edge)
+                | {"region": self.region_name(edge.target, edge.source)}
+                | ({"volume_share": self.regions[edge.region].share} if self.remembers else {})
+                for edge in self.edges
             ],
             "partitions": len(self.partitions),
             "switching": None
@@ -241,7 +276,7 @@ class Automaton:
             Colours of the vertices, as ``#rrggbb``.
         """
         lines = [
-            "// Finite state machine of a control alphabet policy; A is the region of a symbol.",
+            f"// Finite state machine of a control alphabet policy; {self.guards_are}.",
             "// Dashed: proved impossible; dotted: undecided; *: the loop chatters somewhere.",
             f"digraph {_quoted(self.name)} {{",
             "    node [shape=circle];",
@@ -259,9 +294,19 @@ class Automaton:
             lines.append(f"    {edge.source} -> {edge.target} [label={_quoted(text)}{style}];")
         return "\n".join([*lines, "}"]) + "\n"
 
+    @property
+    def guards_are(self) -> str:
+        """What the names of regions mean, in words."""
+        if not self.remembers:
+            return "A is the region of a symbol"
+        first = min(self.edges, key=lambda edge: edge.source == edge.target)
+        names = dict(zip(self.vertices, self.names))
+        region = self.region_name(first.target, first.source)
+        return f"{region} is where {names[first.target]} follows {names[first.source]}"
+
     def edge_text(self, edge: Edge) -> str:
         """Return the label of an edge: its region, with a star where the loop chatters."""
-        return self.region_name(edge.target) + ("*" if edge.sliding else "")
+        return self.region_name(edge.target, edge.source) + ("*" if edge.sliding else "")
 
     def to_networkx(self) -> Any:
         """Return the graph as a ``networkx.MultiDiGraph``.
@@ -306,15 +351,18 @@ def edges_between(policy: Policy, vertices: Sequence[int]) -> tuple[Edge, ...]:
 
     The policy is as in `Automaton.of`; N is the default control.
     """
-    return _edges(vertices, None if policy.model is None else switching(policy))
+    analysis = None if policy.model is None else switching(policy)
+    return tuple(_edge(*pair, analysis) for pair in _pairs(policy, vertices))
 
 
-def _edges(vertices: Sequence[int], analysis: Switching | None) -> tuple[Edge, ...]:
-    return tuple(
-        _edge(source, target, place, analysis)
-        for source in vertices
-        for place, target in enumerate(vertices)
-    )
+def _pairs(policy: Policy, vertices: Sequence[int]) -> list[tuple[int, int, int]]:
+    """Return the edges between symbols: sources, targets, and the places of their regions."""
+    pairs = list(itertools.product(vertices, enumerate(vertices)))
+    if not policy.remembers:
+        return [(source, target, place) for source, (place, target) in pairs]
+    follows = followers(policy)
+    some = [(source, target) for source, (_, target) in pairs if follows[source, target]]
+    return [(source, target, place) for place, (source, target) in enumerate(some)]
 
 
 def _edge(source: int, target: int, region: int, analysis: Switching | None) -> Edge:

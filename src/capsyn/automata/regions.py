@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from capsyn.automata.rectangles import fewest_rectangles
-from capsyn.cells.boxes import digits_of, ragged
+from capsyn.cells.boxes import Boxes, digits_of, ragged
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.faces import shared_faces
 from capsyn.cells.split_tree import SplitTree
@@ -48,7 +49,10 @@ class Partitions:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The region A of a symbol: all states that get it, as boxes that tile it."""
+    """The region A of a symbol: all states that get it, as boxes that tile it.
+
+    Of a policy that remembers: all that get it while another symbol, or it itself, is in force.
+    """
 
     label: int  # the symbol, N for the default control
     lower: np.ndarray  # (K, n): corners of the boxes, ``lower <= z < upper``, in finest cells
@@ -56,6 +60,7 @@ class Region:
     partitions: np.ndarray  # (K,): the connected partition that each box belongs to
     cells: int  # of the policy that the boxes were merged from
     share: float  # of the domain's volume
+    source: int | None = None  # the symbol in force, where that matters
 
     def __len__(self) -> int:
         return len(self.lower)
@@ -70,18 +75,21 @@ class Region:
 
 
 def connected_partitions(
-    cells: CellTree | SplitTree, periodic: Sequence[bool] | None = None
+    cells: CellTree | SplitTree,
+    periodic: Sequence[bool] | None = None,
+    following: np.ndarray | None = None,
 ) -> Partitions:
     """Return the connected partitions of cells, or of leaves of a tree without oblique splits.
 
-    The ends of `periodic` axes meet; by default there are none.
+    The ends of `periodic` axes meet; by default there are none. Labels are those that `following`
+    (R,) has for each row; by default leaf numbers themselves.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     boxes = cells.boxes()
     order = np.argsort(boxes.places)
-    places, labels = boxes.places[order], boxes.labels[order]
+    places, labels = boxes.places[order], _labels(boxes, following)[order]
     label_at = np.empty(places[-1] + 1, dtype=labels.dtype)
     label_at[places] = labels
     faces = shared_faces(cells, lambda a, b: label_at[a] == label_at[b], periodic)
@@ -98,12 +106,25 @@ def connected_partitions(
     return Partitions(places, number[component], labels[first][rank], shares)
 
 
-def regions(cells: CellTree | SplitTree, partitions: Partitions) -> list[Region]:
-    """Return the regions of the symbols that cells have, in the order of the symbols."""
+def _labels(boxes: Boxes, following: np.ndarray | None) -> np.ndarray:
+    """Return what follows in boxes (M,): what `following` (R,) has for their rows, or these."""
+    return boxes.labels if following is None else following[boxes.labels]
+
+
+def regions(
+    cells: CellTree | SplitTree,
+    partitions: Partitions,
+    following: np.ndarray | None = None,
+) -> list[Region]:
+    """Return the regions of the symbols that cells have, in the order of the symbols.
+
+    Partitions and labels are those of `connected_partitions`.
+    """
     boxes = cells.boxes()
-    lower, upper, labels = merged_boxes(boxes.lower, boxes.upper, boxes.labels, cells.counts)
+    found = _labels(boxes, following)
+    lower, upper, labels = merged_boxes(boxes.lower, boxes.upper, found, cells.counts)
     members = partitions.of(cells.find(lower))
-    cell_counts = np.bincount(boxes.labels)
+    cell_counts = np.bincount(found)
     areas = []
     for label in np.unique(labels).tolist():
         own = labels == label
@@ -112,6 +133,29 @@ def regions(cells: CellTree | SplitTree, partitions: Partitions) -> list[Region]
             Region(label, lower[own], upper[own], members[own], int(cell_counts[label]), share)
         )
     return areas
+
+
+def guards(
+    cells: CellTree | SplitTree,
+    periodic: Sequence[bool],
+    transitions: np.ndarray,
+    sources: Sequence[int],
+) -> list[Region]:
+    """Return where which symbol follows each source, by source and then by symbol.
+
+    What follows are rows (R, N + 1) of labels in force, whose numbers are those of leaves.
+    """
+    used = np.unique(cells.constant_leaves(len(transitions)))
+    known: dict[bytes, list[Region]] = {}  # symbols may have the same followers everywhere
+    found = []
+    for source in sources:
+        following = transitions[:, source]
+        key = following[used].tobytes()
+        if key not in known:
+            partitions = connected_partitions(cells, periodic, following)
+            known[key] = regions(cells, partitions, following)
+        found += [dataclasses.replace(region, source=source) for region in known[key]]
+    return found
 
 
 def merged_boxes(

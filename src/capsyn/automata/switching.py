@@ -107,6 +107,18 @@ class Switching:
         return float(self.sliding_areas.sum()) / total if total else 0.0
 
 
+@dataclass(frozen=True)
+class SlidingFace:
+    """A face between two cells on which the loop slides: both sides push into it."""
+
+    axis: int  # state that is constant on the face
+    lower: tuple[float, ...]  # n bounds [state units]
+    upper: tuple[float, ...]  # the other bounds, equal on that axis
+    below: int  # the symbols on its two sides, N for the default
+    above: int
+    share: float  # of the face on which the loop slides, from samples
+
+
 def switching(policy: Policy) -> Switching:
     """Return what the closed loop of a policy with a model does on the faces between its symbols.
 
@@ -186,12 +198,12 @@ def switching(policy: Policy) -> Switching:
 def _one_way(sides: Sides, statuses: np.ndarray, shares: np.ndarray, flows: np.ndarray) -> None:
     """Correct what is said of faces that only switch one way: they cross wherever they arrive."""
     for way, other, switches in ((UPWARD, DOWNWARD, sides.down), (DOWNWARD, UPWARD, sides.up)):
-        only = ~switches
-        statuses[only, other] = statuses[only, SLIDING] = IMPOSSIBLE
+        only = np.flatnonzero(~switches)[:, None]
+        statuses[only, [other, SLIDING]] = IMPOSSIBLE
         shares[only, way] += shares[only, SLIDING]
         flows[only, way] += flows[only, SLIDING + way]
-        shares[np.ix_(only, [other, SLIDING, REPELLING])] = 0.0
-        flows[np.ix_(only, [other, SLIDING, SLIDING + 1])] = 0.0
+        shares[only, [other, SLIDING, REPELLING]] = 0.0
+        flows[only, [other, SLIDING, SLIDING + 1]] = 0.0
 
 
 def _pieces(faces: Faces, counts: Sequence[int]) -> Faces:

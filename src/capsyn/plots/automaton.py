@@ -67,7 +67,8 @@ def plot_automaton(automaton: Automaton, ax: Axes | None = None) -> Axes:
     for edge, curve in curves.items():
         _draw_arrow(ax, automaton, edge, curve)
     if labelled:
-        box = np.array([0.0125, 0.0105]) * size
+        wide = 0.015 if automaton.remembers else 0.0125  # names of two symbols, or of one
+        box = np.array([wide, 0.0105]) * size
         places = _label_places(curves, centers, radius, box)
         for edge, place in places.items():
             ax.text(
@@ -295,6 +296,8 @@ def _draw_legend(ax: Axes, automaton: Automaton, arrows: list[Edge], short: bool
         handles.append(Line2D([], [], color=LINE, lw=1.0, ls=(0, (1, 2)), label="undecided"))
     if len(automaton.vertices) <= MOST_LABELLED and any(edge.sliding for edge in arrows):
         handles.append(Line2D([], [], ls="", marker="$*$", color=LINE, label="chatters somewhere"))
+    if automaton.remembers and len(automaton.vertices) <= MOST_LABELLED:
+        handles.append(Line2D([], [], ls="", label=literal(automaton.guards_are)))
     if not short:
         for label, name in zip(automaton.vertices, automaton.names):
             text = literal(f"u{automaton.symbol_number(label)} = {name}")
