@@ -12,7 +12,6 @@ from capsyn.cells.work import work_of
 from capsyn.compression.complexity import deepest_steps, mean_depth
 from capsyn.exports.plan import Plan
 from capsyn.exports.target import Exported
-from capsyn.policies.file import content_hash
 from capsyn.policies.policy import DecisionTree
 from capsyn.policies.report import feature_figures
 
@@ -38,7 +37,7 @@ def certificate(
         "target": target,
         "options": dict(options),
         "policy": plan.policy.name,
-        "sha256": content_hash(plan.policy),
+        "sha256": plan.sha256,
         **costs,
         **({} if exported.written is None else {"written": dict(exported.written)}),
         "files": {

@@ -60,6 +60,8 @@ class Plan:
         Whether what is written are the policy's cells, as affine leaves are, else its tree.
     hold_off : float
         Time after the start for which the safe symbol is in force, whatever the state [time unit].
+    given : Policy, optional
+        The policy as it was given, where its least times are others. Default: the policy.
     """
 
     policy: Policy
@@ -71,6 +73,7 @@ class Plan:
     offset: np.ndarray
     as_cells: bool = False
     hold_off: float = 0.0
+    given: Policy | None = None
 
     @staticmethod
     def of(
@@ -105,6 +108,7 @@ class Plan:
         at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
         true_or_false("outside_at_once", at_once)
         _check_readings(policy.domain, policy.cells.counts, *factors)
+        given = policy
         if dwell is not None and finite_number("dwell", dwell, least=0.0) >= 0:
             policy = _held(policy, float(dwell))
         hold_off = finite_number("hold_off", hold_off, least=0.0)
@@ -128,16 +132,27 @@ class Plan:
             factors[1],
             _is_affine(policy),
             hold_off,
+            given,
         )
 
     def written(self, as_cells: bool) -> Plan:
         """Return the plan with the policy's cells, or its tree, for what is written."""
         return self if as_cells == self.as_cells else dataclasses.replace(self, as_cells=as_cells)
 
+    @property
+    def source(self) -> Policy:
+        """The policy as it was given."""
+        return self.policy if self.given is None else self.given
+
+    @functools.cached_property
+    def sha256(self) -> str:
+        """Hash of the content of that policy."""
+        return content_hash(self.source)
+
     @functools.cached_property
     def tree(self) -> DecisionTree:
         """The policy itself where it is a tree, else its exact tree; made when it is asked for."""
-        return _tree_of(self.policy)
+        return _tree_of(self.source)
 
     @property
     def cells(self) -> CellTree | SplitTree:
@@ -153,7 +168,7 @@ class Plan:
     def guarantee(self) -> Guarantee:
         """What the export has in common with the policy that a tree was made from."""
         if self.as_cells:
-            return Guarantee("exact", content_hash(self.policy))
+            return Guarantee("exact", self.sha256)
         return self.tree.guarantee
 
     @property
@@ -176,6 +191,17 @@ class Plan:
     def transitions(self) -> np.ndarray:
         """The label that follows each label in force, (R, N + 1), of the rows of leaves."""
         return self.policy.transitions
+
+    @property
+    def waits(self) -> bool:
+        """Whether anything waits for a time."""
+        rules = self.policy.rules
+        return bool(rules.holds.any() or rules.input_holds.any() or self.hold_off)
+
+    @property
+    def forbidden(self) -> list[list[int]]:
+        """Transitions that are not taken: pairs of labels, from and to."""
+        return np.argwhere(self.policy.rules.forbidden).tolist()
 
     @property
     def dwell_s(self) -> float:
@@ -287,7 +313,7 @@ class Plan:
         lines.append(_structure(self))
         if isinstance(policy.cells, FeatureTree):
             lines.append(f"Features: {', '.join(policy.cells.features.names)}")
-        lines.append(f"Policy content: SHA-256 {content_hash(policy)}")
+        lines.append(f"Policy content: SHA-256 {self.sha256}")
         return tuple(lines)
 
     def _times(self) -> list[str]:

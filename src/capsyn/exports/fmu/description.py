@@ -11,7 +11,6 @@ from capsyn.exports.c.language import KEYWORDS
 from capsyn.exports.identifiers import identifiers
 from capsyn.exports.plan import Plan
 from capsyn.modelling.time_unit import from_seconds
-from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
 OWN = ("symbol", "status", "min_dwell", "time")
@@ -44,7 +43,7 @@ def description(plan: Plan, name: str, guid: str) -> bytes:
             modelName=plan.policy.name or name,
             guid=guid,
             description=" ".join(plan.header),
-            version=content_hash(plan.policy)[:16],
+            version=plan.sha256[:16],
             generationTool=f"capsyn {__version__}",
             variableNamingConvention="flat",
         ),

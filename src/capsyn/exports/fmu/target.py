@@ -37,7 +37,6 @@ from capsyn.exports.identifiers import file_name, renamed
 from capsyn.exports.plan import OUTSIDE, Files, Plan
 from capsyn.exports.target import Exported, Target
 from capsyn.native.build import find_compiler
-from capsyn.policies.file import content_hash
 from capsyn.validation import describe
 from capsyn.version import __version__
 
@@ -85,7 +84,7 @@ TARGET = Target(export, Options, features=True)
 
 def _guid(plan: Plan) -> str:
     """Return an identifier of what the unit does, made from the policy and the plan."""
-    parts = [content_hash(plan.policy), plan.safe, plan.dwell, plan.at_once, plan.scale.tolist()]
+    parts = [plan.sha256, plan.safe, plan.dwell, plan.at_once, plan.scale.tolist()]
     parts += [plan.offset.tolist(), __version__]
     digits = hashlib.sha256(repr(parts).encode()).hexdigest()
     return str(uuid.UUID(digits[:32]))

@@ -15,7 +15,6 @@ from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
 from capsyn.exports.target import Exported, NameOption, Target
-from capsyn.policies.file import content_hash
 from capsyn.version import __version__
 
 FORMAT, VERSION = "capsyn-policy-json", 2
@@ -107,7 +106,7 @@ def document(plan: Plan) -> dict[str, Any]:
         "generator": f"capsyn {__version__}",
         "header": list(plan.header),
         "name": policy.name,
-        "sha256": content_hash(policy),
+        "sha256": plan.sha256,
         "states": [dict(zip(keys, state)) for state in states],
         "inputs": [
             {"name": name, "unit": unit} for name, unit in zip(alphabet.inputs, alphabet.units)

@@ -69,7 +69,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     one_of("inputs", options.inputs, ["lattice", "fixed"])
     ports = options.ports(plan)
     clock = math.ceil(finite_number("clock_hz", options.clock_hz, above=0.0))
-    if tree_within(plan.policy, MOST_NODES) is None:
+    if tree_within(plan.source, MOST_NODES) is None:
         raise ProblemError(
             "target verilog writes trees alone, and that of this policy with affine leaves has "
             f"more than {MOST_NODES:,} nodes: {WAYS_OUT}"
