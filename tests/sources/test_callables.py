@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from capsyn import Alphabet, Box, compress, subdivide
+from capsyn import Alphabet, Box, Problem, Switching, compress, subdivide
 from capsyn.errors import ProblemError
 from capsyn.sources.callables import labels_of, problem_policy
 
@@ -164,3 +164,77 @@ def test_controls_beyond_half_precision_are_no_symbols():
         warnings.simplefilter("error")
         with pytest.raises(ProblemError, match="controls of the alphabet .* got \\[inf\\]"):
             label(np.zeros((1, 1)))
+
+
+def thermostat(**changes):
+    """Return a problem of one state that the symbols move by -1, 0 and 1 a second."""
+    return Problem(
+        name="thermostat", dynamics=lambda x, u: [u[0]], domain=Box([-1], [1]),
+        alphabet=Alphabet([-1, 0, 1], names=["cool", "off", "heat"]), default=0.0, horizon=1.0,
+        terminal_cost=lambda x: x[0] ** 2, partitions=16, max_level=2, **changes,
+    )  # fmt: skip
+
+
+def band(x):
+    """Return what follows each symbol: cool until 0, heat until 0, off within 0.5."""
+    warm, cold = x[:, 0] > 0.5, x[:, 0] < -0.5
+    rest = np.where(warm, 0, np.where(cold, 2, 1))
+    return np.stack([np.where(x[:, 0] > 0, 0, 1), rest, np.where(x[:, 0] < 0, 2, 1), rest], axis=1)
+
+
+@pytest.mark.parametrize("returns", ["symbols", "masks"])
+def test_labels_for_each_symbol_in_force_make_rows(returns):
+    forbidden = [("heat", "cool"), ("cool", "heat")]
+    problem = thermostat(switching=Switching(price=3.0, hold=0.1, forbidden=forbidden))
+    label = band if returns == "symbols" else lambda x: np.uint64(1) << band(x).astype(np.uint64)
+    policy = problem_policy(label, problem, in_force=True, returns=returns)
+    states = problem.domain.sample(2000, 1)
+    for current in (-1, 0, 1, 2):
+        agree = policy(states, current=current) == band(states)[:, current]
+        assert agree[np.abs(states % 0.5)[:, 0] > 0.01].mean() > 0.99
+    assert policy.remembers and policy.switching == problem.switching
+
+
+def test_a_function_is_asked_where_its_decision_takes_effect():
+    seen = []
+
+    def sign(x):
+        seen.append(x)
+        return np.where(x[:, 0] > 0, 0, 2)
+
+    policy = problem_policy(sign, thermostat(delay=0.2))
+    at = [policy([x], current=c) for x, c in ((0.1, "cool"), (0.1, "heat"), (-0.1, "cool"),
+          (-0.1, "heat"), (0.3, "cool"), (0.1, -1))]  # fmt: skip
+    assert at == [2, 0, 2, 0, 0, 0] and max(x.max() for x in seen) > 1.19
+    held = problem_policy(band, thermostat(delay=0.2), in_force=True)
+    assert held([0.1], current="cool") == 1 and held([0.4], current="off") == 1
+    assert held([0.3], current="cool") == 0
+
+
+@pytest.mark.parametrize(
+    "label, switching, options, words",
+    [
+        (law, Switching(price=1.0), {}, "`label` must be a FiniteControlSet of the problem, or"),
+        (law, Switching(price="1%"), {}, "`label` must be a FiniteControlSet of the problem, or"),
+        (law, Switching(forbidden=[("cool", "heat")]), {}, "`label` must be a FiniteControlSet"),
+        (band, Switching(price="1%"), {"in_force": True}, "`switching` must have a price in numb"),
+        (band, Switching(forbidden=[("off", "heat")]), {"in_force": True}, "must not take a forb"),
+        (band, None, {"in_force": True, "returns": "scores"}, "`returns` must be symbols or masks"),
+        (band, None, {"in_force": 1}, "`in_force` must be True or False; got 1"),
+        (band, None, {"in_force": True, "leaves": "affine"}, "`leaves` must be constant where lab"),
+        (lambda x: band(x)[:, :2], None, {"in_force": True}, r"return \(\d+, 4\) integers; got"),
+        (lambda x: band(x) + 7, None, {"in_force": True}, "`label` must return symbols from -1 to"),
+    ],
+)
+def test_labels_that_cannot_keep_the_switching_are_refused(label, switching, options, words):
+    with pytest.raises(ProblemError, match=words) as error:
+        problem_policy(label, thermostat(switching=switching), **options)
+    assert "\n" not in str(error.value)
+
+
+def test_holds_alone_are_for_closed_loops():
+    problem = thermostat(switching=Switching(hold={"heat": 0.2}))
+    policy = problem_policy(lambda x: np.where(x[:, 0] > 0, 0, 2), problem)
+    assert not policy.remembers and policy.switching == problem.switching
+    with pytest.raises(ProblemError, match="labels for 4 symbols in force, the default's last"):
+        problem_policy(lambda x: band(x)[:, :2], thermostat(delay=0.1), in_force=True)

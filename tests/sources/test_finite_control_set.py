@@ -7,7 +7,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from capsyn import Alphabet, Box, Problem, SsacSettings, problems, simulate
+from capsyn import Alphabet, Box, Problem, SsacSettings, Switching, problems, simulate
+from capsyn.cells.masks import members
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
 from capsyn.sources.callables import problem_policy
 from capsyn.sources.finite_control_set import COST_TIE, MOST_DEPTH, finite_control_set
@@ -20,7 +21,7 @@ def pendulum(symbols=(-5.0, 0.0, 5.0), **changes):
         alphabet=Alphabet(list(symbols)),
         running_cost=lambda x: 1 - ca.cos(x[0]) + 0.1 * x[1] ** 2,
         terminal_cost=lambda x: 2 * ca.sin(x[0]) ** 2 + x[1] ** 2,
-        **changes,
+        **{"switching": None, **changes},
     )
 
 
@@ -31,12 +32,14 @@ def slopes(x, u):
 
 
 @functools.cache
-def brute_force(depth, period, blocks, steps, weight):
+def brute_force(depth, period, blocks, steps, weight, prices=((0.0,) * 3,) * 3):
     """Return the least costs (B, N) by first symbol: every sequence from its beginning, alone."""
     values, states, h = (-5.0, 0.0, 5.0), pendulum().domain.sample(1000, 3), period / steps
     best = np.full((len(states), len(values)), np.inf)
     for sequence in itertools.product(range(len(values)), repeat=depth):
         x, total = states.T, np.zeros(len(states))
+        for before, after in itertools.pairwise(sequence):
+            total = total + prices[before][after] * period
         for symbol, held in zip(sequence, blocks):
             u = values[symbol]
             total = total + weight * u**2 * held * period
@@ -73,6 +76,91 @@ def test_equal_to_brute_force(backend, depth, blocks, steps, weight):
     np.testing.assert_array_equal(control(states), tied.argmax(axis=1))  # the lowest of ties
     masks = (tied << np.arange(3)).sum(axis=1).astype(np.uint64)
     np.testing.assert_array_equal(control.masks(states)[:, 0], masks)
+
+
+PRICES = [[0.0, 0.3, 0.9], [0.2, 0.0, 0.2], [0.7, 0.1, 0.0]]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("depth, blocks, forbidden", [(4, 1, ()), (3, [1, 2, 3], [("1", "2")])])
+def test_prices_are_paid_along_sequences(backend, depth, blocks, forbidden):
+    alphabet = Alphabet([-5.0, 0.0, 5.0], names=["0", "1", "2"])
+    switching = Switching(price=PRICES, forbidden=forbidden)
+    problem = pendulum().replace(alphabet=alphabet, switching=switching)
+    table = np.array(PRICES)
+    for pair in forbidden:
+        table[int(pair[0]), int(pair[1])] = np.inf
+    held = (blocks,) * depth if isinstance(blocks, int) else tuple(blocks)
+    wanted = brute_force(depth, 0.05, held, 1, 0.0, tuple(map(tuple, table.tolist())))
+    control = finite_control_set(
+        problem, depth, sample_time=0.05, blocks=blocks, control_weight=0, backend=backend
+    )
+    states = problem.domain.sample(1000, 3)
+    np.testing.assert_allclose(control.costs(states), wanted, rtol=1e-11)
+    assert control.in_force == 4
+    sets = members(control.masks(states), 3)
+    for j, first in enumerate([*table, np.zeros(3)]):  # leaving the default costs nothing
+        total = wanted + first * 0.05
+        tied = total <= total.min(axis=1, keepdims=True) * (1 + COST_TIE)
+        np.testing.assert_array_equal(sets[:, j], tied)
+        stays = tied[:, j] if j < 3 else np.zeros(len(states), bool)
+        best = np.where(stays, j, tied.argmax(axis=1))
+        np.testing.assert_array_equal(control(states, j if j < 3 else -1), best)
+    assert (sets[:, 0] != sets[:, 3]).any() and not (forbidden and sets[:, 1, 2].any())
+
+
+def test_a_share_is_of_the_spread_of_the_costs():
+    problem = pendulum(switching=Switching(price="10%", hold=0.3))
+    control = finite_control_set(problem, 3, sample_time=0.05)
+    costs = control.costs(problem.domain.sample(20_000, 7))
+    price = control.problem.switching.price
+    free = finite_control_set(pendulum(), 3, sample_time=0.05).costs(
+        problem.domain.sample(20_000, 7)
+    )
+    np.testing.assert_allclose(price * 0.05, 0.1 * np.median(np.ptp(free, axis=1)), rtol=0.05)
+    assert (costs >= free).all() and (costs > free).any()
+    policy = problem_policy(control, problem, max_level=1)
+    assert policy.switching == Switching(price=price, hold=0.3) and policy.remembers
+
+
+@pytest.mark.parametrize("price", [None, 0.5])
+def test_a_delay_is_integrated_first(price):
+    switching = None if price is None else Switching(price=price)
+    problem = pendulum(delay=0.07, switching=switching, partitions=9, max_level=2)
+    control = finite_control_set(problem, 2, sample_time=0.05)
+    at_once = finite_control_set(problem.replace(delay=0.0), 2, sample_time=0.05)
+    states = problem.domain.sample(500, 1)
+    for j, u in enumerate([-5.0, 0.0, 5.0, 0.0]):
+        held = simulate(
+            lambda t, x, u=u: np.full((len(x), 1), u), states, 0.07, 1 / 0.07, model=problem,
+            delay=0.0,
+        )  # fmt: skip
+        then = at_once.masks(held.states[:, -1])
+        then = then if price is None else then[:, j]
+        np.testing.assert_array_equal(control.masks(states)[:, j], then)
+    policy = problem_policy(control, problem)
+    assert policy.delay == 0.07 and policy.remembers and policy.switching == switching
+    agree = [(policy(states, current=j) == control(states, j)).mean() for j in (-1, 0, 1, 2)]
+    assert min(agree) > 0.85
+
+
+def test_a_policy_of_another_switching_is_refused():
+    priced = pendulum(switching=Switching(price=0.5))
+    control = finite_control_set(priced, 2, sample_time=0.05)
+    held = priced.replace(switching=Switching(price=0.5, hold=0.1))
+    assert problem_policy(control, held, max_level=0).switching.hold == 0.1
+    for other in (pendulum(), priced.replace(delay=0.1), pendulum(switching=Switching(price=0.4))):
+        with pytest.raises(ProblemError, match="`problem` must have the prices, forbidden trans"):
+            problem_policy(control, other)
+    with pytest.raises(ProblemError, match="`current` must be symbols, -1 to 2, one or 5; got 7"):
+        control(priced.domain.sample(5), 7)
+
+
+def test_the_sample_time_of_the_problem_is_kept():
+    fast = pendulum(settings=SsacSettings(sample_time=1e-4), max_level=0)
+    policy = problem_policy(finite_control_set(fast, 1, sample_time=0.1), fast)
+    assert policy.settings == fast.settings and policy.horizon is None
+    assert len(simulate(policy, [0.2, 0.0], 0.01).times) == 101
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
