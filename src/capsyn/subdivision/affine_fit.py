@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 
-from capsyn.cells.affine_leaves import LARGEST_SLOPE, LARGEST_SUM, MOST_RATIO, PriceRatios
+from capsyn.cells.affine_leaves import LARGEST_SLOPE, LARGEST_SUM, PriceRatios
 from capsyn.cells.masks import holds, members
 from capsyn.subdivision.split_axes import SplitAxes
 
@@ -97,11 +96,12 @@ def fit_cells(
         if split_axes is not None and can is not None:
             fitted = levels + np.einsum("msi,pi->pms", slopes, signs)
             axes = split_axes.by_residuals(some[:fixed] - fitted, can)
-        unit = 0.0 if prices is None else prices.unit / np.maximum(largest[:, variant], TINY)
-        rows = _rounded(levels, slopes, corners, size, counts, unit)
-        ratios = NO_PRICES.repeat(scores.shape[3], axis=1)
+        ratios, unit = NO_PRICES.repeat(scores.shape[3], axis=1), np.zeros(len(corners))
         if prices is not None:
             ratios = prices.ratios[:, : scores.shape[3]]
+            unit = prices.unit / np.maximum(largest[:, variant], TINY)
+        most = max(1, int(ratios.max()))
+        rows = _rounded(levels, slopes, corners, size, counts, unit, most)
         fits = _judged(some, masks, offsets, places, corners, size, rows, ratios, axes)
         kept = fits if kept is None else kept.better(fits)
     assert kept is not None
@@ -228,12 +228,13 @@ def _rounded(
     corners: np.ndarray,
     size: np.ndarray,
     counts: tuple[int, ...],
-    unit: Any,
+    unit: np.ndarray,
+    largest: int,
 ) -> _Rows:
     """Return rows as integers: constants (M, S), slopes (M, S, n), and their scales (M,).
 
-    Last come the prices (M,), of which a `unit` is so much in scores; at most a half of what sums
-    may come to.
+    Last come the prices (M,) of a ratio of 1, a `unit` (M,) in scores; what the `largest` ratio
+    comes to fits as sums do.
 
     Only differences of rows count: their mean is taken off first. A row stands for the centres of
     the lattice steps.
@@ -249,11 +250,12 @@ def _rounded(
             (LARGEST_SUM - lattice.sum() - 2) / sums.max(axis=1),
             LARGEST_SLOPE / np.abs(per_step).max(axis=(1, 2)),
         )
+        scale = np.minimum(scale, (LARGEST_SUM - largest) / (unit * largest))
     flat = ~((scale > 0) & np.isfinite(scale))  # scores that are all alike
     scale[flat], levels[flat], per_step[flat] = 1.0, 0.0, 0.0
     whole = np.rint(per_step * scale[:, None, None])
     constants = np.rint(levels * scale[:, None] - np.einsum("msi,mi->ms", whole, middle))
-    price = np.minimum(np.rint(unit * scale), LARGEST_SUM // MOST_RATIO).astype(np.int64)
+    price = np.minimum(np.rint(unit * scale), LARGEST_SUM // largest).astype(np.int64)
     return constants.astype(np.int64), whole.astype(np.int64), scale, price
 
 
