@@ -15,6 +15,7 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.grid import Grid
 from capsyn.statistics import clopper_pearson
 from capsyn.verification import agreement as module
+from capsyn.verification import tally
 from capsyn.verification.agreement import agreement
 
 
@@ -324,8 +325,8 @@ def test_threads_and_chunks_change_nothing(pendulum, monkeypatch):
 
 def test_kept_states_and_islands_are_bounded(pendulum, monkeypatch):
     everything = agreement(pendulum, 20_000, controller=lambda x: 1 - pendulum(x))
-    assert everything.agreeing == 0 and len(everything.disagreeing_states) == module.KEPT
-    monkeypatch.setattr(module, "KEPT", 7)
+    assert everything.agreeing == 0 and len(everything.disagreeing_states) == tally.KEPT
+    monkeypatch.setattr(tally, "KEPT", 7)
     few = agreement(pendulum, 20_000, controller=lambda x: 1 - pendulum(x))
     assert np.array_equal(few.disagreeing_states, everything.disagreeing_states[:7])
     assert few.islands == everything.islands[:7]

@@ -296,14 +296,14 @@ def test_no_proved_part_of_the_pendulum_has_a_positive_state(pendulum):
     cells = module._Cells(pendulum)
     derivative = LoopDerivative(pendulum, lambda x: ca.fabs(energy(x)))
     boxes = bisect(
-        lambda low, high, k: derivative.bounds(low, high, cells.labels[k]),
+        lambda low, high, k: derivative.bounds(low, high, cells.rows[k]),
         cells.lower.T,
         cells.upper.T,
         cells.levels * 0.0,
         6,
         10**5,
     )
-    u = np.vstack([pendulum.alphabet.values, pendulum.default])[cells.labels[boxes.cells], 0]
+    u = np.vstack([pendulum.alphabet.values, pendulum.default])[cells.rows[boxes.cells], 0]
     for seed in range(5):
         share = np.random.default_rng(seed).choice([0, 1e-9, 0.3, 0.7, 1], boxes.lower.shape)
         theta, omega = boxes.lower + share * (boxes.upper - boxes.lower)

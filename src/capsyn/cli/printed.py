@@ -8,6 +8,9 @@ from capsyn.cli.console import print_line, print_table
 from capsyn.modelling.time_unit import NAMES
 from capsyn.verification.sentences import circumstances, evidence_rows, failing_trial, vector
 
+MOST_NAMED = 8
+"""Most symbols of which something is said in one line."""
+
 
 def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -> None:
     """Print how trials went, and the command that repeats the first that failed."""
@@ -56,8 +59,12 @@ def print_lyapunov(data: dict[str, Any], headline: str) -> None:
 
 def print_agreement(data: dict[str, Any], headline: str) -> None:
     """Print how often a policy gives what its controller gives."""
-    cells = data["island_cells"]
+    cells, in_force = data["island_cells"], data.get("in_force", [])
     print_line("agreement", headline)
+    worst = sorted(in_force, key=lambda row: row["share"])[:MOST_NAMED]
+    if in_force:
+        which = "in force" if len(worst) == len(in_force) else "worst in force"
+        print_line(which, ", ".join(f"{row['symbol']} {row['share']:.3%}" for row in worst))
     print_line("islands", f"{cells:,} cells hold something that all their test points missed")
 
 

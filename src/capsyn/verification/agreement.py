@@ -2,6 +2,9 @@
 
 Algorithm 1 looks at test points only. Random states show what lies between them: how well the
 cells along a switching surface follow it, and the islands that all test points of a cell missed.
+
+Where the symbol in force matters each state is compared with each of them in force, J = N + 1 with
+the default control. Else J is 1.
 """
 
 from __future__ import annotations
@@ -14,73 +17,32 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import (
-    Label,
-    empty,
-    holds,
-    masks_of_symbols,
-    members,
-    or_else,
-    preferred,
-    several,
-    singles,
-    word_count,
-)
+from capsyn.cells.masks import Label, masks_of_symbols
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
-from capsyn.policies.policy import Policy, cell_tree
+from capsyn.policies.policy import Policy
 from capsyn.statistics import TOLD, check_confidence, clopper_pearson
 from capsyn.validation import BACKENDS, describe, one_of, whole_number
+from capsyn.verification.tally import Island, Rule, Tally
 
 CHUNK = 8192
-"""States that are compared at once."""
-KEPT = 10_000
-"""Most disagreeing states, and most islands, that are kept; all are counted."""
+"""States that are compared at once, with one symbol in force each."""
+FEWEST = 64
+"""Of several symbols in force there are fewer, but so many at least."""
 WAVE = 32
-"""Chunks of states that are in memory at once."""
+"""Chunks of `CHUNK` states that are in memory at once."""
 
 Controller = Callable[[np.ndarray], Any]
 """States (B, n) to symbols (B,); -1 is the default control."""
 
 
-@dataclass(frozen=True)
-class Island:
-    """A cell whose test points agreed, in which a random state disagrees.
-
-    Parameters
-    ----------
-    level : int
-        Level of the cell.
-    lower, upper : n floats
-        Bounds of the cell [state units].
-    symbol : int
-        What the policy gives there; -1 is the default control.
-    others : ints
-        What the controller gives at the states that disagree, ascending.
-    states, disagreeing : int
-        Random states in the cell, and those of them that disagree.
-    example : n floats
-        The first state that disagrees [state units].
-    """
-
-    level: int
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    symbol: int
-    others: tuple[int, ...]
-    states: int
-    disagreeing: int
-    example: tuple[float, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the island as plain data."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()}
-
-
 @dataclass(frozen=True, eq=False)
 class Agreement:
     """How often a policy of N symbols equals its controller at random states.
+
+    Where the symbol in force matters, `states` and `agreeing` are those of the mean symbol in
+    force; all other counts are of pairs of a state and a symbol in force.
 
     Parameters
     ----------
@@ -89,9 +51,10 @@ class Agreement:
     seed : int
         Seed of the states: they are ``policy.domain.sample(states, seed)``.
     states, agreeing : int
-        Random states, and those at which the policy agrees.
+        Random states, and those at which the policy agrees, rounded down.
     confidence, low, high : float
-        Clopper-Pearson interval of the share that agrees.
+        Clopper-Pearson interval of the share that agrees; of the mean over symbols in force it is
+        on the safe side, for it counts each state once.
     ties : int
         States where several symbols could be best; any of them agrees.
     not_finite : int
@@ -111,6 +74,10 @@ class Agreement:
         Uniform cells with disagreeing states, and those states.
     islands : tuple of Island
         These cells, most disagreeing states first, at most `KEPT`.
+    in_force_agreeing : (J,), optional
+        States that agree for each symbol in force, the default last.
+    disagreeing_in_force : (D,), optional
+        The symbols in force at the first pairs that disagree; -1 is the default control.
     """
 
     symbols: tuple[str, ...]
@@ -132,11 +99,18 @@ class Agreement:
     island_cells: int
     island_states: int
     islands: tuple[Island, ...]
+    in_force_agreeing: np.ndarray | None = None
+    disagreeing_in_force: np.ndarray | None = None
 
     @property
     def share(self) -> float:
-        """Share of the states, an estimate of that of the volume, where the policy agrees."""
-        return self.agreeing / self.states
+        """Share of the states, an estimate of that of the volume, where the policy agrees.
+
+        Where the symbol in force matters it is the mean over them.
+        """
+        if self.in_force_agreeing is None:
+            return self.agreeing / self.states
+        return float(self.in_force_agreeing.mean()) / self.states
 
     def __repr__(self) -> str:
         return (
@@ -146,14 +120,28 @@ class Agreement:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as plain data, with the first `TOLD` states and islands."""
-        data = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}
-        return data | {
+        known = {k: v for k, v in vars(self).items() if v is not None}
+        data = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in known.items()}
+        told: dict[str, Any] = {
             "symbols": list(self.symbols),
             "share": self.share,
             "disagreeing_states": self.disagreeing_states[:TOLD].tolist(),
             "disagreeing_symbols": self.disagreeing_symbols[:TOLD].tolist(),
             "islands": [island.to_json() for island in self.islands[:TOLD]],
         }
+        if self.in_force_agreeing is not None and self.disagreeing_in_force is not None:
+            told["disagreeing_in_force"] = self.disagreeing_in_force[:TOLD].tolist()
+            told["in_force"] = self._by_symbol(data.pop("in_force_agreeing"))
+        return data | told
+
+    def _by_symbol(self, agreeing: list[int]) -> list[dict[str, Any]]:
+        """Return the share for each symbol in force, with its interval, as plain data."""
+        rows = []
+        for name, count in zip(self.symbols, agreeing, strict=True):
+            low, high = clopper_pearson(count, self.states, self.confidence)
+            row = {"symbol": name, "agreeing": count, "share": count / self.states}
+            rows.append(row | {"low": low, "high": high})
+        return rows
 
 
 def agreement(
@@ -175,8 +163,8 @@ def agreement(
     states : int
         Number of states, drawn uniformly from the domain.
     controller : callable, optional
-        States (B, n) to symbol indices (B,), -1 for the default, such as another policy.
-        Default: sSAC with the policy's own model, horizon and settings.
+        States (B, n) to symbol indices (B,), -1 for the default, whatever is in force; or another
+        policy. Default: sSAC with the policy's own model, horizon, settings, prices and delay.
     seed : int
         Seed of the states.
     confidence : float
@@ -207,19 +195,21 @@ def agreement(
     confidence = check_confidence(confidence)
     one_of("backend", backend, BACKENDS)
     threads = 1 if threads is None and controller is not None else processors(threads)
-    masks, preference = _label(policy, controller, backend)
-    tally = _Tally(policy)
+    rule = _rule(policy, controller, backend)
+    tally = Tally(policy, rule)
     with ThreadPoolExecutor(threads) as pool:
         run = map if threads == 1 else pool.map
-        for wave in _waves(policy, states, seed):
-            for chunk, labels in zip(wave, run(masks, wave)):
-                tally.add(chunk, labels, preference)
-    low, high = clopper_pearson(states - tally.wrong, states, confidence)
+        for wave in _waves(policy, states, seed, rule.in_force):
+            for chunk, labels in zip(wave, run(rule.masks, wave)):
+                tally.add(chunk, labels)
+    agreeing = states * rule.in_force - tally.wrong
+    low, _ = clopper_pearson(agreeing // rule.in_force, states, confidence)
+    _, high = clopper_pearson(-(-agreeing // rule.in_force), states, confidence)
     return Agreement(
         symbols=(*policy.alphabet.names, "default"),
         seed=seed,
         states=states,
-        agreeing=states - tally.wrong,
+        agreeing=agreeing // rule.in_force,
         confidence=confidence,
         low=low,
         high=high,
@@ -227,11 +217,9 @@ def agreement(
     )
 
 
-def _label(
-    policy: Policy, controller: Controller | None, backend: str
-) -> tuple[Label, tuple[int, ...]]:
-    """Return the controller as a function that gives masks, and its preference among ties."""
-    n_symbols = len(policy.alphabet)
+def _rule(policy: Policy, controller: Controller | None, backend: str) -> Rule:
+    """Return what a policy is compared with; sSAC where no controller is given."""
+    count = len(policy.alphabet) + 1
     if controller is None:
         ssac = policy_controller(policy, backend)
         if ssac is None:
@@ -239,132 +227,42 @@ def _label(
                 "`policy` must carry its model, horizon and settings, or `controller` must be "
                 f"given; got {policy!r} without them"
             )
-        return ssac.masks, ssac.preference
+        many = policy.remembers or ssac.in_force > 1
+        return Rule(ssac.masks, ssac.preference, count if many else 1)
     if not callable(controller):
         raise ProblemError(f"`controller` must be a function; got {describe(controller)}")
-    if isinstance(controller, Policy) and controller.gaps:
+    order = tuple(range(count))
+    if isinstance(controller, Policy):
         controller = dataclasses.replace(controller, gaps=False)  # a gap is a label like others
-    masks = masks_of_symbols(controller, n_symbols, "controller")
-    return masks, tuple(range(n_symbols + 1))
+        if controller.remembers:
+            return Rule(_masks_in_turn(controller, count), order, count)
+    masks = masks_of_symbols(controller, count - 1, "controller")
+    return Rule(masks, order, count if policy.remembers else 1)
 
 
-def _waves(policy: Policy, count: int, seed: int) -> Iterator[list[np.ndarray]]:
+def _masks_in_turn(policy: Policy, count: int) -> Label:
+    """Return the function of states (B, n) to masks (B, J, W) of what follows J labels in force."""
+    if len(policy.alphabet) + 1 != count:
+        raise ProblemError(
+            f"`controller` must have {count - 1} symbols, as the policy has, where it depends on "
+            f"the one in force; got {policy!r}"
+        )
+    labels = np.arange(count)
+
+    def following(states: np.ndarray) -> np.ndarray:
+        return np.stack([policy(states, current=label) for label in labels], axis=1)
+
+    return masks_of_symbols(following, count - 1, "controller", count)
+
+
+def _waves(policy: Policy, count: int, seed: int, in_force: int) -> Iterator[list[np.ndarray]]:
     """Yield the states of ``policy.domain.sample(count, seed)``, as lists of chunks (B, n)."""
     domain, random = policy.domain, np.random.default_rng(seed)
-    sizes = [min(CHUNK, count - start) for start in range(0, count, CHUNK)]
-    for start in range(0, len(sizes), WAVE):
+    most = max(CHUNK // in_force, min(FEWEST, CHUNK))
+    wave = max(1, WAVE * CHUNK // (most * in_force))
+    sizes = [min(most, count - start) for start in range(0, count, most)]
+    for start in range(0, len(sizes), wave):
         yield [
             domain.lower + random.random((size, domain.n)) * domain.widths
-            for size in sizes[start : start + WAVE]
+            for size in sizes[start : start + wave]
         ]
-
-
-class _Tally:
-    """Counts over chunks of states: in all, by cell, and by pair of symbols."""
-
-    def __init__(self, policy: Policy) -> None:
-        cells = policy.cells.node_count
-        self._policy = policy
-        self._leaves = len(policy.alphabet) + 1
-        self._drawn = np.zeros(cells, dtype=np.int64)
-        self._wrong = np.zeros(cells, dtype=np.int64)
-        self._seen = np.zeros((cells, word_count(self._leaves)), dtype=np.uint64)
-        self._pairs = np.zeros((self._leaves, self._leaves), dtype=np.int64)
-        self._examples: list[tuple[np.ndarray, np.ndarray]] = []
-        self._kept: list[tuple[np.ndarray, np.ndarray]] = []
-        self._room = KEPT
-        self._ties = self._not_finite = 0
-
-    @property
-    def wrong(self) -> int:
-        """States that disagree."""
-        return int(self._wrong.sum())
-
-    def add(self, states: np.ndarray, masks: np.ndarray, preference: tuple[int, ...]) -> None:
-        """Count states (B, n) with the controller's masks (B, W)."""
-        tree, default = self._policy.cells, self._leaves - 1
-        steps = self._policy.domain.locate(states, tree.counts)
-        cells = tree.find(steps)
-        own = tree.labels_in(cells, steps)
-        self._ties += int(several(masks).sum())
-        self._not_finite += int(empty(masks).sum())
-        masks = or_else(masks, default)
-        agree = holds(masks, own)
-        other = np.where(agree, own, preferred(masks, preference))
-        np.add.at(self._pairs, (own, other), 1)
-        places, counts = np.unique(cells, return_counts=True)
-        self._drawn[places] += counts
-
-        states, cells, own, other = (x[~agree] for x in (states, cells, own, other))
-        places, first, counts = np.unique(cells, return_index=True, return_counts=True)
-        new = self._wrong[places] == 0
-        self._examples.append((places[new], states[first[new]]))
-        self._wrong[places] += counts
-        np.bitwise_or.at(self._seen, cells, singles(other, self._leaves))
-        symbols = np.stack([own, other], axis=1)[: self._room]
-        self._kept.append((states[: self._room], np.where(symbols == default, -1, symbols)))
-        self._room -= len(symbols)
-
-    def results(self) -> dict[str, Any]:
-        """Return the fields of an `Agreement` that are counts and places."""
-        tree = self._policy.cells
-        mixed = tree.mixed_cells
-        uniform_wrong = self._wrong.copy()
-        uniform_wrong[mixed] = 0
-        islands = np.flatnonzero(uniform_wrong)
-        level_states, level_wrong = (
-            np.array([counts[places].sum() for places in tree.layers()])
-            for counts in (self._drawn, self._wrong)
-        )
-        states, symbols = (np.concatenate(parts) for parts in zip(*self._kept))
-        return {
-            "ties": self._ties,
-            "not_finite": self._not_finite,
-            "level_states": level_states,
-            "level_agreeing": level_states - level_wrong,
-            "mixed_states": int(self._drawn[mixed].sum()),
-            "mixed_agreeing": int((self._drawn - self._wrong)[mixed].sum()),
-            "pairs": self._pairs,
-            "disagreeing_states": states,
-            "disagreeing_symbols": symbols,
-            "island_cells": len(islands),
-            "island_states": int(uniform_wrong.sum()),
-            "islands": self._islands(islands) if len(islands) else (),
-        }
-
-    def _islands(self, cells: np.ndarray) -> tuple[Island, ...]:
-        """Return uniform cells (K,) with disagreeing states, most of these first."""
-        tree, domain = cell_tree(self._policy), self._policy.domain
-        level = np.zeros(len(cells), dtype=np.int64)
-        lower, upper = np.zeros((2, len(cells), tree.n), dtype=np.int64)
-        for layer in tree.levels():  # whose places stand side by side
-            first, last = layer.places[0], layer.places[-1]
-            some = slice(*np.searchsorted(cells, (first, last + 1)))
-            here = cells[some] - first
-            level[some] = layer.level
-            lower[some], upper[some] = layer.lower[here], layer.lower[here] + layer.sizes[here]
-        places, states = (np.concatenate(parts) for parts in zip(*self._examples))
-        order = np.argsort(places)
-        examples = states[order[np.searchsorted(places, cells, sorter=order)]]
-        own = tree.labels_in(cells, domain.locate(examples, tree.counts))
-        low, high = domain.points(lower, tree.counts), domain.points(upper, tree.counts)
-
-        def symbol(leaf: int) -> int:
-            return -1 if leaf == self._leaves - 1 else leaf
-
-        islands = []
-        for i in np.argsort(-self._wrong[cells], kind="stable")[:KEPT]:
-            seen = np.flatnonzero(members(self._seen[cells[i]], self._leaves))
-            islands.append(
-                Island(
-                    level=int(level[i]),
-                    lower=tuple(low[i].tolist()),
-                    upper=tuple(high[i].tolist()),
-                    symbol=symbol(int(own[i])),
-                    others=tuple(map(symbol, seen.tolist())),
-                    states=int(self._drawn[cells[i]]),
-                    disagreeing=int(self._wrong[cells[i]]),
-                    example=tuple(examples[i].tolist()),
-                )
-            )
-        return tuple(islands)

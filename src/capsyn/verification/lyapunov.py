@@ -1,9 +1,13 @@
-"""Lyapunov evidence: the sign of dV/dt along the closed loop, on a grid and proved cell by cell."""
+"""Lyapunov evidence: the sign of dV/dt along the closed loop, on a grid and proved cell by cell.
+
+Of a policy that remembers several symbols may be in force at a state: all that its row there gives,
+whatever may have been in force before. dV/dt then is the largest of theirs.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +15,7 @@ import numpy as np
 
 from capsyn.cells.faces import shared_faces
 from capsyn.errors import ProblemError
+from capsyn.policies.in_force import reachable
 from capsyn.policies.policy import Policy
 from capsyn.statistics import TOLD
 from capsyn.validation import describe, finite_number, is_list, one_line, whole_number
@@ -32,10 +37,11 @@ class LyapunovCells:
     entries : (K,) ints
         Their places in ``policy.cells``.
     levels, symbols : (K,) ints
-        Level of subdivision, and symbol; -1 is the default control.
+        Level of subdivision, and symbol; -1 is the default control. Of several that may be in force
+        it is that under which the value is.
     boundary : (K,) booleans
         Finest cells, or leaves of a decision tree, on a switching surface: their test points did
-        not agree, or a cell across a face has another symbol.
+        not agree, or a cell across a face has another symbol or row.
     lower, upper : (K, n)
         Bounds [state units].
     states : (K, n)
@@ -176,7 +182,8 @@ def lyapunov(
 ) -> LyapunovProof:
     """Return what interval arithmetic proves about dV/dt in continuous time, cell by cell.
 
-    In every cell, faces included, the control is that of its symbol. Where V has a kink, as
+    In every cell, faces included, the control is that of its symbol, or of each symbol that may be
+    in force there, no least time being waited for. Where V has a kink, as
     ``abs(E)`` at ``E = 0``, the gradients on either side and all between them count. That V is
     positive, and that it does not jump but where random pairs of states would show it, is up to
     whoever made it.
@@ -251,12 +258,22 @@ def lyapunov_grid(
         part = np.arange(start, min(start + CHUNK, len(values)))
         places = np.unravel_index(part, shape)
         states = np.stack([axis[k] for axis, k in zip(axes, places)], axis=1)
-        values[part] = loop.values(states, policy(states, outside="nearest"))
+        values[part] = _largest_value(loop, policy, states)
     sizes = np.abs(values)
     finite = np.isfinite(values)
     tolerance = zero * float(sizes.max(where=finite, initial=0.0))
     signs = np.where(sizes <= tolerance, 0, np.where(finite, np.sign(values), 2)).astype(np.int8)
     return LyapunovGrid(axes, signs.reshape(shape), tolerance)
+
+
+def _largest_value(loop: LoopDerivative, policy: Policy, states: np.ndarray) -> np.ndarray:
+    """Return the largest dV/dt (B,) at states (B, n) of symbols that may be in force, or NaN."""
+    before = reachable(policy) if policy.remembers else ()
+    values = np.full(len(states), -np.inf)
+    for label in (*before, len(policy.alphabet)):
+        symbols = policy(states, outside="nearest", current=label)
+        values = np.maximum(values, loop.values(states, symbols))
+    return values
 
 
 class _Cells:
@@ -266,26 +283,32 @@ class _Cells:
         tree = policy.cells
         self.policy = policy
         self.boxes = boxes = tree.boxes()
-        self.entries, self.labels, self.levels = boxes.places, boxes.labels, boxes.levels
+        self.entries, self.rows, self.levels = boxes.places, boxes.labels, boxes.levels
+        rows, before = policy.transitions, [*reachable(policy), len(policy.alphabet)]
+        given = np.zeros(rows.shape, dtype=bool)
+        np.put_along_axis(given, rows[:, before], True, axis=1)
+        _, self.given = np.nonzero(given)  # the labels that rows give, one row after the other
+        self.counts = given.sum(axis=1)
+        self.first = np.cumsum(self.counts) - self.counts
         self.shares = boxes.volumes() / np.prod(tree.counts, dtype=float)
         self.lower = policy.domain.points(boxes.lower, tree.counts)
         self.upper = policy.domain.points(boxes.upper, tree.counts)
 
-    def prove(
-        self, loop: LoopDerivative, function: str, depth: int, max_boxes: int
-    ) -> LyapunovProof:
+    def prove(self, loop: LoopDerivative, function: str, depth: int, most: int) -> LyapunovProof:
         boxes = bisect(
-            lambda lower, upper, cells: loop.bounds(lower, upper, self.labels[cells]),
+            lambda lower, upper, cells: self._bounds(loop, lower, upper, cells)[:2],
             self.lower.T,
             self.upper.T,
             self.shares,
             depth,
-            max_boxes,
+            most,
         )
         violated = self._violated(loop, boxes.take(~boxes.proved))
         left = boxes.take(~boxes.proved & ~np.isin(boxes.cells, violated[0]))
         worst = _largest(left.cells, np.where(np.isnan(left.high), np.inf, left.high))
-        undecided = left.cells[worst], left.middle.T[worst], left.high[worst]
+        ends = left.lower[:, worst], left.upper[:, worst]
+        symbols = self._bounds(loop, *ends, left.cells[worst])[2]
+        undecided = left.cells[worst], symbols, left.middle.T[worst], left.high[worst]
         count = len(self.entries)
         shares: dict[str, Any] = {  # which rounding must not lift above the whole
             name: min(1.0, math.fsum(boxes.shares[getattr(boxes, name)]))
@@ -294,7 +317,7 @@ class _Cells:
         return LyapunovProof(
             function=function,
             depth=depth,
-            max_boxes=max_boxes,
+            max_boxes=most,
             **shares,
             cells=count,
             proved_cells=count - len(np.unique(boxes.cells[~boxes.proved])),
@@ -304,22 +327,47 @@ class _Cells:
             time_unit=self.policy.time_unit,
         )
 
+    def _in_turn(self, cells: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the labels that may be in force in cells (B,): places (L,) in these, and labels."""
+        rows = self.rows[cells]
+        for k in range(int(self.counts[rows].max(initial=0))):
+            some = np.flatnonzero(self.counts[rows] > k)
+            yield some, self.given[self.first[rows[some]] + k]
+
+    def _bounds(
+        self, loop: LoopDerivative, lower: np.ndarray, upper: np.ndarray, cells: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return bounds (B,) of dV/dt over boxes in cells (B,), and the label of the upper one."""
+        low, high, worst = *np.full((2, len(cells)), -np.inf), np.zeros(len(cells), dtype=np.int64)
+        for some, labels in self._in_turn(cells):
+            least, most = loop.bounds(lower[:, some], upper[:, some], labels)
+            above = ~(most <= high[some]) & ~np.isnan(high[some])  # NaN is the worst
+            worst[some[above]] = labels[above]
+            low[some], high[some] = np.maximum(low[some], least), np.maximum(high[some], most)
+        return low, high, worst
+
     def _violated(
         self, loop: LoopDerivative, boxes: Boxes
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the cells in which the middle of a box has dV/dt > 0, that state and dV/dt."""
-        states, labels = boxes.middle.T, self.labels[boxes.cells]
-        # bounds at the state alone tell what rounding may explain
-        low, _ = loop.bounds(states.T, states.T, labels)
-        values = loop.values(states, labels)
-        tree = self.policy.cells
-        entries = tree.find(self.policy.domain.locate(states, tree.counts))
-        kept = np.flatnonzero((low > 0) & (values > 0) & (entries == self.entries[boxes.cells]))
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the cells in which the middle of a box has dV/dt > 0, label, state and dV/dt."""
+        states = boxes.middle.T
+        values, symbols = np.full(len(states), -np.inf), np.zeros(len(states), dtype=np.int64)
+        for some, labels in self._in_turn(boxes.cells):
+            points = states[some]
+            # bounds at the state alone tell what rounding may explain
+            low, _ = loop.bounds(points.T, points.T, labels)
+            found = loop.values(points, labels)
+            better = (low > 0) & (found > np.maximum(values[some], 0))
+            values[some[better]], symbols[some[better]] = found[better], labels[better]
+        cells = self.policy.cells
+        entries = cells.find(self.policy.domain.locate(states, cells.counts))
+        kept = np.flatnonzero((values > 0) & (entries == self.entries[boxes.cells]))
         kept = kept[_largest(boxes.cells[kept], values[kept])]
-        return boxes.cells[kept], states[kept], values[kept]
+        return boxes.cells[kept], symbols[kept], states[kept], values[kept]
 
-    def _describe(self, cells: np.ndarray, states: np.ndarray, values: np.ndarray) -> LyapunovCells:
-        labels = self.labels[cells]
+    def _describe(
+        self, cells: np.ndarray, labels: np.ndarray, states: np.ndarray, values: np.ndarray
+    ) -> LyapunovCells:
         sizes = self.boxes.upper[cells] - self.boxes.lower[cells]
         return LyapunovCells(
             entries=self.entries[cells],
@@ -333,7 +381,7 @@ class _Cells:
         )
 
     def _differing(self, cells: np.ndarray) -> np.ndarray:
-        """Return which cells are mixed or have a neighbour with another symbol."""
+        """Return which cells are mixed or have a neighbour with another row."""
         tree, boxes = self.policy.cells, self.boxes
         unlike = shared_faces(
             tree,

@@ -29,7 +29,8 @@ def _proof(data: dict[str, Any]) -> str:
 
 
 def _agreement(data: dict[str, Any]) -> str:
-    return f"{data['share']:.3%} of {data['states']:,} states {_interval(data)}"
+    mean = ", mean over the symbols in force" if "in_force" in data else ""
+    return f"{data['share']:.3%} of {data['states']:,} states {_interval(data)}{mean}"
 
 
 _HEADLINES = {"monte_carlo": _trials, "lyapunov": _proof, "agreement": _agreement}
@@ -64,6 +65,9 @@ def circumstances(conditions: dict[str, Any]) -> str:
             continue
         if isinstance(value, dict) and set(value) == {"low", "high"}:
             value = f"{_short(value['low'])} to {_short(value['high'])}"
+        elif isinstance(value, dict) and name == "holds":
+            unit = units.get("min_dwell", "")
+            value = ", ".join(f"{key} for {_short(time)}{unit}" for key, time in value.items())
         elif isinstance(value, dict):
             value = circumstances(value)
         said = "" if value is True else f" {_short(value)}{units.get(name, '')}"
