@@ -35,7 +35,7 @@ automata: rectangles regions face_rates row_faces switching automaton
 simulation: plant options kernel closed_loop policy_loop trial_job experiment simulate
 synthesis: remote_labels labelling synthesize
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
-verification: bisection loop_derivative lyapunov agreement trials monte_carlo
+verification: bisection loop_derivative lyapunov tally agreement trials monte_carlo
     switching_curve sentences
 integrations: gymnasium control
 compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree
