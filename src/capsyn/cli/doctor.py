@@ -23,8 +23,16 @@ DATA = {
     "policies": ("lookup.c",),
     "simulation": ("simulate.c",),
     "sources": ("finite_control_set.c",),
-    "exports": ("fmu/fmu.c", "javascript/lattice.js", "policy_json/schema.json"),
-    "explorer": ("page.css", "page.js", "page/page.html", "vendor/uPlot.LICENSE"),
+    "exports": (
+        "fmu/fmu.c",
+        "javascript/lattice.js",
+        "policy_json/schema.json",
+        "policy_json/memory.json",
+    ),
+    "explorer": (
+        *("page.css", "page.js", "page.memory.css", "page.memory.js"),
+        *("page/page.html", "vendor/uPlot.LICENSE"),
+    ),
     ".": ("py.typed",),
 }
 """Files beside the modules that an installation must have, by folder."""

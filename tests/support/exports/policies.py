@@ -133,8 +133,8 @@ def by_json(policy, directory, readings, **options):
     return [(*pair, data["symbols"][pair[0]]["control"]) for pair in found]
 
 
-def read(data, reading):
-    """Return (symbol, status) as the texts of a JSON file say."""
+def read(data, reading, in_force=None):
+    """Return (symbol, status) as the texts of a JSON file say, with a symbol in force or without."""
     axes = data["states"]
     x = [v * axis["scale"] + axis["offset"] for v, axis in zip(reading, axes)]
     if not all(map(math.isfinite, x)):
@@ -155,7 +155,9 @@ def read(data, reading):
         return data["outside"]["safe"], 1
     if "features" in data.get("tree", {}):
         z += ranks(data["tree"]["features"], z)
-    label = walked(data["tree"], z) if "tree" in data else gone_down(data, z)
+    label = walked(data["tree"], z) if "tree" in data else gone_down(data, z, in_force)
+    if "tree" in data and "transitions" in data:
+        label = data["transitions"][label][in_force]
     if label == data["outside"].get("gap"):
         return data["outside"]["safe"], 1
     return label, status
@@ -190,8 +192,8 @@ def ranks(features, z):
     return [sum(v >= t for t in row) for v, row in zip(found, features["thresholds"])]
 
 
-def gone_down(data, z):
-    """Return the label of lattice steps as the texts say of cells."""
+def gone_down(data, z, in_force=None):
+    """Return the label of lattice steps as the texts say of cells, where it matters with that in force."""
     cells, n = data["cells"], len(z)
     size, i = list(cells["root_sizes"]), 0
     for j in range(n):
@@ -203,16 +205,28 @@ def gone_down(data, z):
                 size[j] //= parts
                 c = c * parts + z[j] // size[j] % parts
         i = cells["entries"][i] + c
-    leaf = -1 - cells["entries"][i]
-    if leaf <= data["default"]:
-        return leaf
-    a = leaf - data["default"] - 1
+    leaf, count = -1 - cells["entries"][i], data["default"] + 1
+    constant = len(data.get("transitions", range(count)))
+    if leaf < constant:
+        return data["transitions"][leaf][in_force] if "transitions" in data else leaf
+    a = leaf - constant
     rows = range(cells["row_starts"][a], cells["row_starts"][a + 1])
-    slopes = cells["row_slopes"]
-    values = [
-        cells["row_constants"][r] + sum(slopes[r * n + j] * z[j] for j in range(n)) for r in rows
-    ]
-    return cells["row_symbols"][rows[values.index(max(values))]]
+    slopes, symbols = cells["row_slopes"], cells["row_symbols"]
+    values = {
+        symbols[r]: cells["row_constants"][r] + sum(slopes[r * n + j] * z[j] for j in range(n))
+        for r in rows
+    }
+    if "transitions" in data:
+        ratios = {k: cells["row_ratios"][in_force * count + k] for k in values}
+        values = {
+            k: value - cells["row_prices"][a] * ratios[k]
+            for k, value in values.items()
+            if ratios[k] >= 0
+        }
+    most = max(values.values(), default=None)
+    if not values or values.get(in_force) == most:
+        return in_force
+    return next(k for k, value in values.items() if value == most)
 
 
 RUNNERS = {

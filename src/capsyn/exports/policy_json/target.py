@@ -17,8 +17,9 @@ from capsyn.exports.plan import Plan
 from capsyn.exports.target import Exported, NameOption, Target
 from capsyn.version import __version__
 
-FORMAT, VERSION = "capsyn-policy-json", 2
-SCHEMA = "capsyn-policy.schema.json"
+FORMAT = "capsyn-policy-json"
+SCHEMA, SCHEMA_3 = "capsyn-policy.schema.json", "capsyn-policy-3.schema.json"
+"""Of version 2, and of 3, which has more to remember than one least time."""
 QUANTISER = (
     "All arithmetic is IEEE 754 double precision, rounded after each operation as written.",
     "A state is x = reading * scale + offset, for each component.",
@@ -63,6 +64,36 @@ CELLS_WALK = (
     *GAP,
 )
 
+ROW = (
+    "Let s be the symbol in force: default before the first decision. Up to the last row of "
+    "transitions the leaf is the number of a row, and the next symbol is transitions[leaf][s]."
+)
+TREE_ROW = "Start at node 0. A node i with split[i] = -1 is a leaf; its number is threshold[i]."
+CELLS_ROWS = (
+    f"The leaf is -1 - entries[i]. {ROW}",
+    "Else let a be the leaf less the number of rows of transitions. Rows r = row_starts[a] .. "
+    "row_starts[a + 1] - 1 have values row_constants[r] + sum of row_slopes[r * n + j] * z[j] over "
+    "the n states j - row_prices[a] * row_ratios[s * (default + 1) + row_symbols[r]]; those where "
+    "that ratio is negative are left out. The next symbol is row_symbols[r] of the row with the "
+    "largest value, of equals s if it is among them, else that of the first; it is s if all are "
+    "left out.",
+)
+HOLDS = (
+    "A decision that is run in a loop keeps the symbol in force from one to the next. The first "
+    "symbol is taken, and all times begin with it.",
+    "Until hold_off is over, outside.safe is wanted, whatever the decision.",
+    "A symbol whose number in kinds is that of the symbol in force is taken, and is no switch.",
+    "Another symbol is taken, too, where the status is in at_once.",
+    "Otherwise, while the time since the symbol in force was entered is less than its time in "
+    "holds, it stays.",
+    "Otherwise each input i keeps its value while the time since it changed is less than "
+    "input_holds[i], and the other inputs take their values of the symbol that is wanted. If that "
+    "is its control, it is taken. If not, the first symbol below default is taken that has that "
+    "control, and to which no transition from the symbol in force is in forbidden; if there is "
+    "none, the symbol in force stays.",
+    "With each switch the time of the symbol begins anew, and that of each input whose value "
+    "changes.",
+)
 DWELL = (
     "A decision that is run in a loop keeps a control for min_dwell before it takes another: a "
     "symbol with another control than that in force is taken only where so much time has passed "
@@ -73,14 +104,30 @@ DWELL = (
 
 def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     """Return the policy, ``NAME.json``, and the schema of all such files."""
-    schema = resources.files("capsyn.exports.policy_json").joinpath("schema.json").read_bytes()
-    text = json.dumps(document(plan), indent=2, allow_nan=False)
+    data = document(plan)
+    text = json.dumps(data, indent=2, allow_nan=False)
     # lists of numbers in one line each
     text = re.sub(
         r"\[\n\s+(-?\d[^\[\]{}\"]*?)\n\s+\]", lambda m: f"[{' '.join(m[1].split())}]", text
     )
     file = f"{file_name(options.name, plan.policy.name)}.json"
-    return Exported({file: (text + "\n").encode(), SCHEMA: schema})
+    return Exported({file: (text + "\n").encode(), data["$schema"]: _schema(data["version"])})
+
+
+def _schema(version: int) -> bytes:
+    """Return the schema of a version of the format."""
+    folder = resources.files("capsyn.exports.policy_json")
+    schema = folder.joinpath("schema.json").read_bytes()
+    if version == 2:
+        return schema
+    more, whole = json.loads(folder.joinpath("memory.json").read_bytes()), json.loads(schema)
+    properties, arrays = whole["properties"], whole["properties"]["cells"]["properties"]
+    arrays |= {"row_prices": arrays["row_starts"], "row_ratios": arrays["row_constants"]}
+    del properties["min_dwell"]
+    whole["properties"] = properties | more
+    required = {*whole["required"], *more, "dwell"} - {"min_dwell", "transitions", "price"}
+    whole["required"] = [name for name in whole["properties"] if name in required]
+    return (json.dumps(whole, indent=2) + "\n").encode()
 
 
 def document(plan: Plan) -> dict[str, Any]:
@@ -98,11 +145,11 @@ def document(plan: Plan) -> dict[str, Any]:
         plan.offset.tolist(),
     )
     keys = ("name", "unit", "lower", "upper", "periodic", "steps", "scale", "offset")
-    features = features_of(cells)
+    features, version = features_of(cells), 3 if plan.remembers else 2
     return {
-        "$schema": SCHEMA,
+        "$schema": SCHEMA if version == 2 else SCHEMA_3,
         "format": FORMAT,
-        "version": VERSION,
+        "version": version,
         "generator": f"capsyn {__version__}",
         "header": list(plan.header),
         "name": policy.name,
@@ -119,15 +166,39 @@ def document(plan: Plan) -> dict[str, Any]:
         "outside": {"rule": "nearest" if plan.nearest else "safe", "safe": plan.safe}
         | ({"gap": plan.gap} if plan.policy.gaps else {}),
         **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
-        "min_dwell": plan.dwell,
+        **(_memory(plan) if plan.remembers else {"min_dwell": plan.dwell}),
         "at_once": list(plan.at_once),
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "guarantee": plan.guarantee.to_json() | {"text": plan.guarantee.text},
         "quantiser": [*QUANTISER, *(RANKS if features else ())],
-        "walk": list(CELLS_WALK if plan.as_cells else WALK),
-        "dwell": list(DWELL),
+        "walk": list(_walk(plan)),
+        "dwell": list(HOLDS if plan.remembers else DWELL),
         cells.kind: _tree(cells) if isinstance(cells, SplitTree) else _cells(cells),
+    }
+
+
+def _walk(plan: Plan) -> tuple[str, ...]:
+    """Return from lattice steps to the next symbol, in words."""
+    if not plan.policy.remembers:
+        return CELLS_WALK if plan.as_cells else WALK
+    if plan.as_cells:
+        return (*CELLS_WALK[:2], *CELLS_ROWS, *GAP)
+    return (TREE_ROW, *WALK[1:3], ROW, *GAP)
+
+
+def _memory(plan: Plan) -> dict[str, Any]:
+    """Return what depends on the symbol in force, and what its changes wait for."""
+    rules, switching = plan.policy.rules, plan.policy.switching
+    return {
+        **({"transitions": plan.transitions.tolist()} if plan.policy.remembers else {}),
+        **({} if switching is None else {"price": switching.to_json()["price"]}),
+        "delay": plan.policy.delay,
+        "holds": rules.holds.tolist(),
+        "input_holds": rules.input_holds.tolist(),
+        "kinds": rules.kinds.tolist(),
+        "forbidden": plan.forbidden,
+        "hold_off": plan.hold_off,
     }
 
 
@@ -148,4 +219,4 @@ def _cells(cells: CellTree) -> dict[str, Any]:
     return {name.lower(): array.tolist() for name, array, _ in cell_tables(cells)}
 
 
-TARGET = Target(export, features=True)
+TARGET = Target(export, features=True, remembers=True)
