@@ -125,12 +125,12 @@ def row_sets(sets: np.ndarray, rows: np.ndarray) -> np.ndarray:
     labels, words = rows.shape[1], word_count(len(rows))
     if sets.shape[1] == 1:
         return masks_of_members(members(sets[:, 0], labels), words)
-    tables = [_rows_by_label(column, labels, words) for column in rows.T]
     found = np.full((len(sets), words), ~np.uint64(0))
     size = max(1, ROOM // (8 * labels * words))
-    for start in range(0, len(sets), size):
-        some = slice(start, start + size)
-        for j, table in enumerate(tables):
+    for j in range(labels):  # sets of rows are small where those of labels are many, and repeat
+        table = _rows_by_label(rows[:, j], labels, words)
+        for start in range(0, len(sets), size):
+            some = slice(start, start + size)
             kinds, kind = np.unique(sets[some, j], axis=0, return_inverse=True)
             found[some] &= _united(kinds, table)[kind.ravel()]
     return found

@@ -20,8 +20,11 @@ def affine_tree(cells: CellTree, most: int = MAX_NODES) -> SplitTree | None:
     Blocks of children are halved along one axis after the other, and equal leaves merged. In an
     affine leaf the largest row so far meets the next: the next one, of a higher symbol, wins where
     the difference of the two, a plane with whole coefficients, is at least 1. Comparisons that are
-    decided throughout the cell are left out. None where it has more than `most` nodes.
+    decided throughout the cell are left out. None where it has more than `most` nodes, or where
+    leaves have prices: which row is largest then depends on the symbol in force.
     """
+    if cells.priced:
+        return None
     try:
         return _tree(cells, _Nodes(most))
     except _TooManyError:

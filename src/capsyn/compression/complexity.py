@@ -9,8 +9,8 @@ import numpy as np
 
 from capsyn.automata.automaton import Automaton
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.packing import packed_bytes
 from capsyn.compression.compress import affine_tree_of, tree_of
+from capsyn.compression.rows import policy_bytes
 from capsyn.policies.policy import DecisionTree, Policy
 
 MOST_NODES = 1_000_000
@@ -28,7 +28,8 @@ def complexity(policy: Policy) -> dict[str, Any]:
         ``tree``: of a decision tree, or of the exact one of a policy of cells, ``mode``,
         ``nodes``, ``planes``, ``bytes``, ``comparisons`` (most), ``deepest`` (a state that takes as
         many, [state units]) and ``mean_comparisons`` (over the volume), both None where splits are
-        oblique; None where that of affine leaves has more than `MOST_NODES`. ``automaton``:
+        oblique; None where that of affine leaves has more than `MOST_NODES`, or where leaves have
+        prices. ``automaton``:
         ``regions``, ``boxes`` that tile them, ``partitions`` (connected), ``edges`` and
         ``possible_edges``, ``switch_rate`` [1 / time unit], ``sliding_share`` and
         ``switching_entropy`` [bits] (None without a model, see `switching_entropy`). None where
@@ -42,7 +43,7 @@ def complexity(policy: Policy) -> dict[str, Any]:
         tree = tree_of(policy)
     return {
         "symbol_entropy": entropy(policy.volume_shares),
-        "table": None if cells is None else _table(cells),
+        "table": None if cells is None else _table(policy, cells),
         "tree": None if tree is None else _tree(tree),
         "automaton": None if policy.has_planes else _automaton(policy),
     }
@@ -53,7 +54,7 @@ def _tree(tree: DecisionTree) -> dict[str, Any]:
         "mode": tree.guarantee.mode,
         "nodes": tree.node_count,
         "planes": len(tree.cells.planes),
-        "bytes": packed_bytes(tree.cells),
+        "bytes": policy_bytes(tree),
         "comparisons": tree.depth,
         "deepest": _state(tree, deepest_steps(tree)),
         "mean_comparisons": mean_depth(tree),
@@ -79,7 +80,7 @@ def switching_entropy(rates: np.ndarray) -> float:
     return sum(float(one / total) * entropy(row / one) for one, row in zip(out, rates) if one > 0)
 
 
-def _table(cells: CellTree) -> dict[str, int]:
+def _table(policy: Policy, cells: CellTree) -> dict[str, int]:
     """Return the size of a table of cells; a lookup halves each axis that a cell is split along."""
 
     def halvings(sizes: tuple[int, ...]) -> np.ndarray:
@@ -89,7 +90,7 @@ def _table(cells: CellTree) -> dict[str, int]:
     comparisons = int(halvings(cells.partitions).sum()) + most
     if cells.affine is not None:  # the rows of a leaf, one after the other
         comparisons += int(np.diff(cells.affine.starts).max()) - 1
-    return {"bytes": packed_bytes(cells), "comparisons": comparisons}
+    return {"bytes": policy_bytes(policy), "comparisons": comparisons}
 
 
 def mean_depth(tree: DecisionTree) -> float | None:

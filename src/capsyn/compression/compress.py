@@ -1,4 +1,9 @@
-"""From a policy to a small decision tree, with a statement of what the tree guarantees."""
+"""From a policy to a small decision tree, with a statement of what the tree guarantees.
+
+Of a policy that remembers, a leaf of the tree is a row, what follows each symbol in force, and all
+that is said of symbols is said of whole rows: two are the same, or right, where they are so for
+every symbol in force, the default control among them.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,8 @@ import dataclasses
 import math
 from collections.abc import Iterable, Iterator
 from typing import Any
+
+import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import FeatureTree
@@ -18,6 +25,7 @@ from capsyn.compression.induction import Prices, induce
 from capsyn.compression.judge import Judge
 from capsyn.compression.oblique import Fit, fine_lattice, fit_tree
 from capsyn.compression.proof import prove
+from capsyn.compression.rows import tree_of_rows
 from capsyn.errors import ProblemError, warn
 from capsyn.policies.file import content_hash
 from capsyn.policies.guarantee import MODES, Guarantee
@@ -72,7 +80,9 @@ def compress(
         A policy of cells.
     mode : "exact", "freedom" or "linear"
         ``exact``: equal to the policy everywhere. ``freedom``: mixed cells, those at the finest
-        level whose test points did not agree, may take any symbol seen in them. ``linear``: splits
+        level whose test points did not agree, may take any symbol seen in them; with memory any row
+        of the policy whose symbols were all seen in them, each for its symbol in force. ``linear``:
+        splits
         may be affine in the state, fitted to the controller that the policy came from.
     agreement : float, optional
         Least share of the volume, above 0 and below 1, where the tree shall agree with the
@@ -90,7 +100,8 @@ def compress(
         Of everything that is random; the same seed gives the same tree.
     controller : callable, optional
         What trees are fitted to and judged by: states (B, n) to symbol indices (B,), -1 for the
-        default. Default: sSAC with the policy's own model, or the policy where that has none.
+        default, whatever is in force; or a policy, which may remember. Default: sSAC with the
+        policy's own model, or the policy where that has none.
     features : dict of functions, optional
         Functions of the state by name, in CasADi's terms like a problem's, that splits may compare
         beside the states: ``{"energy": lambda x: ...}``. They are evaluated at the centres of the
@@ -182,9 +193,9 @@ def feature_tree(
     if mode == "linear":
         target = DEFAULT_AGREEMENT if agreement is None else agreement
         space = Space.of(functions, policy.domain, fine_lattice(policy.domain, FEATURE_STEPS))
-        labels = len(policy.alphabet) + 1
-        fit = fit_controller(judge.masks, space, labels, target, judge.seed, judge.states)
-        return _linear(judge, fit, target)
+        rows = _rows(judge, target)
+        fit = fit_controller(judge.masks(rows), space, len(rows), target, judge.seed, judge.states)
+        return _linear(judge, fit, rows, target)
     plain = exact_tree(policy) if mode == "exact" else next(free_trees(judge, None, (NODE_PRICE,)))
     space = Space.of(functions, policy.domain, cell_tree(policy).counts)
     cells = fit_cells(policy, space, mode == "freedom", plain.node_count)
@@ -192,7 +203,7 @@ def feature_tree(
         warn(f"no tree with `features` is smaller than the {plain.node_count} nodes without")
         return plain
     claim = Guarantee(mode, content_hash(policy))
-    tree = DecisionTree.of(policy, cells, claim)
+    tree = tree_of_rows(policy, cells, policy.transitions, claim)
     tree = dataclasses.replace(
         tree, guarantee=dataclasses.replace(claim, changed=prove(tree, policy))
     )
@@ -243,6 +254,11 @@ def exact_tree(policy: Policy, level: int | None = None) -> DecisionTree:
 
     That of a policy with affine leaves has oblique splits.
     """
+    if cell_tree(policy).priced:
+        raise ProblemError(
+            "`policy` has affine leaves with prices, which have no exact tree: export the cells "
+            "themselves, or compress in mode linear"
+        )
     if cell_tree(policy).affine is not None:
         tree = affine_tree_of(policy, MAX_NODES)
         if tree is None:
@@ -256,7 +272,10 @@ def exact_tree(policy: Policy, level: int | None = None) -> DecisionTree:
 
 
 def affine_tree_of(policy: Policy, most: int) -> DecisionTree | None:
-    """Return the exact tree of a policy with affine leaves; None where it has too many nodes."""
+    """Return the exact tree of a policy with affine leaves; None where it has too many nodes.
+
+    So it is where leaves have prices, which no tree of rows is equal to.
+    """
     tree = affine_tree(cell_tree(policy), most)
     guarantee = Guarantee("exact", content_hash(policy))  # by construction
     return None if tree is None else DecisionTree.of(policy, tree, guarantee)
@@ -275,7 +294,7 @@ def _free_trees(
 ) -> Iterator[DecisionTree]:
     policy = judge.policy
     base = policy if level is None else cut_off(policy, level)
-    votes = cell_votes(base, judge.source, judge.seed)
+    votes = cell_votes(base, None if judge.source is None else judge.sets, judge.seed)
     for node_price in node_prices:
         prices = free_prices(base, votes, min(node_price, MAX_NODE_PRICE))
         yield _proved_tree(policy, base, "freedom", level, prices)
@@ -286,7 +305,7 @@ def _proved_tree(
 ) -> DecisionTree:
     """Return the tree of a cut-off policy under some prices, its guarantee proved cell by cell."""
     claim = Guarantee(mode, content_hash(policy), level)
-    tree = DecisionTree.of(policy, induce(cell_tree(base), prices), claim)
+    tree = tree_of_rows(policy, induce(cell_tree(base), prices), base.transitions, claim)
     guarantee = dataclasses.replace(claim, changed=prove(tree, policy))
     return dataclasses.replace(tree, guarantee=guarantee)
 
@@ -311,14 +330,26 @@ def _smallest_free_tree(judge: Judge, level: int | None, target: float) -> Decis
 
 def linear_tree(judge: Judge, target: float) -> DecisionTree:
     """Return the tree of mode linear that `fit_tree` finds for a target, judged."""
-    policy = judge.policy
-    labels, kept = len(policy.alphabet) + 1, {"seed": judge.seed, "states": judge.states}
-    return _linear(judge, fit_tree(judge.masks, policy.domain, labels, target, **kept), target)
+    policy, rows = judge.policy, _rows(judge, target)
+    kept = {"seed": judge.seed, "states": judge.states}
+    fit = fit_tree(judge.masks(rows), policy.domain, len(rows), target, **kept)
+    return _linear(judge, fit, rows, target)
 
 
-def _linear(judge: Judge, fit: Fit, target: float) -> DecisionTree:
-    """Return a tree fitted to a controller, judged."""
+def _rows(judge: Judge, target: float) -> np.ndarray:
+    """Return the rows (R, N + 1) that trees are fitted with, and warn where they are too few."""
+    rows, share = judge.rows()
+    if share < target:
+        warn(
+            f"the controller has more rows than the {len(rows)} most frequent, which are right at "
+            f"{share:.2%} of the states: a tree with these cannot agree at {target:.6g}"
+        )
+    return rows
+
+
+def _linear(judge: Judge, fit: Fit, rows: np.ndarray, target: float) -> DecisionTree:
+    """Return a tree of some rows fitted to a controller, judged."""
     policy = judge.policy
-    tree = DecisionTree.of(policy, fit.tree, Guarantee("linear", content_hash(policy)))
+    tree = tree_of_rows(policy, fit.tree, rows, Guarantee("linear", content_hash(policy)))
     changed = 1.0 - judge.compare(tree, with_policy=True).share
     return judge.with_counts(tree, target, fit.judged, fit.right, changed=changed)

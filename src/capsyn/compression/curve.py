@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from capsyn.cells.packing import packed_bytes
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.compress import MAX_STATES, exact_tree, free_trees, linear_tree
 from capsyn.compression.judge import Judge
+from capsyn.compression.rows import policy_bytes
 from capsyn.errors import ProblemError
 from capsyn.execution.files import atomic_write
 from capsyn.policies.policy import DecisionTree, Policy, cell_tree
@@ -34,7 +34,7 @@ class CurvePoint:
     options: str  # of ``capsyn compress`` that make it; "" for cells
     nodes: int  # of the tree, or entries of the table of cells
     depth: int  # most comparisons of a lookup, or most levels that it goes down
-    bytes: int  # of its arrays, each in the smallest integers that hold it
+    bytes: int  # of its arrays, rows among them, each in the smallest integers that hold it
     agreement: float  # share of the volume where it agrees with sSAC, or else the policy
     low: float  # Clopper-Pearson interval of that share
     high: float
@@ -95,7 +95,7 @@ def _cell_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePoin
         say(f"cells at level {level}")
         base = cut_off(judge.policy, level)
         comparison = judge.compare(base)
-        size = base.cells.node_count, 1 + level, packed_bytes(base.cells)
+        size = base.cells.node_count, 1 + level, policy_bytes(base)
         share = comparison.share, comparison.low, comparison.high
         yield CurvePoint("cells", level, "", *size, *share)
 
@@ -123,5 +123,5 @@ def _linear_points(judge: Judge, say: Callable[[str], None]) -> Iterator[CurvePo
 
 def _point(tree: DecisionTree, level: int | None, options: str) -> CurvePoint:
     had = tree.guarantee
-    size = tree.node_count, tree.depth, packed_bytes(tree.cells)
+    size = tree.node_count, tree.depth, policy_bytes(tree)
     return CurvePoint(had.mode, level, options, *size, had.agreement, had.low, had.high)

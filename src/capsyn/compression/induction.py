@@ -1,4 +1,4 @@
-"""Small axis-aligned trees that give every cell a label it may take.
+"""Small axis-aligned trees that give every cell a label it may take: numbers of rows.
 
 Top down, a box is cut where a plane separates most unlike cells and cuts least through like ones.
 Once a box is small enough, the tree of least cost of it is found by dynamic programming. Only
@@ -9,13 +9,15 @@ and not with the volume, and no fine grid is ever formed.
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.cell_tree import CellTree, ragged
 from capsyn.cells.faces import Faces, shared_faces
-from capsyn.cells.masks import empty, members
+from capsyn.cells.masks import empty, holds, members
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.compression.optimal import FORBIDDEN, optimal_splits, sub_box_count
 
@@ -43,22 +45,68 @@ class Prices:
 
     masks: np.ndarray  # (M, W) uint64: labels that each entry of the cells may take
     priced: np.ndarray  # (K,): entries, ascending, where the labels differ in price
-    prices: np.ndarray  # (K, L) int64: price of each label there, per finest cell, 0 or more
+    prices: np.ndarray  # (K, L) ints: price of each label there, per finest cell, 0 or more
     leaf_price: int  # price of a leaf, 1 or more
 
-    def of(self, entries: np.ndarray, volumes: np.ndarray) -> np.ndarray:
-        """Return the penalties (B, L) of entries (B,) of some volumes (B,) [finest cells].
+    @property
+    def label_count(self) -> int:
+        """Number of labels L."""
+        return self.prices.shape[1]
 
-        Volumes count up to `MAX_VOLUME`.
+    def of(
+        self, entries: np.ndarray, volumes: np.ndarray, labels: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the penalties (B, C) of entries (B,) of some volumes (B,) [finest cells].
+
+        They are those of `labels` (B, C), where -1 is none, by default of all L. Volumes count up
+        to `MAX_VOLUME`.
         """
-        penalties = np.zeros((len(entries), self.prices.shape[1]), dtype=np.int64)
+        if labels is None:
+            labels = np.tile(np.arange(self.label_count), (len(entries), 1))
+        penalties = np.zeros(labels.shape, dtype=np.int64)
         if len(self.priced):
             place = np.searchsorted(self.priced, entries) % len(self.priced)
             known = self.priced[place] == entries
             whole = np.minimum(volumes[known], MAX_VOLUME).astype(np.int64)
-            penalties[known] = self.prices[place[known]] * whole[:, None]
-        penalties[~members(self.masks[entries], penalties.shape[1])] = FORBIDDEN
+            prices = self.prices[place[known, None], labels[known]]
+            penalties[known] = prices * whole[:, None]
+        sets = np.broadcast_to(self.masks[entries, None], (*labels.shape, self.masks.shape[1]))
+        penalties[(labels < 0) | ~holds(sets, np.maximum(labels, 0))] = FORBIDDEN
         return penalties
+
+    def candidates(self, sets: np.ndarray) -> np.ndarray:
+        """Return the labels (B, C) that sets (B, W) hold, ascending, then -1."""
+        held = members(sets, self.label_count)
+        set_of, label = np.nonzero(held)
+        counts = held.sum(axis=1)
+        labels = np.full((len(sets), int(counts.max(initial=1))), -1)
+        labels[set_of, ragged(counts)[1]] = label
+        return labels
+
+
+def apart(masks: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return whether no label is in the masks (M, W) of both of two entries (B,) each."""
+    return _compared(masks, one, other, lambda a, b: empty(a & b))
+
+
+def unlike(masks: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return whether the masks (M, W) of two entries (B,) each differ."""
+    return _compared(masks, one, other, lambda a, b: (a != b).any(axis=1))
+
+
+def _compared(
+    masks: np.ndarray,
+    one: np.ndarray,
+    other: np.ndarray,
+    tell: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """Return what is told (B,) of the masks of two entries each, some at a time."""
+    told = np.empty(len(one), dtype=bool)
+    size = max(1, MEMORY // (32 * masks.shape[1]))
+    for start in range(0, len(one), size):
+        some = slice(start, start + size)
+        told[some] = tell(masks[one[some]], masks[other[some]])
+    return told
 
 
 def induce(cells: CellTree, prices: Prices, budget: int | None = None) -> SplitTree:
@@ -66,10 +114,9 @@ def induce(cells: CellTree, prices: Prices, budget: int | None = None) -> SplitT
 
     Trees of least cost are searched of boxes with at most `budget` sub-boxes, by default `BUDGETS`.
     """
-    masks = prices.masks
     budget = BUDGETS.get(cells.n, BUDGET) if budget is None else budget
-    faces = shared_faces(cells, lambda below, above: (masks[below] != masks[above]).any(axis=1))
-    weight = np.where(empty(masks[faces.below] & masks[faces.above]), 1.0, TOUCHING)
+    faces = shared_faces(cells, lambda below, above: unlike(prices.masks, below, above))
+    weight = np.where(apart(prices.masks, faces.below, faces.above), 1.0, TOUCHING)
     nodes, blocks = _cut(cells, faces, weight, budget)
     _solve(cells, prices, blocks, nodes)
     return _merged(_labelled(_depth_first(nodes, cells.counts), cells, prices))
@@ -201,12 +248,16 @@ def _solve(cells: CellTree, prices: Prices, blocks: list[_Block], nodes: Rows) -
     for block in blocks:
         groups.setdefault(block.shape, []).append(block)
     for shape, group in groups.items():
-        batch = max(1, MEMORY // (4 * sub_box_count(shape)))
+        each = math.prod(shape)
+        most = max(4 * sub_box_count(shape), 32 * each * prices.label_count)
+        batch = max(1, MEMORY // most)
         for start in range(0, len(group), batch):
             some = group[start : start + batch]
             entries = cells.find(np.concatenate([block.corners() for block in some]))
-            price = prices.of(entries, np.concatenate([block.volumes() for block in some]))
-            price = price[:, (price < FORBIDDEN).any(axis=0)]
+            volumes = np.concatenate([block.volumes() for block in some])
+            masks = prices.masks[entries].reshape(len(some), each, -1)
+            labels = prices.candidates(np.bitwise_or.reduce(masks, axis=1))
+            price = prices.of(entries, volumes, np.repeat(labels, each, axis=0))
             price = np.moveaxis(price.reshape(len(some), *shape, -1), -1, 1)
             _attach(nodes, some, optimal_splits(price, prices.leaf_price))
 
@@ -238,24 +289,42 @@ def _labelled(tree: SplitTree, cells: CellTree, prices: Prices) -> SplitTree:
     """Return the tree with leaves of least penalty; of equals, the label with most volume."""
     boxes = cells.boxes()
     leaf, box, lower, upper = tree.parts(boxes.lower, boxes.upper)
-    volume = np.prod(upper - lower, axis=1, dtype=float)
-    labels = prices.prices.shape[1]
-    penalty = np.zeros((tree.node_count, labels), dtype=np.int64)
-    own = np.zeros((tree.node_count, labels))
-    common = np.full((tree.node_count, prices.masks.shape[1]), ~np.uint64(0))
-    entries = boxes.places[box]
-    np.add.at(penalty, leaf, np.minimum(prices.of(entries, volume), FORBIDDEN // 2**20))
-    np.add.at(own, (leaf, boxes.labels[box]), volume)
-    np.bitwise_and.at(common, leaf, prices.masks[entries])
-    can = members(common, labels)
-    leaves = tree.split == LEAF
-    if not can[leaves].any(axis=1).all():
+    order = np.argsort(leaf, kind="stable")
+    box, volume = box[order], np.prod(upper - lower, axis=1, dtype=float)[order]
+    leaves, counts = np.unique(leaf, return_counts=True)
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    threshold = tree.threshold.copy()
+    size = max(1, MEMORY // (32 * prices.label_count))
+    for first in range(0, len(leaves), size):
+        some = slice(first, first + size)
+        last = min(first + size, len(leaves))
+        part = slice(ends[first], ends[last])
+        chosen = boxes.places[box[part]], boxes.labels[box[part]], volume[part]
+        threshold[leaves[some]] = _cheapest(prices, ends[first : last + 1] - ends[first], *chosen)
+    return dataclasses.replace(tree, threshold=threshold.astype(np.int32))
+
+
+def _cheapest(
+    prices: Prices, ends: np.ndarray, entries: np.ndarray, own: np.ndarray, volumes: np.ndarray
+) -> np.ndarray:
+    """Return the label (K,) of least penalty of leaves; of equals, that with most volume.
+
+    Parts ``ends[k] .. ends[k + 1] - 1`` of leaf k lie in some `entries` (P,), of labels of their
+    `own`, with `volumes` [finest cells].
+    """
+    common = np.bitwise_and.reduceat(prices.masks[entries], ends[:-1], axis=0)
+    if empty(common).any():
         raise AssertionError("a leaf has no label that all its cells allow")
-    least = np.where(can, penalty, np.iinfo(np.int64).max)
+    labels = prices.candidates(common)
+    leaf = np.repeat(np.arange(len(labels)), np.diff(ends))
+    penalty, held = np.zeros(labels.shape, dtype=np.int64), np.zeros(labels.shape)
+    each = np.minimum(prices.of(entries, volumes, labels[leaf]), FORBIDDEN // 2**20)
+    np.add.at(penalty, leaf, each)
+    np.add.at(held, leaf, np.where(labels[leaf] == own[:, None], volumes[:, None], 0.0))
+    least = np.where(labels < 0, np.iinfo(np.int64).max, penalty)
     cheapest = least == least.min(axis=1, keepdims=True)
-    best = np.argmax(np.where(cheapest, own, -1.0), axis=1)
-    threshold = np.where(leaves, best, tree.threshold).astype(np.int32)
-    return dataclasses.replace(tree, threshold=threshold)
+    best = np.argmax(np.where(cheapest, held, -1.0), axis=1)
+    return np.asarray(labels[np.arange(len(labels)), best])
 
 
 def _merged(tree: SplitTree) -> SplitTree:

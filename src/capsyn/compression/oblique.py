@@ -15,12 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsyn.cells.masks import Label, or_else
+from capsyn.cells.masks import Label
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.compression.plane_tree import Link, Node, grow, prune, refine
 from capsyn.compression.surface import Plane, Samples, Surface, draw_samples, find_surface
 from capsyn.errors import ProblemError
-from capsyn.modelling.alphabet import MAX_SYMBOLS
 from capsyn.modelling.domain import Box
 from capsyn.modelling.grid import MAX_COUNT
 from capsyn.policies.guarantee import CONFIDENCE
@@ -103,13 +102,12 @@ def fit_tree(
 
     It is the smallest tree found of which the lower end of the Clopper-Pearson interval of the
     judged states, with a confidence of `CONFIDENCE`, meets the target; where there is none, the
-    best that was judged. `masks` gives the labels (N + 1, the last the default) that are right at
-    states [state units]; where a mask is 0 only the default is. Trees are fitted to at most
-    `samples` states, chosen by other ones, and judged on fresh `states`: the fewer, the more a tree
-    must exceed the target to be chosen. The same seed gives the same tree. An argument that cannot
-    be used is a `ProblemError`.
+    best that was judged. `masks` gives the labels that are right at states [state units], none
+    where a mask is 0. Trees are fitted to at most `samples` states, chosen by other ones, and
+    judged on fresh `states`: the fewer, the more a tree must exceed the target to be chosen. The
+    same seed gives the same tree. An argument that cannot be used is a `ProblemError`.
     """
-    labels = whole_number("labels", labels, least=1, most=MAX_SYMBOLS + 1)
+    labels = whole_number("labels", labels, least=1)
     agreement = finite_number("agreement", agreement, above=0.0)
     if agreement > 1:
         raise ProblemError(f"`agreement` must be at most 1; got {agreement:g}")
@@ -118,8 +116,7 @@ def fit_tree(
     states = whole_number("states", states, least=1)
 
     def cube_masks(cube: np.ndarray) -> np.ndarray:
-        sets = masks(domain.lower + cube * domain.widths).astype(np.uint64)
-        return or_else(sets, labels - 1)
+        return masks(domain.lower + cube * domain.widths).astype(np.uint64)
 
     def draw(count: int, *stream: int) -> Samples:
         return draw_samples(cube_masks, domain.n, labels, count, [seed, *stream])

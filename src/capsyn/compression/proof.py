@@ -9,11 +9,11 @@ import numpy as np
 from capsyn.cells.boxes import Boxes
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import FeatureTree, lattice_chunks
-from capsyn.cells.masks import holds
 from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.compression.affine_tree import affine_tree
 from capsyn.compression.coarsening import cut_off
-from capsyn.compression.freedom import allowed_masks
+from capsyn.compression.freedom import allowed_masks, allows
+from capsyn.compression.rows import numbered_like
 from capsyn.errors import ProblemError
 from capsyn.policies.file import content_hash
 from capsyn.policies.policy import DecisionTree, Policy, cell_tree
@@ -38,7 +38,8 @@ def prove(tree: Policy, policy: Policy) -> float:
     Returns
     -------
     float
-        Share of the volume where the tree gives another symbol than the policy.
+        Share of the volume where the tree gives another symbol than the policy, for any symbol in
+        force.
 
     Raises
     ------
@@ -57,19 +58,20 @@ def prove(tree: Policy, policy: Policy) -> float:
         return 0.0
     level = tree.guarantee.level
     base = policy if level is None else cut_off(policy, level)
-    left = cell_tree(base)
-    if isinstance(tree.cells, FeatureTree):
-        return _prove_steps(tree.cells, policy, tree.guarantee.mode == "freedom")
-    if tree.cells.counts != left.counts or tree.domain != policy.domain:
+    left, nodes = cell_tree(base), numbered_like(tree, policy)
+    if isinstance(nodes, FeatureTree):
+        return _prove_steps(nodes, policy, tree.guarantee.mode == "freedom")
+    if nodes.counts != left.counts or tree.domain != policy.domain:
         raise ProblemError(f"`tree` must be on the lattice of `policy`; got {tree!r}")
     boxes = left.boxes()
-    leaf, box, _ = _parts(tree.cells, boxes)
-    masks = allowed_masks(base, tree.guarantee.mode == "freedom")[boxes.places[box]]
-    wrong = ~holds(masks, tree.cells.labels_at(leaf))
+    leaf, box, _ = _parts(nodes, boxes)
+    places = boxes.places[box]
+    masks = allowed_masks(base, tree.guarantee.mode == "freedom")
+    wrong = ~allows(masks, places, nodes.labels_at(leaf))
     if wrong.any():
-        cell = boxes.places[box[np.flatnonzero(wrong)[0]]]
+        cell = places[np.flatnonzero(wrong)[0]]
         raise ProblemError(f"`tree` does not keep its word: cell {cell} gets another symbol")
-    finer = tree.cells.refined(cells.counts)
+    finer = nodes.refined(cells.counts)
     changed = changed_cells(finer, cells).sum()
     return float(changed / np.prod(cells.counts, dtype=float))
 
@@ -82,7 +84,7 @@ def _prove_steps(tree: FeatureTree, policy: Policy, freedom: bool) -> float:
     changed = 0
     for steps in lattice_chunks(cells.counts):
         entries, labels = cells.find(steps), tree.labels(steps)
-        wrong = np.flatnonzero(~holds(allowed[entries], labels))
+        wrong = np.flatnonzero(~allows(allowed, entries, labels))
         if len(wrong):
             at = steps[wrong[0]].tolist()
             raise ProblemError(f"`tree` does not keep its word: step {at} gets another symbol")

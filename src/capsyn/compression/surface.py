@@ -75,14 +75,14 @@ class Surface:
 def draw_samples(masks: Label, n: int, labels: int, count: int, seed: list[int]) -> Samples:
     """Return `count` states of the unit cube with their right labels.
 
-    `masks` (B, W) of states of the cube are never 0.
+    Where a mask (B, W) is 0 no label is right.
     """
     states = stream(*seed).random((count, n))
     return Samples(states, members(masks(states), labels))
 
 
 def find_surface(masks: Label, samples: Samples, seed: list[int]) -> Surface:
-    """Return points of the surface across which no label stays right.
+    """Return points of the surface across which no label stays right, from where one is.
 
     A needle with a random place and direction crosses a surface of area A in the unit cube
     ``A * length * E|cos|`` times on average, wherever the surface is, so that hits are spread
@@ -128,7 +128,7 @@ def _crossings(
     start, end, at_start = start[inside], end[inside], at_start[inside]
     if not len(start):
         return start
-    apart = empty(at_start & masks(end))
+    apart = ~empty(at_start) & empty(at_start & masks(end))
     start, end, at_start = start[apart], end[apart], at_start[apart]
     for _ in range(BISECTIONS if len(start) else 0):
         middle = (start + end) / 2

@@ -7,10 +7,11 @@ import math
 import numpy as np
 
 from capsyn.cells.feature_tree import FeatureTree, lattice_chunks
-from capsyn.cells.masks import empty, members
+from capsyn.cells.masks import members
 from capsyn.compression.features.growing import Pairs, across, best_split
 from capsyn.compression.features.space import Space
 from capsyn.compression.freedom import allowed_masks
+from capsyn.compression.induction import apart
 from capsyn.compression.plane_tree import Node
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.random_streams import stream
@@ -21,6 +22,8 @@ MOST_PAIRS = 2**19
 """Pairs of neighbours, unlike or like, that splits are chosen by."""
 CUT_PENALTIES = (0.1, 0.02, 0.5)
 """What a like pair that is parted counts against an unlike one; each gives a tree."""
+AT_ONCE = 2**18
+"""Cells whose sets are looked at together."""
 FAR = 1000
 """Pairs of cells that are no neighbours, where no neighbours are unlike."""
 
@@ -28,7 +31,8 @@ FAR = 1000
 def fit_cells(policy: Policy, space: Space, freedom: bool, most_nodes: int) -> FeatureTree | None:
     """Return a tree with features, smaller than `most_nodes` nodes; None if none was found.
 
-    Its label is allowed in every cell, see `allowed_masks`; `space` has the policy's lattice.
+    Its label, a number of the policy's rows, is allowed in every cell, see `allowed_masks`; `space`
+    has the policy's lattice.
     """
     grid = _Grid(policy, space, freedom)
     best: Node | None = None
@@ -40,18 +44,17 @@ def fit_cells(policy: Policy, space: Space, freedom: bool, most_nodes: int) -> F
 
 
 class _Grid:
-    """The finest cells of a policy in C order, with the labels that they may take."""
+    """The finest cells of a policy in C order, with the labels, rows, that they may take."""
 
     def __init__(self, policy: Policy, space: Space, freedom: bool) -> None:
-        cells, allowed = cell_tree(policy), allowed_masks(policy, freedom)
-        parts, masks, own = [], [], []
+        cells = cell_tree(policy)
+        parts, entries = [], []
         for steps in lattice_chunks(cells.counts):
-            entries = cells.find(steps)
             parts.append(space.coordinates(steps))
-            masks.append(allowed[entries])
-            own.append(cells.labels_at(entries))
-        self.x, self.masks = np.concatenate(parts), np.concatenate(masks)
-        self.own, self.labels = np.concatenate(own), len(policy.alphabet) + 1
+            entries.append(cells.find(steps))
+        self.x, self.entries = np.concatenate(parts), np.concatenate(entries)
+        self.own, self.labels = cells.labels_at(self.entries), len(policy.transitions)
+        self.allowed = allowed_masks(policy, freedom)
         self.rng = stream(0)
         self.pairs = self._neighbours(cells.counts)
 
@@ -62,7 +65,7 @@ class _Grid:
             for axis in range(len(counts))
         ]
         one, other = (np.concatenate(x) for x in zip(*ends))
-        unlike = empty(self.masks[one] & self.masks[other])
+        unlike = apart(self.allowed, self.entries[one], self.entries[other])
         rows = np.concatenate([self._some(np.flatnonzero(x)) for x in (unlike, ~unlike)])
         return Pairs(self.x[one[rows]], self.x[other[rows]], unlike[rows])
 
@@ -75,7 +78,7 @@ class _Grid:
         stack = [(root, np.arange(len(self.x)), self.pairs)]
         while stack:
             node, rows, pairs = stack.pop()
-            common = members(np.bitwise_and.reduce(self.masks[rows], axis=0), self.labels)
+            common = members(self._common(rows), self.labels)
             own = np.bincount(self.own[rows], minlength=self.labels)
             if common.any():
                 node.label = int(np.where(common, own, -1).argmax())
@@ -93,6 +96,14 @@ class _Grid:
                 node.children.append(Node(0))
                 stack.append((node.children[-1], part, beside))
         return root
+
+    def _common(self, rows: np.ndarray) -> np.ndarray:
+        """Return the set (W,) of labels that cells (B,) all allow."""
+        common = np.full(self.allowed.shape[1], ~np.uint64(0))
+        for start in range(0, len(rows), AT_ONCE):
+            sets = self.allowed[self.entries[rows[start : start + AT_ONCE]]]
+            common &= np.bitwise_and.reduce(sets, axis=0)
+        return common
 
     def _far(self, rows: np.ndarray, own: np.ndarray) -> Pairs:
         """Return pairs of cells with different labels of their own."""

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from capsyn.cells.masks import Label, empty, or_else
+from capsyn.cells.masks import Label, empty
 from capsyn.cells.split_tree import SplitTree
 from capsyn.compression.features.growing import Pairs, across, best_split
 from capsyn.compression.features.space import Space
@@ -50,8 +50,7 @@ def fit_controller(
     domain = space.domain
 
     def cube_masks(cube: np.ndarray) -> np.ndarray:
-        sets = masks(domain.lower + cube * domain.widths).astype(np.uint64)
-        return or_else(sets, labels - 1)
+        return masks(domain.lower + cube * domain.widths).astype(np.uint64)
 
     def draw(count: int, *purpose: int) -> Samples:
         return draw_samples(cube_masks, space.n, labels, count, [seed, 10, *purpose])
