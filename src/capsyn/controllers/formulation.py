@@ -10,6 +10,7 @@ import numpy as np
 
 from capsyn.modelling.domain import Box
 from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.switching import Switching
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import Model
 
@@ -31,17 +32,19 @@ class Formulation:
     delay: float = 0.0  # input delay that is compensated [time unit]
 
     @staticmethod
-    def of(source: Problem | Policy, model: Model) -> Formulation:
+    def of(
+        source: Problem | Policy, model: Model, switching: Switching | None = None
+    ) -> Formulation:
         """Return that of a problem or a policy, which has horizon and settings, and its model.
 
-        The price of its `Switching`, if it has one, is no share.
+        `switching` is its own, by default, unless that has shares: then nothing is in force yet.
         """
         assert source.horizon is not None and source.settings is not None
         values, default = source.alphabet.values, source.default
-        prices = None
-        if source.switching is not None:
-            prices = source.switching.prices(source.alphabet, source.default)
-        elif source.delay:
+        switching, prices = switching or source.switching, None
+        if switching is not None and not switching.has_share:
+            prices = switching.prices(source.alphabet, source.default)
+        elif switching is None and source.delay:
             prices = np.zeros((len(values) + 1,) * 2)
         return Formulation(
             model, source.domain, values, default, source.horizon, source.settings, prices,

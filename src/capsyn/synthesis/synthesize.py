@@ -177,10 +177,10 @@ class _Run:
 def _synthesized(problem: Problem, plan: SubdivisionPlan, run: _Run) -> Policy:
     """Return the policy of a problem on a plan, both checked."""
     started = time.perf_counter()
-    problem, controller = priced(problem, transcribe(problem), run.backend, plan.seed)
+    switching, controller = priced(problem, transcribe(problem), run.backend, plan.seed)
     prepared = time.perf_counter() - started
     method, returns = ("scored", "masks+scores") if plan.affine else ("masks", "masks")
-    how = (run.threads, run.backend, run.executor, run.checkpoint, _asked(problem, plan))
+    how = (run.threads, run.backend, run.executor, run.checkpoint, _asked(problem, switching, plan))
     with answerer(controller, method, *how) as answers:
         controller = answers.controller
         prices = controller.formulation.prices
@@ -190,7 +190,8 @@ def _synthesized(problem: Problem, plan: SubdivisionPlan, run: _Run) -> Policy:
         )  # fmt: skip
         policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
-    return _described(dataclasses.replace(policy, timings=timings), problem, controller, plan.seed)
+    policy = dataclasses.replace(policy, timings=timings, switching=switching)
+    return _described(policy, problem, controller, plan.seed)
 
 
 def _overridden(problem: Problem, **changes: Any) -> Problem:
@@ -200,7 +201,7 @@ def _overridden(problem: Problem, **changes: Any) -> Problem:
     return problem.replace(**{k: v for k, v in changes.items() if v is not None})
 
 
-def _asked(problem: Problem, plan: SubdivisionPlan) -> dict[str, Any]:
+def _asked(problem: Problem, switching: Switching | None, plan: SubdivisionPlan) -> dict[str, Any]:
     """Return what a synthesis depends on beside its controller, as plain data."""
     return {
         "name": problem.name,
@@ -208,7 +209,7 @@ def _asked(problem: Problem, plan: SubdivisionPlan) -> dict[str, Any]:
         **plan.grid.to_json(),
         "outside": problem.outside,
         "min_dwell": problem.min_dwell,
-        **({} if problem.switching is None else {"switching": problem.switching.to_json()}),
+        **({} if switching is None else {"switching": switching.to_json()}),
         **({"delay": problem.delay} if problem.delay else {}),
         **plan.asked(),
     }
@@ -232,7 +233,6 @@ def _described(policy: Policy, problem: Problem, controller: BatchController, se
         min_dwell=problem.min_dwell,
         time_unit=problem.time_unit,
         outside_at_once=problem.outside_at_once,
-        switching=problem.switching,
         delay=problem.delay,
         target=transcribe_target(problem),
         horizon=problem.horizon,
@@ -251,21 +251,20 @@ def problem_controller(
 
 def priced(
     problem: Problem, model: Model, backend: str = "auto", seed: int = 0
-) -> tuple[Problem, BatchController]:
-    """Return a problem whose price on switching is a number, and its controller.
+) -> tuple[Switching | None, BatchController]:
+    """Return the switching of a problem with its price in numbers, and its controller.
 
     A share is of the median over random states of the worst score less the best; see `Switching`.
     """
-    switching = problem.switching
+    switching, controller = problem.switching, problem_controller(problem, model, backend, seed)
     if switching is None or not switching.has_share:
-        return problem, problem_controller(problem, model, backend, seed)
-    free = problem_controller(problem.replace(switching=None, delay=0.0), model, backend, seed)
-    spread = free.spread(free.solve(problem.domain.sample(SAMPLES, seed + 1)))
-    problem = problem.replace(switching=switching.with_spread(spread))
-    formulation = dataclasses.replace(
-        Formulation.of(problem, model), settings=free.formulation.settings
-    )
-    return problem, dataclasses.replace(free, formulation=formulation)
+        return switching, controller
+    solution = controller.solve(problem.domain.sample(SAMPLES, seed + 1))
+    switching = switching.with_spread(controller.spread(solution))
+    settings = controller.settings  # with steps
+    formulation = Formulation.of(problem, model, switching)
+    formulation = dataclasses.replace(formulation, settings=settings)
+    return switching, dataclasses.replace(controller, formulation=formulation)
 
 
 def sample_statistics(controller: BatchController, domain: Box, seed: int) -> dict[str, Any]:
