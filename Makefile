@@ -55,6 +55,7 @@ bench: $(VENV)/developed
 
 page: node_modules/.package-lock.json
 	npm run --silent page
+	npm run --silent page-memory
 
 node_modules/.package-lock.json: package.json package-lock.json
 	@echo "installing MicroPython and what bundles the page into node_modules ..."

@@ -6,16 +6,18 @@ import functools
 import numpy as np
 import pytest
 
-from capsyn import Alphabet, Box, Policy, compress, problems, synthesize
+from capsyn import Alphabet, Box, Policy, Switching, compress, problems, synthesize
 from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.masks import singles
 from capsyn.errors import OutsideDomainError
+from capsyn.policies.in_force import reachable
 from support.explorer.node import BEGIN, node, texts
 from support.exports.policies import built_in, oblique
 from support.features import exact
 from support.trees import GRIDS, random_affine_policy, random_policy, random_tree, states_at_faces
 
 LOOKUP = (
-    'import { makeLookup } from "./explorer/page/policy/lookup.js";'
+    'import { makeLookup } from "#page/policy/lookup.js";'
     'import { features } from "./features.js";'
     + BEGIN
     + "const lookup = makeLookup(input.policy, features);"
@@ -39,14 +41,14 @@ def states_for(policy, count=10_000, seed=0):
     return np.concatenate([inside, *some])
 
 
-def expected(policy, states, outside):
-    """Return symbols and statuses, as the docstring of `Policy` says them."""
+def expected(policy, states, outside, now=None):
+    """Return symbols, while `now` is in force, and statuses, as `Policy` tells them."""
     finite = np.isfinite(states).all(axis=1)
     inside = policy.domain.contains(states)
     statuses = np.where(inside, INSIDE, np.where(finite, OUTSIDE, NOT_FINITE))
     symbols = np.full(len(states), -2 if isinstance(outside, str) else outside)
     known = finite if outside == "nearest" else inside
-    symbols[known] = policy(states[known], "nearest")
+    symbols[known] = policy(states[known], "nearest", current=now)
     return symbols, statuses
 
 
@@ -56,6 +58,36 @@ def many_symbols():
     tree = random_tree((3, 2), (2, 2), 3, leaf_count=41, seed=5)
     box = Box([0.1, -2], [0.7, 3], periodic=[False, True])
     return Policy("many", box, Alphabet(np.arange(40.0)), [0.5], tree)
+
+
+@functools.cache
+def priced(**changes):
+    """Return a policy that remembers, of cells unless `changes` of the synthesis say so."""
+    price = Switching(price="3%", hold={"5": 0.02})
+    problem = problems.get("cart-pendulum").replace(switching=price)
+    return synthesize(problem, max_level=2, **changes)
+
+
+def of_rows(grid, some_axes=False, affine=False):
+    """Return a random policy of random rows of transitions, or prices of affine leaves."""
+    policy = random_policy(grid, True, 0, some_axes)
+    rng = np.random.default_rng(grid)
+    table = np.unique(rng.integers(0, 3, (7, 3)), axis=0).astype(np.int32)
+    table = np.concatenate([np.repeat(np.arange(3)[:, None], 3, 1), table[np.ptp(table, 1) > 0]])
+    if not affine:
+        cells = random_tree(*GRIDS[grid], leaf_count=len(table), seed=3, some_axes=some_axes)
+        seen = singles(table[cells.labels_at(cells.mixed_cells)], 3)
+        seen |= rng.integers(0, 8, seen.shape, dtype=np.uint64)
+        cells = dataclasses.replace(cells, mixed_labels=seen)
+        return dataclasses.replace(policy, cells=cells, transitions=table)
+    cells = random_affine_policy(grid, True, 0, some_axes).cells
+    prices = rng.integers(0, 40, len(cells.affine)).astype(np.int32)
+    ratios = np.array([[0, 2, -1], [1, 0, 3], [0, 0, 0]], dtype=np.int16)
+    leaves = dataclasses.replace(cells.affine, prices=prices, ratios=ratios)
+    seen = np.repeat(cells.mixed_labels, 3, axis=1)
+    return dataclasses.replace(
+        policy, cells=dataclasses.replace(cells, affine=leaves, mixed_labels=seen)
+    )
 
 
 POLICIES = {
@@ -77,6 +109,15 @@ POLICIES = {
         for kind in ("", " adaptive")
     },
 }
+REMEMBERING = {
+    "priced": priced,
+    "priced affine": lambda: priced(leaves="affine"),
+    "priced exact": lambda: compress(priced(), "exact"),
+    "rows": functools.partial(of_rows, 3),
+    "rows adaptive": functools.partial(of_rows, 6, True),
+    "prices": functools.partial(of_rows, 3, affine=True),
+}
+POLICIES |= REMEMBERING
 
 
 @pytest.mark.parametrize("name", POLICIES)
@@ -84,20 +125,22 @@ def test_symbols_are_those_of_python(name, tmp_path):
     policy = POLICIES[name]()
     states = states_for(policy)
     assert len(states) == 10_000
-    rules = ["error", "nearest", len(policy.alphabet) - 1, -1]
+    rules = [(rule, -1) for rule in ("error", "nearest", len(policy.alphabet) - 1, -1)]
+    rules += [("error", now) for now in range(len(policy.alphabet)) if policy.remembers]
     code = (
         LOOKUP
         + """
       const states = numbers(input.states);
-      print(input.rules.map(rule => states.map(x => {
-        const { symbol, status } = lookup.symbol(x, rule);
+      print(input.rules.map(([rule, now]) => states.map(x => {
+        const { symbol, status } = lookup.symbol(x, rule, now);
         return [symbol, status];
       })));
     """
     )
+    assert policy.remembers == (name in REMEMBERING)
     by_rule = np.array(node(tmp_path, code, policy, states=texts(states), rules=rules))
-    for rule, answers in zip(rules, by_rule):
-        symbols, statuses = expected(policy, states, rule)
+    for (rule, now), answers in zip(rules, by_rule):
+        symbols, statuses = expected(policy, states, rule, now)
         np.testing.assert_array_equal(answers[:, 0], symbols)
         np.testing.assert_array_equal(answers[:, 1], statuses)
 
@@ -290,3 +333,36 @@ def test_places_are_those_of_cells(tmp_path):
     states = centres(policy, view).reshape(-1, 2)
     places = policy.cells.find(policy.domain.locate(states, policy.cells.counts))
     np.testing.assert_array_equal(pixels, places)
+
+
+@pytest.mark.parametrize("name", REMEMBERING)
+def test_what_follows_is_shown_for_each_symbol_in_force_and_for_any(name, tmp_path):
+    policy = POLICIES[name]()
+    view, count = next(views_of(policy)), len(policy.alphabet)
+    states = centres(policy, view).reshape(-1, policy.domain.n)
+    now = [*range(count), -1]
+    code = (
+        LOOKUP
+        + """
+      const shown = input.now.map(now => {
+        lookup.shown = now;
+        return lookup.raster(input.view);
+      });
+      const rows = numbers(input.states).map(x => lookup.cell(x));
+      print({ shown, rows });
+    """
+    )
+    some = states[:: len(states) // 200]
+    answer = node(tmp_path, code, policy, view=view, states=texts(some), now=[*now, None])
+    wanted = [expected(policy, states, "error", j)[0] for j in now]
+    np.testing.assert_array_equal(answer["shown"][:-1], wanted)
+    rows = [cell["row"] for cell in answer["rows"]]
+    np.testing.assert_array_equal(rows, np.transpose([policy(some, current=j) for j in now]))
+    assert all(set(cell["row"]) <= set(cell["allowed"]) for cell in answer["rows"])
+    reached = [j - (count + 1) * (j == count) for j in reachable(policy)]
+    follow = np.array([wanted[j] for j in reached])
+    stripes = np.array(answer["shown"][-1])
+    assert (stripes == follow).any(axis=0).all()  # each pixel is of something that may follow
+    depends = (follow != follow[0]).any(axis=0)
+    assert depends.any() and not depends.all()
+    assert set(stripes[depends]) == set(follow[:, depends].ravel())

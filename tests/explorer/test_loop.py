@@ -20,8 +20,8 @@ from support.random_programs import random_program
 from support.trees import random_policy
 
 LOOP = (
-    'import { makeLookup } from "./explorer/page/policy/lookup.js";'
-    'import { makeLoop } from "./explorer/page/loop/loop.js";'
+    'import { makeLookup } from "#page/policy/lookup.js";'
+    'import { makeLoop } from "#page/loop/loop.js";'
     'import { model } from "./model.js";'
     + BEGIN
     + "const loop = makeLoop(input.policy, makeLookup(input.policy), model);"

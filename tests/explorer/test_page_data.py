@@ -31,8 +31,8 @@ def test_a_page_is_told_the_colours():
 
 def test_the_steps_of_the_loop_are_those_that_it_is_told(tmp_path):
     code = (
-        'import { makeLookup } from "./explorer/page/policy/lookup.js";'
-        'import { makeLoop } from "./explorer/page/loop/loop.js";'
+        'import { makeLookup } from "#page/policy/lookup.js";'
+        'import { makeLoop } from "#page/loop/loop.js";'
         'import { model } from "./model.js";'
         + BEGIN
         + """

@@ -12,8 +12,8 @@ from support.explorer.node import BEGIN, node, texts
 from support.explorer.page import Shown, chromium
 
 LOOP = (
-    'import { makeLookup } from "./explorer/page/policy/lookup.js";'
-    'import { makeLoop } from "./explorer/page/loop/loop.js";'
+    'import { makeLookup } from "#page/policy/lookup.js";'
+    'import { makeLoop } from "#page/loop/loop.js";'
     'import { model } from "./model.js";'
     + BEGIN
     + """

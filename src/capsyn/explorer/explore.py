@@ -15,6 +15,7 @@ from typing import Any
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
 from capsyn.explorer.formulas import formulas
+from capsyn.explorer.memory_data import needs_memory
 from capsyn.explorer.page_data import page_data
 from capsyn.explorer.program_javascript import features_javascript, model_javascript
 from capsyn.policies.policy import Policy
@@ -57,10 +58,11 @@ def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = 
 
 def page(policy: Policy, drawing: str | None = None) -> str:
     """Return the page of a policy as HTML."""
-    style = _resource("page.css").strip()
+    bundle = "page.memory" if needs_memory(policy) else "page"
+    style = _resource(f"{bundle}.css").strip()
     model = model_javascript(policy).removeprefix("export ").strip()
     notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"
-    code = _resource("page.js").strip()
+    code = _resource(f"{bundle}.js").strip()
     features = features_javascript(policy).removeprefix("export ").strip()
     begin = f"capsynPage.start(model{', features' if features else ''});"
     script = "\n".join(filter(None, [notice, model, features, code, begin]))

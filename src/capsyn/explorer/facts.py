@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,16 +19,17 @@ ROLES = {
 Row = tuple[str, str]
 
 
-def facts(data: dict[str, Any]) -> list[dict[str, Any]]:
+def facts(data: dict[str, Any], switching: Sequence[Row] = ()) -> list[dict[str, Any]]:
     """Return sections of rows (name, text) from what `capsyn.policies.report.report` returns.
 
-    Sections without rows are left out.
+    Rows of what switching costs and waits for, if there are any, stand in the place of the least
+    dwell. Sections without rows are left out.
     """
     sections = {
         "Solves": _solves(data["statistics"]),
         "Size": _size(data),
         "Evidence": evidence_rows(data["evidence"]),
-        "Controller": _controller(data),
+        "Controller": _controller(data, switching),
         "Hints": [("", hint) for hint in data["hints"]],
     }
     return [{"title": title, "rows": rows} for title, rows in sections.items() if rows]
@@ -74,7 +76,7 @@ def _solves(statistics: dict[str, Any]) -> list[Row]:
     return rows
 
 
-def _controller(data: dict[str, Any]) -> list[Row]:
+def _controller(data: dict[str, Any], switching: Sequence[Row]) -> list[Row]:
     rows: list[Row] = []
     settings, unit = data["settings"], data.get("time_unit", "s")
     if data["horizon"] is not None:
@@ -94,8 +96,5 @@ def _controller(data: dict[str, Any]) -> list[Row]:
     if data["target"]:
         rows.append(("target", data["target"]))
     at_once = ", at once" if data.get("outside_at_once") else ""
-    rows += [
-        ("outside", f"{data['outside']}{at_once}"),
-        ("least dwell", f"{data['min_dwell']:g} {unit}"),
-    ]
-    return rows
+    rows.append(("outside", f"{data['outside']}{at_once}"))
+    return rows + list(switching or [("least dwell", f"{data['min_dwell']:g} {unit}")])

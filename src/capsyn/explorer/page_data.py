@@ -11,6 +11,7 @@ from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
 from capsyn.explorer.facts import facts
+from capsyn.explorer.memory_data import memory_automaton, memory_facts, needs_memory
 from capsyn.explorer.policy_data import policy_data
 from capsyn.modelling.domain import Ball
 from capsyn.modelling.targets import describe_target, target_axes
@@ -45,7 +46,7 @@ def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
         "palette": list(PALETTE),
         "shares": policy.volume_shares.tolist(),
         "loops": policy.model is not None,
-        "facts": facts(figures),
+        "facts": facts(figures, memory_facts(policy) if needs_memory(policy) else []),
     }
 
 
@@ -64,19 +65,24 @@ def _target(policy: Policy) -> dict[str, Any] | None:
 def _automaton(policy: Policy) -> dict[str, Any]:
     """Return the finite state machine; of oblique splits and affine leaves which symbols there are.
 
-    An affine leaf is one of the cells of each symbol of its rows.
+    An affine leaf is one of the cells of each symbol of its rows. For what remembers see
+    `memory_automaton`.
     """
+    what = "cells" if policy.cells.kind == "cells" else "leaves"
+    if policy.remembers:
+        vertices, edges = memory_automaton(policy)
+        return {"vertices": vertices, "edges": edges, "what": what}
     counts = np.bincount(_leaf_labels(policy.cells), minlength=len(policy.controls))
     used = np.flatnonzero(counts).tolist()
     if policy.has_planes:
-        edges: list[Any] = [(source, target, None, None) for source in used for target in used]
+        pairs: list[Any] = [(source, target, None, None) for source in used for target in used]
     else:
-        edges = [(e.source, e.target, e.possible, e.sliding) for e in edges_between(policy, used)]
+        pairs = [(e.source, e.target, e.possible, e.sliding) for e in edges_between(policy, used)]
     keys = ("source", "target", "possible", "sliding")
     return {
         "vertices": [{"symbol": k, "cells": int(counts[k])} for k in used],
-        "edges": [dict(zip(keys, edge)) for edge in edges],
-        "what": "cells" if policy.cells.kind == "cells" else "leaves",
+        "edges": [dict(zip(keys, pair)) for pair in pairs],
+        "what": what,
     }
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from typing import Any
 
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.packing import smallest_type
+from capsyn.explorer.memory_data import memory_data, needs_memory, one_hold
+from capsyn.explorer.packed import packed_array
 from capsyn.policies.file import content_of
 from capsyn.policies.policy import Policy
 from capsyn.programs.step_doubling import FALLING, STALLS, UNRESOLVED
@@ -35,7 +35,9 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     - ``rate``: sample rate [1 / time unit] of closed loops for which none is given;
     - ``slack``: samples by which a time that should be a whole number of them may be off;
     - ``sampled``: what the steps of closed loops are chosen by, see `choose_substeps`; None where
-      there is no model.
+      there is no model;
+    - ``memory``, of policies that `needs_memory` names: see `memory_data`. There ``min_dwell``
+      is the least time of all symbols where they have the same.
 
     Arrays are ``{"dtype", "shape", "base64"}``, little-endian, in the smallest integers that hold
     them. The sets of labels seen in mixed cells are bit masks of 32-bit words, lowest word first.
@@ -46,12 +48,14 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     model, structure = data.pop("model"), {k: data.pop(k) for k in STRUCTURE if k in data}
     arrays = policy.cells.arrays()
     if isinstance(policy.cells, CellTree):
-        seen = policy.cells.mixed_labels[:, -1]  # with the default control in force
+        seen = np.bitwise_or.reduce(policy.cells.mixed_labels, axis=1)  # whatever is in force
         arrays["mixed_labels"] = _words(seen, len(policy.alphabet) + 1)
     packed = {name: packed_array(array) for name, array in arrays.items()}
     settings = policy.settings
     if isinstance(data["target"], dict) and "program" in data["target"]:
         data["target"] = {"program": None}
+    if needs_memory(policy):
+        data |= {"memory": memory_data(policy), "min_dwell": one_hold(policy)}
     return data | {
         "symbols": [*policy.alphabet.names, "outside" if policy.gaps else "default"],
         "controls": policy.controls.tolist(),
@@ -83,12 +87,3 @@ def _words(masks: np.ndarray, labels: int) -> np.ndarray:
         .astype(np.uint32)
         .reshape(len(masks), -1)
     )
-
-
-def packed_array(array: np.ndarray) -> dict[str, Any]:
-    """Return an array as plain data; whole numbers in the smallest type that holds them."""
-    if array.dtype != np.uint32 and array.dtype.kind in "iu":
-        array = array.astype(smallest_type(array))
-    little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-    text = base64.b64encode(little.tobytes()).decode()
-    return {"dtype": array.dtype.name, "shape": list(array.shape), "base64": text}

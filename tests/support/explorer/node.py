@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import capsyn.explorer
+from capsyn.explorer.memory_data import needs_memory
 from capsyn.explorer.policy_data import policy_data
 from capsyn.explorer.program_javascript import features_javascript, model_javascript
 
@@ -29,7 +30,10 @@ def texts(states):
 
 
 def node(directory, code, policy, **inputs):
-    """Return what a script prints of ``input``: a policy's data and more."""
+    """Return what a script prints of ``input``: a policy's data and more.
+
+    Modules of which there are two are imported from ``#page``, as the page does.
+    """
     if not NODE:
         pytest.skip("needs node: apt-get install nodejs")
     for path in [*HOME.rglob("explorer/page/**/*.js"), *HOME.rglob("exports/**/*.js")]:
@@ -40,10 +44,13 @@ def node(directory, code, policy, **inputs):
     (directory / "features.js").write_text(
         features_javascript(policy) or "export const features = null;"
     )
-    (directory / "package.json").write_text('{"type": "module"}')
+    modules = {"memory": "./explorer/page/memory/*", "default": "./explorer/page/*"}
+    package = {"type": "module", "imports": {"#page/*": modules}}
+    (directory / "package.json").write_text(json.dumps(package))
     (directory / "run.js").write_text(code)
     (directory / "input.json").write_text(json.dumps({"policy": policy_data(policy), **inputs}))
-    command = [NODE, directory / "run.js", directory / "input.json"]
+    command = [NODE, *["--conditions=memory"] * needs_memory(policy)]
+    command += [directory / "run.js", directory / "input.json"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, run.stderr
     return json.loads(run.stdout)

@@ -25,7 +25,7 @@ export function makeAutomaton(app) {
   return { draw: () => draw(graph), sweep: () => sweep(graph), taken: graph.taken.all };
 }
 
-function draw(graph) {
+export function draw(graph) {
   const { app, layout, words, symbolOf } = graph, { vertices, edges } = app.data.automaton;
   const index = new Map(vertices.map(({ symbol }, k) => [symbol, k]));
   graph.circles = vertices.map(({ symbol }, k) =>
@@ -70,7 +70,7 @@ function describe({ arrows, shown, words, caption }) {
   if (caption.textContent !== text) caption.textContent = text;
 }
 
-function sweep(graph) {
+export function sweep(graph) {
   const { app, taken, circles, arrows, symbolOf } = graph, track = app.active;
   const now = track ? progress(app, track) : 0, active = track && symbolAt(track, now);
   taken.follow(track, now);
@@ -111,7 +111,7 @@ function write({ app, words, layout }, edge, count) {
  * Return how an automaton is told in words: {name, short, cells, edge}. Of a label its name, the
  * name cut to where there is room, and its cells; and an edge, with its `count` so far.
  */
-function makeWords({ automaton: { vertices, what }, symbols, loops }) {
+export function makeWords({ automaton: { vertices, what }, symbols, loops }) {
   const sizes = new Map(vertices.map(({ symbol, cells }) => [symbol, cells]));
   const name = label => symbols[label];
   const cells = label => counted(sizes.get(label), what === "leaves" ? "leaf" : "cell", what);
@@ -136,7 +136,7 @@ function makeWords({ automaton: { vertices, what }, symbols, loops }) {
  * Return a counter of a track's transitions: {follow(track, now), count(source, target), all}.
  * Labels are those of the automaton; `last` is the default's.
  */
-function makeTaken(last) {
+export function makeTaken(last) {
   const labelOf = symbol => (symbol < 0 ? last : symbol);
   let track = null, sample = 0, counts = new Map();
 

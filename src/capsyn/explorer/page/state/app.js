@@ -1,6 +1,6 @@
 import { byId } from "../dom/elements.js";
-import { makeLoop } from "../loop/loop.js";
-import { makeLookup } from "../policy/lookup.js";
+import { makeLoop } from "#page/loop/loop.js";
+import { makeLookup } from "#page/policy/lookup.js";
 import { moved, restyle } from "./changes.js";
 import { makePlayer } from "./player.js";
 import { makeTheme } from "./theme.js";
