@@ -37,25 +37,26 @@ synthesis: remote_labels labelling synthesize
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
 verification: bisection loop_derivative lyapunov tally agreement trials monte_carlo
     switching_curve sentences
-integrations: gymnasium control
-compression: optimal induction freedom surface plane_tree oblique coarsening affine_tree
+integrations: stepping evaluation gymnasium control
+compression: rows optimal induction freedom surface plane_tree oblique coarsening affine_tree
 compression.features: growing space cell_fit controller_fit
 compression: proof judge compress curve complexity
 plots: figure policy trajectory automaton curve switching
 exports: plan constants golden sequence target certificate identifiers text crossings ranks
     feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
-    styles.grid styles.cells readings.single readings.lines readings.counts features code
-    readings.places readings.quantiser notes dwell header source packages sizes timing.programs
-    timing.emulators timing.states timing.slowest target
-exports.structured_text: words lines pou cells block cuts functions steps hold source siemens
+    styles.grid styles.cells readings.single readings.lines readings.counts features memory code
+    readings.places readings.quantiser notes dwell timers header source packages sizes
+    timing.programs timing.emulators timing.states timing.slowest target
+exports.structured_text: words lines pou cells block cuts functions steps memory hold source siemens
     plcopen target
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
 exports.fmu: description build target
 exports: python_module dot export
-explorer: policy_data program_javascript expression formulas facts page_data explore
+explorer: packed memory_data policy_data program_javascript expression formulas facts page_data
+    explore
 paper: cases figures pendulum tanks reproduction
 cli: options console printed problem_finder loop paper evidence compression export explore
     import_table doctor app
@@ -250,24 +251,34 @@ policy dom loop state map series automaton drawing controls panels main
 def page_imports():
     """Return what each JavaScript module of the explorer's page imports, by their places."""
     page = ROOT / "explorer" / "page"
+
+    def targets(path):
+        for text in javascript.imports(path.read_text()):
+            both = text.removeprefix("#page/")  # one module, or that of memory in its place
+            places = [path.parent / text] if both == text else [page / both, page / "memory" / both]
+            yield from (place.resolve() for place in places)
+
     return {
         path.relative_to(page): [
-            (path.parent / text).resolve().relative_to(page)
-            for text in javascript.imports(path.read_text())
-            if (path.parent / text).resolve().is_relative_to(page)
+            target.relative_to(page) for target in targets(path) if target.is_relative_to(page)
         ]
         for path in sorted(page.rglob("*.js"))
     }
 
 
+def page_place(path):
+    """Return the place of a module's folder in the order; those of memory have that of the same."""
+    folder = path.parts[1] if path.parts[0] == "memory" else path.parts[0]
+    return PAGE.split().index(folder.removesuffix(".js"))
+
+
 def test_javascript_imports_go_one_way():
-    graph, places = page_imports(), PAGE.split()
-    assert {path.parts[0].removesuffix(".js") for path in graph} == set(places)
+    graph = page_imports()
+    assert {page_place(path) for path in graph} == set(range(len(PAGE.split())))
     for path, targets in graph.items():
-        own = places.index(path.parts[0].removesuffix(".js"))
         for target in targets:
             assert target in graph, f"{path} imports {target}"
-            assert places.index(target.parts[0]) <= own, f"{path} imports {target}"
+            assert page_place(target) <= page_place(path), f"{path} imports {target}"
 
 
 def test_javascript_modules_do_not_import_each_other_in_a_circle():
