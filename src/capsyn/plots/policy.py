@@ -10,7 +10,9 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.plots.figure import frame, literal, outline_width, rectangles, saved_figure
+from capsyn.policies.checks import labels_in_force
 from capsyn.policies.colors import symbol_colors
+from capsyn.policies.in_force import staying_rows, stays
 from capsyn.validation import describe, finite_number
 
 if TYPE_CHECKING:
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 PIXELS = 800
 """Along each axis of a picture of oblique splits."""
+HATCH, INK = "xxxxxx", "#000000"
+"""What is drawn where a symbol stays only because it is in force."""
 
 
 def plot_policy(
@@ -29,8 +33,12 @@ def plot_policy(
     ax: Axes | None = None,
     outlines: bool = True,
     legend: bool = True,
+    current: int | str | None = None,
 ) -> Axes:
     """Draw the cells of a policy in the plane of two states.
+
+    Of a policy that remembers it is what follows one symbol in force, and hatched is where a symbol
+    stays only because it is in force: there the start would take another.
 
     Parameters
     ----------
@@ -45,6 +53,9 @@ def plot_policy(
         Where to draw. Default: the current axes.
     outlines, legend : bool
         Whether to outline the cells, and to name the symbols.
+    current : symbol index or name, optional
+        The symbol in force, -1 for the default control, of which alone it is hatched where it
+        stays. Default: that of the start, the default control, and hatched where any may stay.
     """
     import matplotlib.pyplot as plt
     from matplotlib.patches import Patch
@@ -70,18 +81,25 @@ def plot_policy(
                 f"got {point[i]:g}"
             )
     steps = domain.locate(point[None, :], tree.counts)[0]
+    in_force = labels_in_force(current, (), policy.alphabet)
+    now = None if in_force is None else int(in_force[0])
     ax = plt.gca() if ax is None else ax
     colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
     if policy.has_planes:
-        shown = _draw_pixels(policy, point, (horizontal, vertical), colors, ax)
+        shown, hatched = _draw_pixels(policy, point, (horizontal, vertical), colors, ax, now)
     else:
-        shown = _draw_boxes(policy, steps, (horizontal, vertical), colors, ax, outlines)
+        shown, hatched = _draw_boxes(
+            policy, steps, (horizontal, vertical), colors, ax, outlines, now
+        )
     frame(ax, domain, (horizontal, vertical))
+    names = [literal(name) for name in (*policy.alphabet.names, "default")]
     if legend:
-        names = [literal(name) for name in (*policy.alphabet.names, "default")]
         handles = [
             Patch(facecolor=colors[k], edgecolor="#666666", label=names[k]) for k in sorted(shown)
         ]
+        if hatched:
+            what = "the one in force stays" if now is None else f"{names[now]} stays"
+            handles.append(Patch(facecolor="none", edgecolor=INK, hatch=HATCH, lw=0, label=what))
         title = ", ".join(policy.alphabet.inputs)
         if policy.alphabet.m == 1 and policy.alphabet.units[0]:
             title += f" [{policy.alphabet.units[0]}]"
@@ -94,7 +112,10 @@ def plot_policy(
             frameon=False,
         )
     where = ", ".join(f"{domain.names[i]} = {point[i]:g}" for i in others)
-    ax.set_title(literal(policy.title + (f" at {where}" if where else "")))
+    title = literal(policy.title + (f" at {where}" if where else ""))
+    ax.set_title(
+        f"{title}, {names[-1 if now is None else now]} in force" if policy.remembers else title
+    )
     return ax
 
 
@@ -105,34 +126,55 @@ def _draw_boxes(
     colors: np.ndarray,
     ax: Axes,
     outlines: bool,
-) -> set[int]:
-    """Draw the cells that meet the plane through a finest cell (n,); return their labels."""
+    now: int | None,
+) -> tuple[set[int], bool]:
+    """Draw the cells that meet the plane through a finest cell (n,).
+
+    Return what follows the label in force there, and whether some are hatched.
+    """
     from matplotlib.collections import PolyCollection
 
+    following = policy.transitions[:, -1 if now is None else now]
+    staying = staying_rows(policy, now)
     boxes, counts = policy.cells.boxes(), policy.cells.counts
     met = (boxes.lower <= steps) & (steps < boxes.upper)
     met[:, plane] = True
     shown: set[int] = set()
+    bands = []
     for level in range(int(boxes.levels.max()) + 1):
         here = met.all(axis=1) & (boxes.levels == level)
-        labels = boxes.labels[here]
+        rows = boxes.labels[here]
+        labels = following[rows]
         shown.update(labels.tolist())
         size = boxes.upper[here] - boxes.lower[here]
+        corners = rectangles(policy.domain, boxes.lower[here], size, counts, plane)
+        bands.extend(corners[staying[rows]])
         ax.add_collection(
             PolyCollection(
-                list(rectangles(policy.domain, boxes.lower[here], size, counts, plane)),
+                list(corners),
                 facecolors=colors[labels],
                 edgecolors="white" if outlines else "face",
                 linewidths=outline_width(level) if outlines else 0.1,
             )
         )
-    return shown
+    if bands:
+        band = PolyCollection(bands, facecolors="none", edgecolors=INK, linewidths=0, hatch=HATCH)
+        ax.add_collection(band)
+    return shown, bool(bands)
 
 
 def _draw_pixels(
-    policy: Policy, point: np.ndarray, plane: tuple[int, int], colors: np.ndarray, ax: Axes
-) -> set[int]:
-    """Draw the symbols at a grid of states in the plane through a state (n,); return them."""
+    policy: Policy,
+    point: np.ndarray,
+    plane: tuple[int, int],
+    colors: np.ndarray,
+    ax: Axes,
+    now: int | None,
+) -> tuple[set[int], bool]:
+    """Draw what follows a label in force at a grid of states in the plane through a state (n,).
+
+    Return these labels, and whether some states are hatched.
+    """
     from matplotlib.colors import to_rgb
 
     low, high = policy.domain.lower[list(plane)], policy.domain.upper[list(plane)]
@@ -141,7 +183,8 @@ def _draw_pixels(
     grid = np.meshgrid(x, y)
     for i, values in zip(plane, grid):
         states[:, i] = values.ravel()
-    labels = policy.leaves(states, True)
+    in_force = None if now is None else np.full(len(states), now, dtype=np.int32)
+    labels = policy.leaves(states, True, in_force=in_force)
     labels[labels < 0] = len(colors) - 1  # in gaps, which have the colour of the default
     table = np.array([to_rgb(color) for color in colors])
     ax.imshow(
@@ -151,7 +194,10 @@ def _draw_pixels(
         aspect="auto",
         interpolation="nearest",
     )
-    return set(np.unique(labels).tolist())
+    band = stays(policy, states, now).reshape(PIXELS, PIXELS)
+    if band.any():
+        ax.contourf(x, y, band, levels=[0.5, 1.5], colors="none", hatches=[HATCH])
+    return set(np.unique(labels).tolist()), bool(band.any())
 
 
 def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
@@ -177,7 +223,8 @@ def save_policy_plot(
     plane: Sequence[int | str] = (0, 1),
     at: Mapping[str, float] | None = None,
     outlines: bool = True,
+    current: int | str | None = None,
 ) -> None:
     """Write a picture of a policy as PNG, PDF or SVG; see `plot_policy` and `save_figure`."""
     with saved_figure(path, 7, 4.5) as figure:
-        plot_policy(policy, plane, at, figure.add_subplot(), outlines)
+        plot_policy(policy, plane, at, figure.add_subplot(), outlines, current=current)

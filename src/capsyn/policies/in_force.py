@@ -22,8 +22,9 @@ def followers(policy: Any) -> np.ndarray:
         could = np.zeros((count, count), dtype=bool)
         could[:, np.unique(affine.symbols)] = True
         if affine.ratios is not None:
-            could &= affine.ratios >= 0
-            could |= np.eye(count, dtype=bool)  # where all rows are forbidden
+            forbidden = could & (affine.ratios < 0)
+            could &= ~forbidden
+            np.fill_diagonal(could, could.diagonal() | forbidden.any(axis=1))  # j stays if all are
         follows |= could
     return follows
 
@@ -57,14 +58,18 @@ def staying_rows(policy: Any, current: int | None = None) -> np.ndarray:
     return np.asarray((kept & (table[:, -1:] != labels)).any(axis=1))
 
 
-def stays(policy: Any, states: np.ndarray, current: int | None = None) -> np.ndarray:
+def stays(
+    policy: Any, states: np.ndarray, current: int | None = None, backend: str = "auto"
+) -> np.ndarray:
     """Return at which states (B, n) a symbol in force stays though the start would take another.
 
-    Which symbols count is as in `staying_rows`. Outside the domain the nearest cell counts.
+    Which symbols count is as in `staying_rows`, the backend that of a call of the policy. Outside
+    the domain the nearest cell counts.
     """
-    first = policy.leaves(states, True)
     found = np.zeros(len(states), dtype=bool)
-    for label in reachable(policy) if current is None else [current]:
-        now = np.full(len(states), label, dtype=np.int32)
-        found |= (policy.leaves(states, True, in_force=now) == label) & (first != label)
+    if policy.remembers:
+        first = policy.leaves(states, True, backend)
+        for label in reachable(policy) if current is None else [current]:
+            now = np.full(len(states), label, dtype=np.int32)
+            found |= (policy.leaves(states, True, backend, now) == label) & (first != label)
     return found

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from capsyn.modelling.domain import Box
 from capsyn.policies.colors import symbol_colors
+from capsyn.policies.in_force import stays
 
 WIDE, HIGH = 72, 48
 """Pixels of the map."""
@@ -16,35 +17,42 @@ SCALE = 4
 MOST_NAMED = 12
 """Symbols in the legend at most."""
 GREY = "#999999"
+SHADE = 'fill="#000000" fill-opacity="0.4"'
 
 
-def map_html(
-    title: str, domain: Box, leaves: Callable[[np.ndarray], np.ndarray], symbol_names: list[str]
-) -> str:
+def map_html(policy: Any) -> str:
     """Return a map of symbols as HTML with an SVG: the plane of the first two states.
 
-    The others have the middle of the domain. `leaves` gives the leaf numbers (B,) of states (B, n):
-    symbols, N for the default, negative for none. The names are those of N symbols and of the
-    default or none last; they are escaped. The same symbols give the same text.
+    The others have the middle of the domain. Of a policy that remembers it is what follows the
+    default control, and shaded where a symbol in force stays instead. The same policy gives the
+    same text.
     """
+    domain, count = policy.domain, len(policy.alphabet)
+    names = [*policy.alphabet.names, "outside" if policy.gaps else "default"]
     rows = HIGH if domain.n > 1 else 8
-    symbols = _symbols(domain, leaves, len(symbol_names) - 1, rows)
-    colors = [_hex(color) for color in symbol_colors(len(symbol_names) - 1)] + [GREY]
+    states = _states(domain, rows)
+    labels = policy.leaves(states, True, "numpy").reshape(rows, WIDE)
+    symbols = np.where((labels < 0) | (labels == count), -1, labels)
+    colors = [_hex(color) for color in symbol_colors(count)] + [GREY]
     used = [k for k in np.unique(symbols).tolist() if k >= 0] + [-1] * bool((symbols < 0).any())
-    paths = [f'<path fill="{colors[symbol]}" d="{_runs(symbols == symbol)}"/>' for symbol in used]
+    layers = [(f'fill="{colors[k]}"', _runs(symbols == k), names[k]) for k in used]
+    band = stays(policy, states, backend="numpy").reshape(rows, WIDE)
+    told = layers[:MOST_NAMED]
+    if band.any():
+        layers.append((SHADE, _runs(band), "the one in force stays"))
+        told.append(layers[-1])
+    paths = [f'<path {fill} d="{runs}"/>' for fill, runs, _ in layers]
     width, height = WIDE * SCALE, rows * SCALE
     axes = " against ".join(_axis(domain, i) for i in range(min(domain.n, 2))[::-1])
-    named = [(symbol, symbol_names[symbol]) for symbol in used[:MOST_NAMED]]
     entries = [
-        f'<rect x="{width + 14}" y="{16 * row + 2}" width="10" height="10" '
-        f'fill="{colors[symbol]}"/>'
+        f'<rect x="{width + 14}" y="{16 * row + 2}" width="10" height="10" {fill}/>'
         f'<text x="{width + 30}" y="{16 * row + 11}">{html.escape(name)}</text>'
-        for row, (symbol, name) in enumerate(named)
+        for row, (fill, _, name) in enumerate(told)
     ]
-    caption = f"{html.escape(title)}: {axes}"
+    caption = f"{html.escape(repr(policy))}: {axes}"
     return (
         f'<div><svg xmlns="http://www.w3.org/2000/svg" width="{width + 170}" '
-        f'height="{max(height, 16 * len(named))}" font-family="sans-serif" font-size="12" '
+        f'height="{max(height, 16 * len(told))}" font-family="sans-serif" font-size="12" '
         f'fill="currentColor"><title>{caption}</title>'
         f'<g transform="scale({SCALE})" shape-rendering="crispEdges">{"".join(paths)}</g>'
         f"{''.join(entries)}</svg><div>{caption}</div></div>"
@@ -58,17 +66,14 @@ def _axis(domain: Box, axis: int) -> str:
     return html.escape(f"{domain.names[axis]} ({bounds})")
 
 
-def _symbols(
-    domain: Box, leaves: Callable[[np.ndarray], np.ndarray], count: int, rows: int
-) -> np.ndarray:
-    """Return the symbols (rows, WIDE) of the pixels' centres, the last row the lowest states."""
+def _states(domain: Box, rows: int) -> np.ndarray:
+    """Return the states (rows * WIDE, n) of the pixels' centres, the last row the lowest."""
     shares = np.full((rows, WIDE, domain.n), 0.5)
     shares[..., 0] = (np.arange(WIDE) + 0.5) / WIDE
     if domain.n > 1:
         shares[..., 1] = 1 - (np.arange(rows)[:, None] + 0.5) / rows
-    states = (domain.lower + shares * domain.widths).reshape(-1, domain.n)
-    labels = leaves(states).reshape(rows, WIDE)
-    return np.where((labels < 0) | (labels == count), -1, labels)
+    states: np.ndarray = (domain.lower + shares * domain.widths).reshape(-1, domain.n)
+    return states
 
 
 def _runs(mask: np.ndarray) -> str:

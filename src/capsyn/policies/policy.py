@@ -309,10 +309,7 @@ class Policy:
         """Return a small map for notebooks."""
         from capsyn.policies.picture import map_html
 
-        names = [*self.alphabet.names, "outside" if self.gaps else "default"]
-        return map_html(
-            repr(self), self.domain, lambda states: self.leaves(states, True, "numpy"), names
-        )
+        return map_html(self)
 
     def __repr__(self) -> str:
         return (
