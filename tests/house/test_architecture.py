@@ -53,7 +53,7 @@ exports.structured_text: words lines pou cells block cuts functions steps memory
 exports.verilog: words ports module tree bench source target
 exports.javascript: target
 exports.policy_json: target
-exports.fmu: description build target
+exports.fmu: times description build target
 exports: python_module dot export
 explorer: packed memory_data policy_data program_javascript expression formulas facts page_data
     explore

@@ -26,6 +26,19 @@ void decide(long count, const {real} *x, int16_t *symbols, int32_t *statuses)
     }}
 }}
 """
+NEXT = """
+#include "{p}.h"
+void next(long count, const {real} *x, int16_t *symbols, int32_t *statuses);
+void next(long count, const {real} *x, int16_t *symbols, int32_t *statuses)
+{{
+    for (long i = 0; i < count; ++i) {{
+        {p}_status status;
+        symbols[i] = {p}_next(symbols[i], x + {n} * i, &status);
+        statuses[i] = (int32_t)status;
+    }}
+}}
+"""
+"""Symbols are at first those in force."""
 CONTROL = """
 void controls(long count, const int16_t *symbols, const uint16_t *inputs, double *values);
 void controls(long count, const int16_t *symbols, const uint16_t *inputs, double *values)
@@ -39,7 +52,7 @@ LOOKUP = """
 void look(long count, const {z} *z, int16_t *symbols);
 void look(long count, const {z} *z, int16_t *symbols)
 {{
-    for (long i = 0; i < count; ++i) {{ symbols[i] = {p}_symbol(z + {n} * i); }}
+    for (long i = 0; i < count; ++i) {{ symbols[i] = {p}_symbol({before}z + {n} * i); }}
 }}
 void quantise(long count, const {real} *x, {z} *z);
 void quantise(long count, const {real} *x, {z} *z)
@@ -52,10 +65,11 @@ void run(long count, const {real} *x, const uint32_t *now, int16_t *symbols);
 void run(long count, const {real} *x, const uint32_t *now, int16_t *symbols)
 {{
     {p}_state state;
+    (void)now;
     {p}_init(&state);
     for (long i = 0; i < count; ++i) {{
         {p}_status status;
-        symbols[i] = {p}_step(&state, x + {n} * i, now[i], &status);
+        symbols[i] = {p}_step(&state, x + {n} * i, {now}&status);
     }}
 }}
 """
@@ -93,6 +107,9 @@ int main(void)
 """
 CALLS = {
     "symbol": "(void)expected; return {p}_symbol(x) != label;",
+    "next": "{p}_status status; static uint16_t at = 0u;"
+    " const int16_t symbol = {p}_next((int16_t)(at++ * 7ul / 5u % {symbols}), x, &status);"
+    " return (symbol != label) || ((int)status != expected);",
     "decide": "{p}_status status; const int16_t symbol = {p}_decide(x, &status);"
     " return (symbol != label) || ((int)status != expected);",
     "step": "static {p}_state state; static uint32_t now = 4294967246u; {p}_status status;"
@@ -194,9 +211,12 @@ class Library:
         names = {"p": p, "n": n, "real": real}
         names["z"] = self.integer.__name__ + "_t"
         self.plan, self.control = files.plan, np.dtype(_control_type(files)).type
-        text = (
-            ENTRY + CONTROL + LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
-        )
+        remembers = f"{p}_next(" in header
+        names["before"] = "symbols[i], " * remembers
+        names["now"] = "now[i], " * ("uint32_t now" in header)
+        text = NEXT if remembers else ENTRY
+        text += CONTROL
+        text += LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
         write(files, directory, **{"entry.c": text.format(**names)})
         flags = ["-std=c99", *options, *WARNINGS, "-shared", "-fPIC"]
         call([compiler, *flags, f"{p}.c", "entry.c", "-o", "library.so"], directory)
@@ -226,8 +246,14 @@ class Library:
         self._call("decide", x, symbols, statuses)
         return symbols, statuses
 
-    def look(self, steps):
-        symbols = np.empty(len(steps), np.int16)
+    def next(self, in_force, states):
+        x = np.ascontiguousarray(states, dtype=self.real)
+        symbols, statuses = np.array(in_force, np.int16), np.empty(len(x), np.int32)
+        self._call("next", x, symbols, statuses)
+        return symbols, statuses
+
+    def look(self, steps, in_force=None):
+        symbols = np.array(np.zeros(len(steps)) if in_force is None else in_force, np.int16)
         self._call("look", np.ascontiguousarray(steps, dtype=self.integer), symbols)
         return symbols
 
@@ -277,7 +303,9 @@ def _vectors(files, golden, asked, rom, count):
     controls = ", ".join("{" + ", ".join(row) + "}" for row in values)
     text |= {"control": real, "controls": controls, "m": plan.policy.alphabet.m}
     text |= {"symbols": plan.labels, "safe": plan.safe, "p": p}
-    data = DATA.format(**text, kind=kind, rom=rom, call=CALLS[asked].format(p=p))
+    data = DATA.format(
+        **text, kind=kind, rom=rom, call=CALLS[asked].format(p=p, symbols=plan.labels)
+    )
     return {"data": data, "kind": kind, "p": p, "n": given.shape[1], "count": len(given[:count])}
 
 

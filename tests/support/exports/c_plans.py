@@ -8,6 +8,8 @@ import numpy as np
 
 import capsyn
 from capsyn import problems
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.masks import word_count
 from capsyn.cells.split_tree import LEAF, SplitTree, _second_children
 from capsyn.errors import CapsynWarning
 from capsyn.exports.c.language import round_up
@@ -16,7 +18,7 @@ from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import OK, Plan
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.policy import DecisionTree
-from support.trees import random_tree
+from support.trees import GRIDS, random_policy, random_tree
 
 POLICIES = {
     "cart-pendulum": {},
@@ -191,3 +193,42 @@ def of_vectors(golden, rows):
     """Return some rows of golden vectors."""
     names = [field.name for field in dataclasses.fields(golden)]
     return dataclasses.replace(golden, **{name: getattr(golden, name)[rows] for name in names})
+
+
+def remembering(grid=3, seed=0, hold=0.0, forbidden=(), symbols=4, own_rows=9):
+    """Return a policy of random rows: two inputs with two values each, or one with many.
+
+    The first symbol is the default control.
+    """
+    rng = np.random.default_rng(seed)
+    source = random_policy(grid, periodic=True, seed=seed)
+    values = np.arange(symbols)[:, None]
+    if symbols == 4:
+        values = [[0, 0], [0, 1], [1, 0], [1, 1]]
+    names = ["off", "valve on", "fan on", "both"] if symbols == 4 else None
+    alphabet = capsyn.Alphabet(values, names, ["fan", "valve"][: np.shape(values)[1]])
+    switching = capsyn.Switching(hold=hold, forbidden=forbidden)
+    allowed = ~switching.forbids(alphabet)
+    choices = [np.flatnonzero(row[:symbols]) for row in allowed]
+    rows = {tuple(int(rng.choice(some)) for some in choices) for _ in range(own_rows)}
+    keeps = [[j if rng.random() < 0.5 and j < symbols else best for j in range(symbols + 1)]
+             for best in rng.integers(symbols, size=own_rows)]  # fmt: skip
+    rows |= {row for row in map(tuple, keeps) if allowed[np.arange(symbols + 1), row].all()}
+    rows = sorted(row for row in rows if len(set(row)) > 1)
+    constant = np.repeat(np.arange(symbols + 1)[:, None], symbols + 1, 1)
+    table = np.vstack([constant, np.array(rows)])
+    free = np.flatnonzero(allowed[np.arange(symbols + 1), table].all(axis=1))
+    free = rng.permutation(free)[:60]
+    tree = random_tree(*GRIDS[grid], leaf_count=len(free), seed=seed)
+    entries = np.where(tree.entries < 0, -1 - free[np.maximum(-1 - tree.entries, 0)], tree.entries)
+    sets = np.zeros((0, symbols + 1, word_count(symbols + 1)), dtype=np.uint64)
+    cells = CellTree(tree.grid, entries.astype(np.int32), np.zeros(0, dtype=np.int32), sets)
+    return dataclasses.replace(
+        source,
+        name="remembering",
+        alphabet=alphabet,
+        default=np.zeros(alphabet.m),
+        cells=cells,
+        transitions=table,
+        switching=switching,
+    )

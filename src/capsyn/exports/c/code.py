@@ -11,6 +11,7 @@ from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import Features
 from capsyn.cells.split_tree import SplitTree
 from capsyn.exports.c.language import LONGEST_PREFIX, RESERVED, comment, literal, z_type
+from capsyn.exports.c.memory import Memory, memory_of
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
 from capsyn.exports.c.readings.single import check_single_precision, ranked, share_changed
 from capsyn.exports.feature_texts import features_of
@@ -26,6 +27,7 @@ class Code:
     Files and functions are called `prefix`, and should have been called `wanted`. The `tree`, or
     cells, is what is written: over the `faces` of each axis, where these are looked up in tables
     of floats. `axes` say how counts become steps; there are none where readings are real numbers.
+    Where the next symbol depends on the symbol in force, leaves are rows of a `memory`.
     """
 
     plan: Plan
@@ -38,6 +40,7 @@ class Code:
     tree: CellTree | SplitTree
     faces: list[np.ndarray] | None
     axes: list[CountAxis]
+    memory: Memory | None
 
     @staticmethod
     def of(
@@ -47,7 +50,10 @@ class Code:
         wanted = wanted_name(name, plan.policy.name)
         prefix = file_name(name, wanted)[:LONGEST_PREFIX]
         (prefix,) = identifiers([prefix], RESERVED, fold=True)
-        tree, faces = plan.cells, None
+        memory = None
+        if plan.policy.remembers:
+            memory = memory_of(plan.policy if plan.as_cells else plan.tree)
+        tree, faces = plan.cells if memory is None else memory.cells, None
         if isinstance(tree, SplitTree) and tree.depth == 0:
             style = "nested"  # nothing to look up
         if arithmetic == "float":
@@ -55,7 +61,37 @@ class Code:
             if style != "nested" or tree.has_planes:
                 tree, faces = ranked(tree, plan.policy.domain)
         axes = [] if readings == "real" else count_axes(plan, readings)
-        return Code(plan, style, arithmetic, readings, tick, prefix, wanted, tree, faces, axes)
+        return Code(
+            plan, style, arithmetic, readings, tick, prefix, wanted, tree, faces, axes, memory
+        )
+
+    @property
+    def asked(self) -> str:
+        """What the function from readings to a symbol is called."""
+        return "decide" if self.memory is None else "next"
+
+    @property
+    def decision(self) -> str:
+        """How that function is declared."""
+        p, x = self.prefix, f"const {self.prefix}_reading x[{self.plan.n}]"
+        if self.memory is None:
+            return f"int16_t {p}_decide({x}, {p}_status *status)"
+        return f"int16_t {p}_next({self.in_force}{x},\n    {p}_status *status)"
+
+    @property
+    def stateful(self) -> bool:
+        """Whether there is a state between decisions."""
+        return self.plan.remembers or self.plan.dwell > 0
+
+    @property
+    def waits(self) -> bool:
+        """Whether that state counts time."""
+        return self.plan.waits if self.plan.remembers else self.plan.dwell > 0
+
+    @property
+    def in_force(self) -> str:
+        """The argument of what depends on the symbol in force, before others."""
+        return "" if self.memory is None else "int16_t in_force, "
 
     @property
     def features(self) -> Features | None:

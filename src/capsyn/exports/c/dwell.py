@@ -3,11 +3,30 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from capsyn.errors import ProblemError
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import Part, comment, rows, with_called
 from capsyn.exports.plan import NOT_FINITE, OUTSIDE
+from capsyn.modelling.time_unit import to_seconds
+
+
+@dataclass(frozen=True)
+class Same:
+    """How it is told that between two symbols is no switch: a call by `name`; none: they differ."""
+
+    name: str
+    function: Part
+
+    def of(self, one: str, other: str) -> str:
+        """Return the condition."""
+        return f"{self.name}({one}, {other})" if self.name else f"{one} == {other}"
+
+    def differ(self, one: str, other: str) -> str:
+        """Return the opposite condition."""
+        return f"!{self.of(one, other)}" if self.name else f"{one} != {other}"
 
 
 def declarations(code: Code) -> str:
@@ -16,20 +35,14 @@ def declarations(code: Code) -> str:
     The dwell time is in the least whole ticks, by the rule of capsyn's closed loop.
     """
     prefix, plan, tick = code.prefix, code.plan, code.tick
-    dwell, unit = plan.dwell_s, plan.policy.time_unit
-    told = f"{dwell!r} s" if unit == "s" else f"{plan.dwell!r} {unit} = {dwell!r} s"
-    ticks = dwell / tick * (1 - 1e-12)  # the quotient is rounded
-    if not tick <= dwell <= tick * ((1 << 32) - 1):
-        least = 10.0 ** math.ceil(math.log10(dwell / ((1 << 32) - 1)))
-        raise ProblemError(
-            f"`tick` must be {least:g} s or more, and at most the dwell time, {told}; got {tick:g}"
-        )
+    (ticks,) = ticks_of(code, [plan.dwell], "the dwell time")
+    told = _told(code, plan.dwell)
     take = "Take `symbol` at tick `now`, whatever is held, and return it: it is held anew, unless "
     take += "the symbol in force has the same control."
-    if names := _at_once(code):
+    if names := at_once(code):
         take += f" {prefix}_step does so where the status is {' or '.join(names)}."
     return f"""
-#define {prefix.upper()}_DWELL {max(1, math.ceil(ticks))}uL /* ticks of {tick!r} s: {told} */
+#define {prefix.upper()}_DWELL {ticks}uL /* ticks of {tick!r} s: {told} */
 
 /* Between decisions; the caller has one for each plant. */
 typedef struct {{
@@ -54,32 +67,66 @@ int16_t {prefix}_take({prefix}_state *state, int16_t symbol, uint32_t now);
 """
 
 
+def ticks_of(code: Code, times: Sequence[float], shortest: str) -> list[int]:
+    """Return the least whole ticks of some times [time unit], 0 for none.
+
+    Raises
+    ------
+    ProblemError
+        The tick is longer than the `shortest` time, or too short for the longest.
+    """
+    unit, tick = code.plan.policy.time_unit, code.tick
+    seconds = [to_seconds(time, unit) for time in times]
+    some = [s for s in seconds if s > 0]
+    if some and not tick <= min(some) <= max(some) <= tick * ((1 << 32) - 1):
+        least = 10.0 ** math.ceil(math.log10(max(some) / ((1 << 32) - 1)))
+        told = _told(code, min(time for time in times if time > 0))
+        raise ProblemError(
+            f"`tick` must be {least:g} s or more, and at most {shortest}, {told}; got {tick:g}"
+        )
+    # the quotient is rounded
+    return [max(int(s > 0), math.ceil(s / tick * (1 - 1e-12))) for s in seconds]
+
+
+def _told(code: Code, time: float) -> str:
+    """Return a time [time unit] as text, in seconds."""
+    unit = code.plan.policy.time_unit
+    seconds = f"{to_seconds(time, unit)!r} s"
+    return seconds if unit == "s" else f"{time!r} {unit} = {seconds}"
+
+
 def step(code: Code) -> str:
     """Return ``_step``, which waits for no status whose symbol is to be taken at once."""
-    p, names = code.prefix, _at_once(code)
+    p = code.prefix
+    return f"""
+int16_t {p}_step({p}_state *state, const {p}_reading x[{code.plan.n}],
+    uint32_t now, {p}_status *status)
+{{
+    const int16_t symbol = {p}_decide(x, status);
+{step_body(code)}}}
+"""
+
+
+def step_body(code: Code) -> str:
+    """Return what ``_step`` does with a symbol that is wanted."""
+    p, names = code.prefix, at_once(code)
     tests = [f"*status == {name}" for name in names]
-    at_once = tests[0] if len(tests) == 1 else " || ".join(f"({test})" for test in tests)
+    taken = tests[0] if len(tests) == 1 else " || ".join(f"({test})" for test in tests)
     text = f"    return {p}_hold(state, symbol, now);\n"
-    if at_once:
+    if taken:
         text = f"""\
     int16_t taken;
-    if ({at_once}) {{
+    if ({taken}) {{
         taken = {p}_take(state, symbol, now);
     }} else {{
         taken = {p}_hold(state, symbol, now);
     }}
     return taken;
 """
-    return f"""
-int16_t {p}_step({p}_state *state, const {p}_reading x[{code.plan.n}],
-    uint32_t now, {p}_status *status)
-{{
-    const int16_t symbol = {p}_decide(x, status);
-{text}}}
-"""
+    return text
 
 
-def _at_once(code: Code) -> list[str]:
+def at_once(code: Code) -> list[str]:
     """Return names of the statuses that do not wait; counts are always finite."""
     names = {OUTSIDE: "OUTSIDE", NOT_FINITE: "NOT_FINITE"}
     some = [s for s in code.plan.at_once if not (code.axes and s == NOT_FINITE)]
@@ -89,7 +136,8 @@ def _at_once(code: Code) -> list[str]:
 def functions(code: Code) -> Part:
     """Return ``_init``, ``_hold`` and ``_take``."""
     prefix, upper = code.prefix, code.prefix.upper()
-    same, reads, table = _same(code)
+    same = same_symbols(code)
+    wanted = same.of("symbol", "state->symbol")
     text = f"""
 void {prefix}_init({prefix}_state *state)
 {{
@@ -100,7 +148,7 @@ void {prefix}_init({prefix}_state *state)
 
 int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now)
 {{
-    const bool same = {same};
+    const bool same = {wanted};
     if ((state->phase == 1u) && ((uint32_t)(now - state->since) >= {upper}_DWELL)) {{
         state->phase = 2u;
     }}
@@ -118,18 +166,18 @@ int16_t {prefix}_hold({prefix}_state *state, int16_t symbol, uint32_t now)
 
 int16_t {prefix}_take({prefix}_state *state, int16_t symbol, uint32_t now)
 {{
-    const bool same = {same};
+    const bool same = {wanted};
     if (!same) {{
         state->phase = 0u; /* nothing is held */
     }}
     return {prefix}_hold(state, symbol, now);
 }}
 """
-    return Part(with_called([table], text), frozenset(reads))
+    return Part(with_called([same.function.text], text), same.function.reads)
 
 
-def _same(code: Code) -> tuple[str, set[str], str]:
-    """Return the condition of no change, what it reads from tables, and its function."""
+def same_symbols(code: Code) -> Same:
+    """Return how it is told that between symbols is no switch."""
     plan, prefix = code.plan, code.prefix
     kind, integer = ("BYTE", "uint8_t") if plan.labels <= 256 else ("INT16", "int16_t")
     entries = rows([f"{k}u" if kind == "BYTE" else str(k) for k in plan.first_alike])
@@ -148,5 +196,5 @@ static bool {prefix}_same(int16_t one, int16_t other)
 }}
 """
     if plan.same_control:
-        return f"{prefix}_same(symbol, state->symbol)", {kind}, function
-    return "symbol == state->symbol", set(), function
+        return Same(f"{prefix}_same", Part(function, frozenset({kind})))
+    return Same("", Part(function))

@@ -12,13 +12,18 @@ from capsyn.exports.feature_texts import c_ranks
 from capsyn.modelling.domain import Box
 
 
-def feature_decision(tree: FeatureTree, style: str, domain: Box, prefix: str, opening: str) -> Part:
-    """Return the function ``opening(z)`` that gives the label of lattice steps, in a style."""
+def feature_decision(
+    tree: FeatureTree, style: str, domain: Box, prefix: str, opening: str, of_rows: bool = False
+) -> Part:
+    """Return the function ``opening(z)`` that gives the label of lattice steps, in a style.
+
+    Labels may be numbers `of_rows`.
+    """
     ranked, integer = tree.ranked, z_type(tree.ranked.counts)
     argument = f"const {integer} z[{ranked.n}]"
     inner = f"static int16_t {prefix}_ranked({argument})"
     if style == "table":
-        part = table(ranked, prefix, inner)
+        part = table(ranked, prefix, inner, of_rows)
     else:
         part = nested(ranked, domain, prefix, inner, argument, "lattice")
     lines = [f"{integer} ranked[{ranked.n}];"]

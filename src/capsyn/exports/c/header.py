@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from capsyn.exports.c import dwell
+from capsyn.exports.c import dwell, timers
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import comment
 from capsyn.exports.c.notes import notes
@@ -32,7 +32,7 @@ extern "C" {{
 enum {{
 {symbols}
 }};
-
+{_none(code)}
 typedef enum {{
     {upper}_OK = 0,
     {upper}_OUTSIDE = 1,
@@ -56,15 +56,33 @@ typedef {code.reading} {p}_reading;
 """
 
 
+def _none(code: Code) -> str:
+    """Return the label that is in force before the first decision, where that matters."""
+    if code.memory is None:
+        return ""
+    return f"""
+/* In force before the first decision. */
+enum {{
+    {code.prefix.upper()}_NONE = {code.plan.default}
+}};
+"""
+
+
 def _of_steps(code: Code) -> str:
     """Return the declarations of what lattice steps are enough for, and of the dwell time."""
     plan, text = code.plan, ""
     if code.arithmetic == "lattice":
+        nearest = "teps beyond the lattice are taken as the nearest."
+        told = f"/* Return the symbol of lattice steps; s{nearest} */"
+        if code.memory is not None:
+            told = comment([_follows(code, "at lattice steps"), f"S{nearest}"])
         text = f"""
-/* Return the symbol of lattice steps; steps beyond the lattice are taken as the nearest. */
-int16_t {code.prefix}_symbol(const {code.integer} z[{plan.n}]);
+{told}
+int16_t {code.prefix}_symbol({code.in_force}const {code.integer} z[{plan.n}]);
 """
-    if plan.dwell:
+    if plan.remembers:
+        text += timers.declarations(code)
+    elif plan.dwell:
         text += dwell.declarations(code)
     return text
 
@@ -80,17 +98,34 @@ def _of_states(code: Code) -> str:
 /* Give the lattice steps of {states}{lost}. */
 {p}_status {p}_quantise(const {p}_reading x[{n}], {code.integer} z[{n}]);
 """
+    told = f"/* Return the symbol of {states}. */"
+    if code.memory is not None:
+        told = comment([_follows(code, f"at {states}")])
     text += f"""
-/* Return the symbol of {states}. */
-int16_t {p}_decide(const {p}_reading x[{n}], {p}_status *status);
+{told}
+{code.decision};
 """
-    if plan.dwell:
+    if plan.remembers:
+        now = "at tick `now`" if code.waits else "from now on"
+        text += f"""
+/* Return the symbol in force {now}: what follows at {states}, or what must be held. */
+{timers.step_opening(code)};
+"""
+    elif plan.dwell:
         text += f"""
 /* Return the symbol in force at tick `now`: that of {states}, or the one that must be held. */
 int16_t {p}_step({p}_state *state, const {p}_reading x[{n}],
     uint32_t now, {p}_status *status);
 """
     return text
+
+
+def _follows(code: Code, where: str) -> str:
+    """Return what is said of functions that need the symbol in force."""
+    return (
+        f"Return the symbol that follows `in_force` {where}. A number that is no symbol stands for "
+        f"{code.prefix.upper()}_NONE."
+    )
 
 
 def _no_double(code: Code) -> str:

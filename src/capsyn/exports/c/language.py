@@ -38,6 +38,7 @@ ENTRIES = {
     "INT8": "((int8_t)pgm_read_byte(place))",
     "INT16": "((int16_t)pgm_read_word(place))",
     "INT32": "((int32_t)pgm_read_dword(place))",
+    "UINT32": "pgm_read_dword(place)",
     "FLOAT": "pgm_read_float(place)",
 }
 """Kinds of table entries, and how an AVR reads them from program memory."""
@@ -119,6 +120,20 @@ def byte_rows(data: bytes) -> str:
     """Return bytes as entries of a table, close together: tables are most of a large source."""
     lines = [data[k : k + BYTES_IN_LINE] for k in range(0, len(data), BYTES_IN_LINE)]
     return ",\n".join(" " * 8 + ",".join(map(str, line)) for line in lines)
+
+
+def constants(name: str, integer: str, values: Sequence[int]) -> str:
+    """Return the definition, within a function, of a table of whole numbers."""
+    suffix = "uL" if integer == "uint32_t" else ""
+    entries = rows([f"{value}{suffix}" for value in values])
+    if integer == "uint8_t":
+        entries = byte_rows(bytes(values))
+    return f"    static const {integer} {name}[{len(values)}] CAPSYN_ROM = {{\n{entries}\n    }};\n"
+
+
+def place_type(size: int) -> str:
+    """Return the type of places in a table."""
+    return "uint16_t" if size < 1 << 16 else "uint32_t"
 
 
 def z_type(counts: Sequence[int]) -> str:

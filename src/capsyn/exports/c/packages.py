@@ -76,10 +76,11 @@ def _middle(code: Code) -> str:
 def _program(code: Code) -> str:
     """Return a program that decides at the middle of the domain."""
     plan, p = code.plan, code.prefix
-    declare = f"    {p}_state state;\n" if plan.dwell else ""
+    declare = f"    {p}_state state;\n" if code.stateful else ""
     call = f"    symbol = {p}_decide(x, &status);\n"
-    if plan.dwell:
-        call = f"    {p}_init(&state);\n    symbol = {p}_step(&state, x, 0u, &status);\n"
+    if code.stateful:
+        now = "0u, " * code.waits
+        call = f"    {p}_init(&state);\n    symbol = {p}_step(&state, x, {now}&status);\n"
     value = ("(double)" if code.real == "float" else "") + f"{p}_control(symbol, i)"
     return f"""{code.about("example")}
 #include <stdio.h>
@@ -126,33 +127,40 @@ def _properties(code: Code) -> str:
 def _keywords(code: Code) -> str:
     """Return the text of ``keywords.txt``, by which the editor colours names."""
     p, upper = code.prefix, code.prefix.upper()
-    types, functions = ["status"], ["control", "decide"]
+    types, functions = ["status"], ["control", code.asked]
     if code.arithmetic == "lattice":
         functions += ["symbol", "quantise"]
-    if code.plan.dwell:
-        types, functions = [*types, "state"], [*functions, "init", "hold", "take", "step"]
+    if code.stateful:
+        held = ["hold", "take"] * code.waits
+        types, functions = [*types, "state"], [*functions, "init", *held, "step"]
     kinds = {"KEYWORD1": [f"{p}_{name}" for name in types]}
     kinds["KEYWORD2"] = [f"{p}_{name}" for name in functions]
     kinds["LITERAL1"] = [f"{upper}_{name}" for name in ("OK", "OUTSIDE", "NOT_FINITE")]
+    kinds["LITERAL1"] += [f"{upper}_NONE"] * (code.memory is not None)
     kinds["LITERAL1"] += [f"{upper}_SYMBOL_{name}" for name in code.symbols]
     return "".join(f"{word}\t{kind}\n" for kind, words in kinds.items() for word in words)
 
 
 def _sketch(code: Code) -> str:
     """Return a sketch that prints the controls in the middle of the domain."""
-    plan, p, n = code.plan, code.prefix, code.plan.n
-    init, asked, lattice = "", f"{p}_decide(x, &status)", f"{p}_symbol(z)"
+    p, n = code.prefix, code.plan.n
+    kept = "" if code.waits or not code.stateful else "    state.symbol = symbol;\n"
+    init, asked, lattice = "", f"{p}_{code.asked}(x, &status)", f"{p}_symbol(z)"
     globals_ = ""
-    if plan.dwell:
+    if code.stateful:
         clock = {1e-6: "micros()", 1e-3: "millis()"}.get(code.tick, "ticks")
         globals_ = f"\nstatic {p}_state state;\n"
-        if clock == "ticks":
+        if code.memory is not None:
+            lattice = f"{p}_symbol(state.symbol, z)"
+        if clock == "ticks" and code.waits:
             globals_ += (
                 f"static uint32_t ticks = 0; /* yours: advance it every {code.tick!r} s */\n"
             )
         init = f"    {p}_init(&state);\n"
-        asked = f"{p}_step(&state, x, {clock}, &status)"
-        lattice = f"{p}_hold(&state, {lattice}, {clock})"
+        now = f"{clock}, " * code.waits
+        asked = f"{p}_step(&state, x, {now}&status)"
+        if code.waits:
+            lattice = f"{p}_hold(&state, {lattice}, {clock})"
     reading = f"""\
     const {code.reading} x[{n}] = {{{_middle(code)}}}; /* yours: what sensors say */
     {p}_status status;
@@ -164,7 +172,7 @@ def _sketch(code: Code) -> str:
 #ifdef {p.upper()}_NO_DOUBLE /* as on AVR: from lattice steps alone */
     const {code.integer} z[{n}] = {{{steps}}}; /* yours: made of what sensors say */
     const int16_t symbol = {lattice};
-#else
+{kept}#else
 {reading}#endif
 """
     return f"""{code.about("example")}

@@ -93,7 +93,7 @@ def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]
     defined = (run_tool([f"{tool}nm", "code.o"], directory) or "").split()
     public = f"{prefix}_symbol" in defined
     roots = [f"{prefix}_symbol"] if public else []
-    roots += [f"{prefix}_decide"] if f"{prefix}_decide" in defined else []
+    roots += [name for name in (f"{prefix}_decide", f"{prefix}_next") if name in defined]
     usage = [line.split("\t") for line in (directory / "code.su").read_text().splitlines()]
     frames = {row[0].split(":")[-1]: int(row[1]) for row in usage}  # of functions that are left
     calls = _calls(source, prefix)

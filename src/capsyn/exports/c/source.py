@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import FeatureTree
-from capsyn.exports.c import dwell
+from capsyn.exports.c import dwell, timers
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.features import feature_decision
 from capsyn.exports.c.language import Part, macros, rows
@@ -22,7 +23,10 @@ def source(code: Code) -> str:
     """Return the source file."""
     decision, quantiser, hold = _decision(code), _quantiser(code), Part("")
     states = quantiser.text + _decide(code)
-    if code.plan.dwell:
+    if code.plan.remembers:
+        hold = timers.functions(code)
+        states += timers.step(code)
+    elif code.plan.dwell:
         hold = dwell.functions(code)
         states += dwell.step(code)
     reads = decision.reads | quantiser.reads | hold.reads
@@ -62,21 +66,48 @@ def _control(code: Code) -> str:
 
 def _decision(code: Code) -> Part:
     """Return the function that gives the symbol of lattice steps or of states."""
-    n, p = code.plan.n, code.prefix
+    n, p, memory = code.plan.n, code.prefix, code.memory
     argument = f"const {code.real} x[{n}]" if code.direct else f"const {code.integer} z[{n}]"
     static = "" if code.arithmetic == "lattice" else "static "
-    opening = f"{static}int16_t {p}_symbol({argument})"
+    if memory is None:
+        return _of_leaf(code, f"{static}int16_t {p}_symbol({argument})", argument)
+    mixed = isinstance(code.tree, CellTree) and code.tree.affine is not None
+    before = "int16_t before, " * mixed
+    part = _of_leaf(code, f"static int16_t {p}_row({before}{argument})", argument)
+    text, follows = part.text, memory.follows(p)
+    if not mixed:  # what leaves have are rows
+        text = re.sub(r"\bsymbol\b", "row", text)
+    places = "x" if code.direct else "z"
+    taken = f"{p}_row(before, {places})" if mixed else f"{p}_follows({p}_row({places}), before)"
+    text += f"""
+{static}int16_t {p}_symbol(int16_t in_force, {argument})
+{{
+    int16_t before = {memory.labels - 1};
+    if ((in_force >= 0) && (in_force < {memory.labels})) {{
+        before = in_force;
+    }}
+    return {taken};
+}}
+"""
+    return Part(follows.text + text, part.reads | follows.reads)
+
+
+def _of_leaf(code: Code, opening: str, argument: str) -> Part:
+    """Return the function ``opening`` that gives what a leaf has: a symbol, or a row."""
+    p, static = code.prefix, code.arithmetic != "lattice"
     if isinstance(code.tree, CellTree):
-        return cells_style(code.tree, p, opening, public=not static)
+        return cells_style(code.tree, p, opening, not static, code.memory is not None)
     if code.style == "grid":
         return grid(code.tree, p, opening)
     if isinstance(code.tree, FeatureTree):
-        return feature_decision(code.tree, code.style, code.plan.policy.domain, p, opening)
+        return feature_decision(
+            code.tree, code.style, code.plan.policy.domain, p, opening, code.memory is not None
+        )
     public, planes = opening, not static and len(code.tree.planes)
     if planes:
         opening = f"static int16_t {p}_within({argument})"
     if code.style == "table":
-        part = table(code.tree, p, opening)
+        part = table(code.tree, p, opening, code.memory is not None)
     else:
         compares = code.arithmetic if code.direct else "lattice"
         part = nested(code.tree, code.plan.policy.domain, p, opening, argument, compares)
@@ -105,14 +136,15 @@ def _decide(code: Code) -> str:
         safe = "" if plan.safe == plan.gap else f"            symbol = {plan.safe};\n"
         gap = f"        if (symbol == {plan.gap}) {{\n{safe}"
         gap += f"            *status = {upper}_OUTSIDE;\n        }}\n"
+    passed = "in_force, " * (code.memory is not None)
     return f"""
-int16_t {p}_decide(const {p}_reading x[{plan.n}], {p}_status *status)
+{code.decision}
 {{
     {code.real if code.direct else code.integer} places[{plan.n}];
     int16_t symbol = {plan.safe};
     *status = {p}_quantise(x, places);
     if ({known}) {{
-        symbol = {p}_symbol(places);
+        symbol = {p}_symbol({passed}places);
 {gap}    }}
     return symbol;
 }}

@@ -13,14 +13,15 @@ from capsyn.errors import ProblemError, warn
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.notes import heavy_tables, remarks
 from capsyn.exports.c.packages import PACKAGES, packaged
-from capsyn.exports.c.readings.counts import READINGS, golden_counts
-from capsyn.exports.c.readings.single import decide_single
+from capsyn.exports.c.readings.counts import READINGS, golden_counts, sequence_counts
+from capsyn.exports.c.readings.single import decide_single, sequence_single
 from capsyn.exports.c.sizes import sizes
 from capsyn.exports.c.styles.cells import cells_bytes
 from capsyn.exports.c.styles.stream import stream, table_bytes
 from capsyn.exports.c.timing.slowest import slowest
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Plan, tree_within
+from capsyn.exports.sequence import Sequence
 from capsyn.exports.target import Exported, Target
 from capsyn.validation import finite_number, one_of, true_or_false
 
@@ -96,18 +97,48 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     if plan.labels > 1 << 15:
         raise ProblemError(f"target c has 16-bit symbols; the policy has {plan.labels}")
     code = _code(plan, options)
-    vectors = decide_single(plan, golden.readings) if arithmetic == "float" else None
-    if code.axes:
-        vectors = golden_counts(plan, code.axes, readings)
-        if heavy := heavy_tables(code):
-            warn(heavy)
-    tree = code.tree.ranked if isinstance(code.tree, FeatureTree) else code.tree
-    written = stream(tree).figures if code.style == "table" else None
+    if code.memory is not None and len(code.memory.table) > 1 << 15:
+        raise ProblemError(
+            f"target c has 16-bit rows; the policy has {len(code.memory.table):,} of them"
+        )
+    vectors, sequence = _vectors(code, golden)
+    if code.axes and (heavy := heavy_tables(code)):
+        warn(heavy)
     files, chosen = packaged(code, options.package), {"style": options.style}
-    beside = f"{code.prefix}/extras/" if options.package == "arduino" else ""
     return Exported(
-        files, code.renamed, remarks(code), code.changed, vectors, written, beside, plan, chosen
+        files,
+        code.renamed,
+        remarks(code),
+        code.changed,
+        vectors,
+        _written(code),
+        f"{code.prefix}/extras/" if options.package == "arduino" else "",
+        plan,
+        chosen,
+        sequence,
     )
+
+
+def _vectors(code: Code, golden: Golden) -> tuple[Golden | None, Sequence | None]:
+    """Return golden vectors and sequences where readings are other numbers than a plan's."""
+    plan, remembers = code.plan, code.plan.remembers
+    if code.axes:
+        sequence = sequence_counts(plan, code.axes, code.readings) if remembers else None
+        return golden_counts(plan, code.axes, code.readings), sequence
+    if code.arithmetic == "float":
+        return decide_single(plan, golden.readings), sequence_single(plan) if remembers else None
+    return None, None
+
+
+def _written(code: Code) -> dict[str, Any] | None:
+    """Return how the tree is written, and the rows of transitions, where there are any."""
+    written, tree, memory = {}, code.tree, code.memory
+    if code.style == "table":
+        tree = tree.ranked if isinstance(tree, FeatureTree) else tree
+        written = stream(tree, memory is not None).figures
+    if memory is not None:
+        written |= {"rows": len(memory.table), "row_bytes": memory.bytes}
+    return written or None
 
 
 def _check_features(options: Options) -> None:
@@ -126,6 +157,12 @@ def _check_features(options: Options) -> None:
 def _style(plan: Plan, style: str | None) -> str:
     """Return the style that is asked for, or that of the fewest bytes."""
     cells = plan.policy.cells
+    if cells.priced:
+        if style not in (None, "cells"):
+            raise ProblemError(
+                f"`style` must be cells for affine leaves with prices on switching; got {style}"
+            )
+        return "cells"
     if style is not None:
         one_of("style", style, list(STYLES))
         if style == "cells" and not isinstance(cells, CellTree):
@@ -133,7 +170,7 @@ def _style(plan: Plan, style: str | None) -> str:
         return style
     if isinstance(cells, CellTree) and cells.affine is not None:
         size = cells_bytes(cells)
-        tree = tree_within(plan.policy, size // BYTES_A_NODE)
+        tree = tree_within(plan.source, size // BYTES_A_NODE)
         if tree is None or table_bytes(tree.cells) > size:
             return "cells"
     return "table"
@@ -156,4 +193,4 @@ def _code(plan: Plan, options: Options) -> Code:
     return Code.of(plan, o.style, o.arithmetic, o.readings, o.name, float(o.tick))
 
 
-TARGET = Target(export, Options, features=True, measure=measure)
+TARGET = Target(export, Options, features=True, remembers=True, measure=measure)

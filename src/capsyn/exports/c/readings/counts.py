@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.exports import sequence as golden_sequences
 from capsyn.exports.c.readings.lines import Line, line_of
 from capsyn.exports.crossings import least_reaching
 from capsyn.exports.golden import GOLDEN, Golden, decide
@@ -187,7 +188,7 @@ def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
     """Return golden vectors of counts: inside, around changes and bounds, anywhere, at limits."""
     limit = limit_of(readings)
     rng = stream(0, GOLDEN)
-    counts, in_turn = [], []
+    counts = []
     for axis in axes:
         least, most = axis.inside
         begins = axis.changes[axis.changes <= axis.top] + (least if axis.turn else axis.first)
@@ -204,8 +205,25 @@ def golden_counts(plan: Plan, axes: list[CountAxis], readings: str) -> Golden:
             turned += axis.turn * rng.integers(2 * limit // axis.turn, size=len(turned))
         limits = np.resize([-limit, 1 - limit, -1, 0, limit - 2, limit - 1], 100)
         turned = rng.permutation(np.concatenate([np.clip(turned, -limit, limit - 1), limits]))
-        inner = least + (turned - least) % axis.turn if axis.turn else turned
         counts.append(-1 - turned if axis.falling else turned)
-        in_turn.append(-1 - inner if axis.falling else inner)
-    golden = decide(plan, np.column_stack(in_turn).astype(np.float64))
+    golden = decide(plan, _in_turn(axes, np.column_stack(counts)))
     return dataclasses.replace(golden, readings=np.column_stack(counts))
+
+
+def sequence_counts(plan: Plan, axes: list[CountAxis], readings: str) -> golden_sequences.Sequence:
+    """Return the golden sequence at counts; where a reading is lost they are anything."""
+    limit = limit_of(readings)
+    found = golden_sequences.golden_sequence(plan)
+    counts = np.clip(np.rint(np.nan_to_num(found.readings)), -limit, limit - 1).astype(np.int64)
+    made = golden_sequences.run(plan, _in_turn(axes, counts), found.period)
+    return dataclasses.replace(made, readings=counts)
+
+
+def _in_turn(axes: list[CountAxis], counts: np.ndarray) -> np.ndarray:
+    """Return counts (..., n) as floats, those of periodic axes brought into one turn."""
+    inner = np.empty(counts.shape)
+    for i, axis in enumerate(axes):
+        turned, least = -1 - counts[..., i] if axis.falling else counts[..., i], axis.inside[0]
+        turned = least + (turned - least) % axis.turn if axis.turn else turned
+        inner[..., i] = -1 - turned if axis.falling else turned
+    return inner

@@ -13,6 +13,7 @@ from capsyn.exports.c.language import round_up
 from capsyn.exports.golden import Golden, decide
 from capsyn.exports.plan import Plan
 from capsyn.exports.ranks import ranked_tree
+from capsyn.exports.sequence import Sequence, golden_sequence, run
 from capsyn.modelling.domain import Box
 
 SAMPLES = 20_000
@@ -85,8 +86,30 @@ def ranked(
 def decide_single(plan: Plan, readings: np.ndarray) -> Golden:
     """Return what the exported code must give for readings (K, n), rounded to floats here.
 
-    That is the policy's decision at float states: periodic ones are brought back, and readings
-    made states, in single precision.
+    That is the policy's decision at float states; see `_single_states`.
+    """
+    singles, states = _single_states(plan, readings)
+    golden = decide(_unfolded(plan), states)
+    return dataclasses.replace(golden, readings=singles)
+
+
+def sequence_single(plan: Plan) -> Sequence:
+    """Return `golden_sequence` as the exported code must give it, with readings that are floats."""
+    found = golden_sequence(plan)
+    flat = found.readings.reshape(-1, plan.n)
+    singles, states = (a.reshape(found.readings.shape) for a in _single_states(plan, flat))
+    return dataclasses.replace(run(_unfolded(plan), states, found.period), readings=singles)
+
+
+def _unfolded(plan: Plan) -> Plan:
+    """Return a plan whose readings are states."""
+    return dataclasses.replace(plan, scale=np.ones(plan.n), offset=np.zeros(plan.n))
+
+
+def _single_states(plan: Plan, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return readings (K, n) rounded to floats, and the states that the exported code makes them.
+
+    Periodic ones are brought back, and readings made states, in single precision.
     """
     domain = plan.policy.domain
     with np.errstate(over="ignore", invalid="ignore"):
@@ -97,9 +120,7 @@ def decide_single(plan: Plan, readings: np.ndarray) -> Golden:
             states += plan.offset.astype(np.float32)
     for i in np.flatnonzero(domain.periodic):
         states[:, i] = _wrapped(states[:, i], domain, int(i))
-    unfolded = dataclasses.replace(plan, scale=np.ones(plan.n), offset=np.zeros(plan.n))
-    golden = decide(unfolded, states.astype(np.float64))
-    return dataclasses.replace(golden, readings=singles.astype(np.float64))
+    return singles.astype(np.float64), states.astype(np.float64)
 
 
 def _wrapped(x: np.ndarray, domain: Box, i: int) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 A step goes down from its cell of the root grid to a leaf. That has a symbol, or rows: the symbol is
 that of the largest row, of equals the lowest. Where differences of slopes fit 16 bits the first row
-of a leaf is taken from all, becomes 0 throughout and is left out. Leaves of equal rows share them.
+of a leaf is taken from all, becomes 0 throughout and is left out, but where changes of the symbol
+have prices. Leaves of equal rows share them.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.cells.affine_leaves import LARGEST_SLOPE, LARGEST_SUM, AffineLeaves
-from capsyn.cells.cell_tree import CellTree, ragged
+from capsyn.cells.boxes import ragged
+from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.c.language import WIDTH, Part, z_type
 from capsyn.exports.c.styles.nested import nearest
 
@@ -21,6 +23,8 @@ TYPES = {"uint8": "BYTE", "int8": "INT8", "int16": "INT16", "int32": "INT32"}
 """What reads table entries of a type, the narrowest first."""
 LEAST = -LARGEST_SUM - 1
 """Less than any row comes to."""
+LEAST_PRICED = 2 * LEAST + 1
+"""Less than any row and its price come to."""
 AVR_TABLE, AVR_MEMORY = (1 << 15) - 1, 1 << 16
 """Bytes of a table, and of program memory, that an AVR reaches with 16 bits."""
 
@@ -77,7 +81,7 @@ class Tables:
         """Return the tables of cells."""
         entries, rows = cells.entries, dict[str, np.ndarray]()
         if cells.affine is not None:
-            numbers, rows = _rows(cells.affine)
+            numbers, rows = (_priced_rows if cells.priced else _rows)(cells.affine)
             leaf = -1 - entries - cells.affine.first
             entries = np.where(leaf < 0, entries, -1 - cells.affine.first - numbers[leaf.clip(0)])
         arrays = {"entries": entries}
@@ -124,6 +128,24 @@ def _rows(affine: AffineLeaves) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     }
 
 
+def _priced_rows(affine: AffineLeaves) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return new numbers (A,) of affine leaves, and the arrays of their rows and their prices."""
+    assert affine.prices is not None and affine.ratios is not None
+    counts = np.diff(affine.starts)
+    leaf, _ = ragged(counts)
+    columns = [affine.prices[leaf], affine.symbols, affine.constants, affine.slopes]
+    numbers, chosen = _distinct(np.column_stack(columns), affine.starts)
+    kept = np.isin(leaf, chosen)
+    return numbers, {
+        "prices": affine.prices[chosen],
+        "ratios": affine.ratios.ravel(),
+        "starts": np.concatenate([[0], np.cumsum(counts[chosen])]),
+        "symbols": affine.symbols[kept],
+        "constants": affine.constants[kept],
+        "slopes": affine.slopes[kept].ravel(),
+    }
+
+
 def _distinct(rows: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return numbers (A,) of leaves, the same for the same rows, and the first leaf of each."""
     known: dict[bytes, int] = {}
@@ -138,14 +160,19 @@ def cells_bytes(cells: CellTree) -> int:
     return Tables.of(cells, "").bytes
 
 
-def cells_style(cells: CellTree, prefix: str, opening: str, public: bool) -> Part:
+def cells_style(
+    cells: CellTree, prefix: str, opening: str, public: bool, remembers: bool = False
+) -> Part:
     """Return the function ``opening(z)`` that gives the label of lattice steps, with its tables.
 
-    Of a `public` function steps may be beyond the lattice.
+    Of a `public` function steps may be beyond the lattice. Leaves of what `remembers` are rows: the
+    function gives these or, where some leaves are affine, as ``opening(before, z)`` the label that
+    follows the one before.
     """
     tables, z = Tables.of(cells, prefix), z_type(cells.counts)
     text = _limit(tables) + _leaf(cells, tables, prefix)
-    argument = f"const {z} z[{cells.n}]"
+    follows = remembers and cells.affine is not None
+    argument = "int16_t before, " * follows + f"const {z} z[{cells.n}]"
     inner = f"static int16_t {prefix}_within({argument})" if public else opening
     leaf = f"{tables.cells['entries'].type.name}_t"
     if cells.affine is None:
@@ -156,20 +183,27 @@ def cells_style(cells: CellTree, prefix: str, opening: str, public: bool) -> Par
 }}
 """
     else:
-        text += _largest(cells, tables, prefix)
+        text += (_least_priced if cells.priced else _largest)(cells, tables, prefix)
+        constant = "leaf" if leaf == "int16_t" else "(int16_t)leaf"
+        declared, otherwise = f"int16_t symbol = {constant};", ""
+        if follows:
+            declared = "int16_t symbol;"
+            otherwise = f" else {{\n        symbol = {prefix}_follows({constant}, before);\n    }}"
         text += f"""
 {inner}
 {{
     const {leaf} leaf = ({leaf})(-1 - {prefix}_leaf(z));
-    int16_t symbol = {"leaf" if leaf == "int16_t" else "(int16_t)leaf"};
+    {declared}
     if (leaf >= {cells.affine.first}) {{
         const {leaf} number = ({leaf})(leaf - {cells.affine.first});
-        symbol = {prefix}_largest(z, ({_index(tables)})number);
-    }}
+        symbol = {prefix}_largest({"before, " * cells.priced}z, ({_index(tables)})number);
+    }}{otherwise}
     return symbol;
 }}
 """
-    return Part(text + nearest(cells, prefix, opening) * public, tables.kinds)
+    if public:
+        text += nearest(cells, prefix, opening, "before, " * follows)
+    return Part(text, tables.kinds)
 
 
 def _index(tables: Tables) -> str:
@@ -278,6 +312,46 @@ static int16_t {prefix}_largest(const {z_type(cells.counts)} z[{cells.n}], {inde
         if (value > most) {{
             most = value;
             symbol = (int16_t){rows["symbols"].read("row")};
+        }}
+        ++row;
+    }}
+    return symbol;
+}}
+"""
+
+
+def _least_priced(cells: CellTree, tables: Tables, prefix: str) -> str:
+    """Return the function that gives the symbol which follows another in an affine leaf."""
+    assert cells.affine is not None and cells.affine.ratios is not None
+    index, rows, labels = _index(tables), tables.rows, len(cells.affine.ratios)
+    text = "".join(table.declaration() for table in rows.values())
+    return f"""
+/*
+ * Return the symbol of the row of a leaf that is largest less the price of what follows the symbol
+ * before: of equals that itself comes first, else the lowest. It stays where no row may follow.
+ */
+static int16_t {prefix}_largest(int16_t before, const {z_type(cells.counts)} z[{cells.n}],
+    {index} leaf)
+{{
+{text}    const {index} end = ({index}){rows["starts"].read("leaf + 1u")};
+    const int32_t price = (int32_t){rows["prices"].read("leaf")};
+    {index} row = ({index}){rows["starts"].read("leaf")};
+    {index} place = ({index})(row * {cells.n}u);
+    int16_t symbol = before;
+    int32_t most = {LEAST_PRICED};
+    while (row < end) {{
+        const int16_t other = (int16_t){rows["symbols"].read("row")};
+        const {index} pair = ({index})((({index})before * {labels}u) + ({index})other);
+        const int32_t ratio = (int32_t){rows["ratios"].read("pair")};
+        int32_t value = (int32_t){rows["constants"].read("row")} - (price * ratio);
+        uint16_t i;
+        for (i = 0u; i < {cells.n}u; ++i) {{
+            value += (int32_t){rows["slopes"].read("place")} * (int32_t)z[i];
+            ++place;
+        }}
+        if ((ratio >= 0) && ((value > most) || ((value == most) && (other == before)))) {{
+            most = value;
+            symbol = other;
         }}
         ++row;
     }}

@@ -69,11 +69,11 @@ def nested(
     return Part("".join(reversed(functions)))
 
 
-def nearest(tree: CellTree | SplitTree, prefix: str, opening: str) -> str:
+def nearest(tree: CellTree | SplitTree, prefix: str, opening: str, before: str = "") -> str:
     """Return the function ``opening(z)`` that gives ``<prefix>_within`` steps within the lattice.
 
     A tree that compares axes alone gives the symbol of the nearest step anyway, cells and a tree
-    with planes do not.
+    with planes do not. What is passed on `before` the steps has a comma behind it.
     """
     integer = z_type(tree.counts)
     lines = [
@@ -99,6 +99,6 @@ static {integer} {prefix}_nearest({integer} step, {integer} last)
 {{
     {integer} inner[{tree.n}];
 {body}
-    return {prefix}_within(inner);
+    return {prefix}_within({before}inner);
 }}
 """

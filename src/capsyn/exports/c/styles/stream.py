@@ -22,8 +22,9 @@ from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.exports.c.styles.diagram import Diagram, ordered
 from capsyn.exports.c.styles.mirrors import Mirror, half, mirrors
 
-MOST_READ, READS_PER_LEVEL = 64, 7
-"""Nodes that a decision reads at most, if the tree's depth lets it: so many, or per level."""
+MOST_READ, READS_PER_LEVEL, OF_ROWS = 64, 7, 10
+"""Nodes that a decision reads at most, if the tree's depth lets it: so many, or per level. Those of
+a tree of rows are more: with boundaries for each symbol in force skips would take many bits."""
 WINDOW_BITS = {2: 9, 3: 17, 4: 25, 8: 57}
 """Bits that a window of some bytes holds from any bit on."""
 MIRRORED_AXIS, TURNED_LABELS, REFERRING = 64, 24, 96
@@ -105,9 +106,9 @@ class Stream:
         }
 
 
-def most_read(tree: SplitTree) -> int:
+def most_read(tree: SplitTree, of_rows: bool = False) -> int:
     """Return how many nodes a decision may read, which the skips see to."""
-    return max(MOST_READ, READS_PER_LEVEL * tree.depth)
+    return max(MOST_READ, (OF_ROWS if of_rows else READS_PER_LEVEL) * tree.depth)
 
 
 def best_skips(tree: SplitTree, most: int) -> int:
@@ -183,9 +184,12 @@ def encode(diagram: Diagram, form: Layout) -> bytes:
 
 
 @functools.lru_cache(maxsize=1)
-def stream(tree: SplitTree) -> Stream:
-    """Return the stream of a tree that takes fewest bytes, with the code for what is special."""
-    most = most_read(tree)
+def stream(tree: SplitTree, of_rows: bool = False) -> Stream:
+    """Return the stream of a tree that takes fewest bytes, with the code for what is special.
+
+    Leaves `of_rows` are those of transitions.
+    """
+    most = most_read(tree, of_rows)
     found, best = _smallest(tree, (), most), tree
     for mirror in mirrors(tree):
         halved = half(best, mirror)
@@ -198,7 +202,7 @@ def stream(tree: SplitTree) -> Stream:
 
 def table_bytes(tree: SplitTree) -> int:
     """Return the bytes of the tables of a tree; those of planes have 32-bit entries at most."""
-    written = stream(tree)
+    written = stream(tree, False)
     most = int(np.abs(tree.planes).max(initial=0))
     plane = (2 if most < 1 << 15 else 4) * tree.n + 4
     return len(written.data) + len(written.form.cuts) * plane

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from capsyn.cells.split_tree import SplitTree
-from capsyn.exports.c.language import Part, byte_rows, comment, rows, z_type
+from capsyn.exports.c.language import Part, byte_rows, comment, constants, rows, z_type
 from capsyn.exports.c.styles.mirrors import Mirror, middle
 from capsyn.exports.c.styles.stream import Layout, Stream, stream
 
 
-def table(tree: SplitTree, prefix: str, opening: str) -> Part:
+def table(tree: SplitTree, prefix: str, opening: str, of_rows: bool = False) -> Part:
     """Return the function ``opening(z)`` that gives the label of lattice steps, with its table.
 
-    The tree must have splits.
+    The tree must have splits. Labels may be numbers `of_rows`.
     """
-    found = stream(tree)
+    found = stream(tree, of_rows)
     if not found.mirrors:
         return _lookup(found, prefix, opening)
     z = z_type(tree.counts)
@@ -86,7 +86,7 @@ def _mirrored(
     mirrors: tuple[Mirror, ...], tree: SplitTree, prefix: str, opening: str
 ) -> tuple[str, set[str]]:
     """Return the function ``opening(z)`` that looks up reflected steps, and what it reads."""
-    z, tables, reads = z_type(tree.counts), "", set()
+    z, tables, reads = z_type(tree.counts), "", set[str]()
     before, after = "", ""
     for mirror in mirrors:
         beyond = f"z[{mirror.pivot}] >= {middle(tree, mirror)}"
@@ -101,11 +101,11 @@ def _mirrored(
         if mirror.reversal is None:
             name = f"{prefix}_turned_{mirror.pivot}"
             entries = [max(label, 0) for label in mirror.turned]
-            tables += (
-                f"    static const uint8_t {name}[{len(entries)}] CAPSYN_ROM = {{\n"
-                f"{byte_rows(bytes(entries))}\n    }};\n"
-            )
-            turned, reads = f"CAPSYN_BYTE(&{name}[label])", {"BYTE"}
+            narrow = max(entries) < 1 << 8
+            kind, integer = ("BYTE", "uint8_t") if narrow else ("INT16", "int16_t")
+            tables += constants(name, integer, entries)
+            turned = f"CAPSYN_{kind}(&{name}[label])"
+            reads.add(kind)
         after += f"    if ({beyond}) {{\n        label = (int16_t)({turned});\n    }}\n"
     copies = "".join(f"    y[{a}] = z[{a}];\n" for a in range(tree.n))
     text = f"""

@@ -77,7 +77,13 @@ class Longest:
 
 
 def longest(
-    machine: Machine, files: Files, prefix: str, asked: str, kind: str, given: np.ndarray
+    machine: Machine,
+    files: Files,
+    prefix: str,
+    asked: str,
+    kind: str,
+    given: np.ndarray,
+    in_force: int | None = None,
 ) -> Longest | None:
     """Return the longest of some calls; None where the program cannot be built or does not end.
 
@@ -85,12 +91,14 @@ def longest(
     ----------
     files : Files
         Header and source, called by `prefix`.
-    asked : "symbol" or "decide"
+    asked : "symbol", "decide" or "next"
         The function.
     kind : str
         Type of its inputs.
     given : (K, n)
         Inputs of each call; integers, or finite numbers.
+    in_force : int, optional
+        The symbol in force, of functions that are asked for it.
     """
     most = None
     size = {"int16_t": 2, "int32_t": 4, "float": 4, "double": 8}[kind]
@@ -106,7 +114,7 @@ def longest(
         link = [*build, "-Wl,--gc-sections", *machine.link, "main.c", "own.o", "-lgcc"]
         for begin in range(0, len(given), batch):
             rows = _literals(given[begin : begin + batch], kind)
-            text = program(machine.parts, prefix, asked, kind, rows)
+            text = program(machine.parts, prefix, asked, kind, rows, in_force)
             (directory / "main.c").write_text(text)
             if run_tool([*link, "-o", "main.elf"], directory) is None:
                 return None

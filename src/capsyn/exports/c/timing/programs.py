@@ -156,7 +156,12 @@ SECTIONS {
 
 
 def program(
-    parts: Mapping[str, str], prefix: str, asked: str, kind: str, rows: Sequence[Sequence[str]]
+    parts: Mapping[str, str],
+    prefix: str,
+    asked: str,
+    kind: str,
+    rows: Sequence[Sequence[str]],
+    in_force: int | None = None,
 ) -> str:
     """Return a program for a processor.
 
@@ -165,13 +170,16 @@ def program(
     parts : mapping
         `AVR` or `CORTEX_M3`.
     prefix, asked : str
-        The function is ``<prefix>_<asked>``; "decide" takes a status besides.
+        The function is ``<prefix>_<asked>``; others than "symbol" take a status besides.
     kind : str
         Type of its inputs.
     rows : sequence
         Literals of the inputs of each call.
+    in_force : int, optional
+        The symbol in force, of functions that are asked for it.
     """
-    n, decides = len(rows[0]), asked == "decide"
+    n, decides = len(rows[0]), asked != "symbol"
+    before = ("int16_t in_force, ", f"{in_force}, ") if in_force is not None else ("", "")
     words = {
         "prefix": prefix,
         "asked": asked,
@@ -179,8 +187,8 @@ def program(
         "n": n,
         "count": len(rows),
         "entries": ",\n".join("    " + ", ".join(row) for row in rows),
-        "arguments": f"const {kind} *x" + f", {prefix}_status *status" * decides,
-        "passed": "x, &status" if decides else "x",
+        "arguments": f"{before[0]}const {kind} *x" + f", {prefix}_status *status" * decides,
+        "passed": before[1] + ("x, &status" if decides else "x"),
         "status": f"static {prefix}_status status;\n" * decides,
     }
     own = {key: value.format(**words) if key in ("empty", "load") else value

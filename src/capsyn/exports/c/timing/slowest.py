@@ -39,11 +39,11 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
     -------
     dict
         Of each processor ``on`` (chip or board), ``unit`` (cycles or instructions), ``compiler``,
-        ``emulator``, and ``symbol``, from lattice steps, and ``decide``, from readings, where the
-        code has them there: ``most``, the time of the call, with the return; ``at``, its steps or
-        readings; ``symbol``, what it gives; ``of``, how many were tried; ``exact``, whether none
-        can take longer. From readings that is never known, since the time of arithmetic that a
-        library does depends on the numbers.
+        ``emulator``, and ``symbol``, from lattice steps, and ``decide``, or ``next`` before the
+        first decision, from readings, where the code has them there: ``most``, the time of the
+        call, with the return; ``at``, its steps or readings; ``symbol``, what it gives; ``of``, how
+        many were tried; ``exact``, whether none can take longer. From readings that is never known,
+        since the time of arithmetic that a library does depends on the numbers.
     """
     if not any(machine.here for machine in MACHINES.values()):
         pairs = (f"{m.compiler[0]} with {m.emulator[0]}" for m in MACHINES.values())
@@ -55,7 +55,8 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
             continue
         times = {}
         for function, kind, given, exact in asked:
-            most = longest(machine, files, code.prefix, function, kind, given)
+            before = None if code.memory is None else code.plan.default
+            most = longest(machine, files, code.prefix, function, kind, given, before)
             if most is not None and _right(code, function, given[most.row], most.symbol):
                 times[function] = {
                     "most": most.time,
@@ -73,17 +74,20 @@ def slowest(code: Code, files: Files, golden: Golden) -> dict[str, Any]:
 
 def _right(code: Code, function: str, at: np.ndarray, symbol: int) -> bool:
     """Return whether a symbol of steps is the tree's, as it is if no table is out of reach."""
-    tree = code.plan.cells
+    tree, plan = code.plan.cells, code.plan
     if function != "symbol":
         return True
     within = np.clip(at[None], 0, np.array(tree.counts) - 1)
-    return int(tree.labels(within)[0]) == symbol
+    transitions = plan.transitions if plan.as_cells else plan.tree.transitions
+    return int(transitions[tree.labels(within)[0], plan.default]) == symbol
 
 
 def _asked(code: Code, golden: Golden) -> Iterator[tuple[str, str, np.ndarray, bool]]:
     """Yield what is called: the function, the type of its inputs, these, and whether they do."""
-    plan, tree = code.plan, code.plan.cells
-    steps, exact = longest_steps(tree, code.style)
+    plan, memory = code.plan, code.memory
+    tree = plan.cells if memory is None else memory.cells
+    steps, exact = longest_steps(tree, code.style, memory is not None)
+    exact &= memory is None or memory.kept is None
     if code.arithmetic == "lattice":
         yield "symbol", code.integer, steps, exact and code.style in KNOWN
     domain = plan.policy.domain
@@ -97,4 +101,4 @@ def _asked(code: Code, golden: Golden) -> Iterator[tuple[str, str, np.ndarray, b
         readings = np.clip(np.rint(readings), -limit, limit - 1).astype(np.int64)
     elif code.real == "float":
         readings = readings.astype(np.float32).astype(np.float64)
-    yield "decide", code.reading, readings, False
+    yield code.asked, code.reading, readings, False

@@ -64,10 +64,12 @@ def _with_neighbours(lower: np.ndarray, upper: np.ndarray, counts: np.ndarray) -
     return np.stack([lower, before, beyond, *both], axis=1).reshape(-1, lower.shape[1])
 
 
-def longest_steps(tree: CellTree | SplitTree, style: str) -> tuple[np.ndarray, bool]:
+def longest_steps(
+    tree: CellTree | SplitTree, style: str, of_rows: bool = False
+) -> tuple[np.ndarray, bool]:
     """Return lattice steps (K, n) and whether none takes longer than all of them.
 
-    Deep leaves come first, of cells those with most rows.
+    Deep leaves come first, of cells those with most rows. Labels may be numbers `of_rows`.
     """
     if isinstance(tree, CellTree):
         return _of_cells(tree)
@@ -76,7 +78,7 @@ def longest_steps(tree: CellTree | SplitTree, style: str) -> tuple[np.ndarray, b
         mirrors: tuple[Mirror, ...] = ()
         every = True
         if style == "table":
-            written = stream(tree)
+            written = stream(tree, of_rows)
             unfolded = written.diagram.unfolded(MOST)
             every = unfolded is not None
             mirrors, tree = written.mirrors, unfolded or tree
