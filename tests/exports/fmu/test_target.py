@@ -16,12 +16,16 @@ from capsyn.errors import CapsynWarning, KernelBuildError
 from capsyn.exports.export import export
 from capsyn.exports.golden import decide, golden_vectors
 from capsyn.exports.plan import Plan
+from capsyn.exports.sequence import golden_sequence
+from capsyn.modelling.time_unit import to_seconds
 from support.exports.policies import PROBLEMS, built_in, oblique, small
+from support.exports.remembering import POLICIES, random_rows
 from support.features import exact
 from support.processes.command_line import capsyn
 from support.trees import random_affine_policy, random_policy
 
 fmpy = pytest.importorskip("fmpy")
+validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
 
 
 @pytest.fixture
@@ -110,14 +114,72 @@ def test_affine_leaves(some_axes, run):
     assert_equal(run, policy, safe=1)
 
 
+@pytest.mark.parametrize("name", POLICIES)
+def test_units_remember(name, run):
+    options = {"hold_off": 0.3} if name in ("rows", "prices", "no times") else {}
+    plan = Plan.of(POLICIES[name](), **options)
+    sequence, unit = golden_sequence(plan), run(plan.policy, **options)
+    period = to_seconds(sequence.period, plan.policy.time_unit)
+    references = list(range(plan.n))
+    outputs = [plan.n + i for i in range(plan.policy.alphabet.m)]
+    for readings, labels, statuses in zip(sequence.readings, sequence.labels, sequence.statuses):
+        unit.reset()
+        for k, (row, *expected) in enumerate(zip(readings.tolist(), labels, statuses)):
+            unit.setReal(references, row)
+            if k % 50 == 49:  # a state that is kept is that of the policy, times and all
+                kept = unit.getFMUState()
+                unit.setReal(references, [0.0] * plan.n)
+                unit.doStep(k * period, 1e9)
+                unit.doStep(1e9, 1.0)
+                unit.setFMUState(kept)
+                unit.freeFMUState(kept)
+            unit.doStep(k * period, period)
+            assert unit.getInteger([0, 1]) == expected
+            assert unit.getReal(outputs) == plan.policy.controls[expected[0]].tolist()
+
+
+def test_each_time_is_a_parameter(run, tmp_path):
+    policy = dataclasses.replace(random_rows(), time_unit="min")
+    path = export(policy, "fmu", tmp_path, hold_off=0.5)[0]
+    assert validate_fmu(path) == []
+    about = fmpy.read_model_description(path)
+    found = {v.name: float(v.start) for v in about.modelVariables if v.causality == "parameter"}
+    assert found == {
+        "hold_heat": 30.0,
+        "hold_x": 6.0,
+        "hold_default": 12.0,
+        "hold_heater": 18.0,
+        "hold_cooler": 45.0,
+        "hold_off": 30.0,
+    }
+    texts = {v.name: v.description for v in about.modelVariables}
+    assert texts["hold_heat"] == "How long symbol 2 (heat) is held once it is entered"
+    assert texts["hold_cooler"] == "How long input cooler is held once it has changed"
+    # other times, by parameters, are those of a policy that has them
+    hold = {"heater": 0.1, "cooler": 0.2, "heat": 0.3, "x": 0.4, "default": 0.2}
+    other = dataclasses.replace(
+        random_rows(), switching=dataclasses.replace(policy.switching, hold=hold)
+    )
+    sequence = golden_sequence(Plan.of(other))
+    times = [0.3, 0.4, 0.2, 0.1, 0.2]
+    unit = run(random_rows(), parameters=dict(zip(range(4, 9), times)))
+    for k, (row, label) in enumerate(zip(sequence.readings[0].tolist(), sequence.labels[0])):
+        unit.setReal([0, 1], row)
+        unit.doStep(k * sequence.period, sequence.period)
+        assert unit.getInteger([0]) == [label]
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        unit.setReal([9], [1.0])
+    one = export(policy, "fmu", tmp_path / "one", dwell=0.25, name="one")[0]
+    names = {v.name: v.start for v in fmpy.read_model_description(one).modelVariables}
+    assert names["min_dwell"] == "15.0" and not any(name.startswith("hold") for name in names)
+
+
 def quoted():
     return dataclasses.replace(small(), name='a "<b>" & */ c')
 
 
 @pytest.mark.parametrize("make", [small, oblique, quoted])
 def test_units_are_valid_and_the_same_bytes(make, tmp_path):
-    from fmpy.validation import validate_fmu
-
     policy = make()
     path = export(policy, "fmu", tmp_path / "a")[0]
     assert validate_fmu(path) == []
@@ -161,8 +223,6 @@ def test_variables_say_what_they_are(tmp_path):
 
 @pytest.mark.parametrize(("unit", "seconds", "factor"), [("min", 30.0, 1 / 60), ("ms", 5e-4, 1e3)])
 def test_dwell_times_are_in_seconds_and_displayed_in_the_unit(unit, seconds, factor, tmp_path):
-    from fmpy.validation import validate_fmu
-
     policy = dataclasses.replace(small(), min_dwell=0.5, time_unit=unit)
     path = export(policy, "fmu", tmp_path)[0]
     assert validate_fmu(path) == []
@@ -276,23 +336,36 @@ def test_a_failing_compiler_leaves_what_was_there(tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_sources_work_whatever_the_flags(compiler, tmp_path, run):
+def built(path, compiler, directory):
+    """Return the library of a unit's source, built as importers may, without a warning."""
     if not shutil.which(compiler):
         pytest.skip(f"needs {compiler}")
-    policy = built_in("cart-pole")
-    options = {"scale": [0.1, 0.3, 0.7, 1.1], "offset": [0.1, 0.2, 0.3, 0.4]}
-    path = export(policy, "fmu", tmp_path, sources_only=True, **options)[0]
     with zipfile.ZipFile(path) as archive:
-        (tmp_path / "unit.c").write_bytes(archive.read("sources/cart_pole.c"))
-    # contraction allowed, as importers may
+        (source,) = (name for name in archive.namelist() if name.startswith("sources/"))
+        (directory / "unit.c").write_bytes(archive.read(source))
     flags = ["-std=gnu11", "-O2", "-march=native", "-ffp-contract=fast", "-Wall", "-Wextra"]
     more = ["-Wpedantic", "-Wconversion", "-Werror", "-fPIC", "-shared", "-lm"]
     for library, prefix in (("unit.so", []), ("prefixed.so", ["-DFMI2_FUNCTION_PREFIX=a_"])):
         command = [compiler, *flags, *prefix, "unit.c", *more, "-o", library]
-        subprocess.run(command, cwd=tmp_path, check=True)
+        subprocess.run(command, cwd=directory, check=True)
+    return directory / "unit.so"
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("name", ["rows", "prices", "times"])
+def test_sources_that_remember_have_no_warnings(name, compiler, tmp_path):
+    path = export(POLICIES[name](), "fmu", tmp_path, sources_only=True)[0]
+    built(path, compiler, tmp_path)
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_sources_work_whatever_the_flags(compiler, tmp_path, run):
+    policy = built_in("cart-pole")
+    options = {"scale": [0.1, 0.3, 0.7, 1.1], "offset": [0.1, 0.2, 0.3, 0.4]}
+    path = export(policy, "fmu", tmp_path, sources_only=True, **options)[0]
+    library = built(path, compiler, tmp_path)
     assert hasattr(ctypes.CDLL(str(tmp_path / "prefixed.so")), "a_fmi2DoStep")
-    assert_equal(functools.partial(run, library=tmp_path / "unit.so"), policy, **options)
+    assert_equal(functools.partial(run, library=library), policy, **options)
 
 
 def test_command_line(tmp_path):

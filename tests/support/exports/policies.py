@@ -134,7 +134,7 @@ def by_json(policy, directory, readings, **options):
 
 
 def read(data, reading, in_force=None):
-    """Return (symbol, status) as the texts of a JSON file say, with a symbol in force or without."""
+    """Return (symbol, status) as the texts of a JSON file say, with a symbol in force if needed."""
     axes = data["states"]
     x = [v * axis["scale"] + axis["offset"] for v, axis in zip(reading, axes)]
     if not all(map(math.isfinite, x)):
@@ -193,7 +193,7 @@ def ranks(features, z):
 
 
 def gone_down(data, z, in_force=None):
-    """Return the label of lattice steps as the texts say of cells, where it matters with that in force."""
+    """Return the label of lattice steps as the texts say of cells, likewise."""
     cells, n = data["cells"], len(z)
     size, i = list(cells["root_sizes"]), 0
     for j in range(n):

@@ -7,20 +7,10 @@ from xml.etree.ElementTree import Element
 from xml.sax.saxutils import XMLGenerator
 from xml.sax.xmlreader import AttributesImpl
 
-from capsyn.exports.c.language import KEYWORDS
-from capsyn.exports.identifiers import identifiers
+from capsyn.exports.fmu.times import times_of, variable_names
 from capsyn.exports.plan import Plan
 from capsyn.modelling.time_unit import from_seconds
 from capsyn.version import __version__
-
-OWN = ("symbol", "status", "min_dwell", "time")
-"""Variables beside states and inputs, and the independent one."""
-
-
-def variable_names(plan: Plan) -> tuple[str, ...]:
-    """Return the names of the variables of states and inputs."""
-    policy = plan.policy
-    return identifiers([*policy.domain.names, *policy.alphabet.inputs], [*KEYWORDS, *OWN])
 
 
 def description(plan: Plan, name: str, guid: str) -> bytes:
@@ -81,16 +71,19 @@ def _controls(plan: Plan) -> list[Element]:
 
 
 def _own(plan: Plan) -> list[Element]:
-    """Return the variables of every unit."""
+    """Return the variables of every unit, and its parameters."""
     symbols = ", ".join(f"{k}: {text}" for k, text in enumerate(plan.symbol_names))
     statuses = "0: the state is in the domain, 1: outside, 2: a component is NaN or infinite"
-    dwell = _real("s", start=repr(plan.dwell_s), min="0", **_display(plan))
-    place = plan.n + plan.policy.alphabet.m
-    about = "Least time between switches of the control"
+    times, first = times_of(plan), plan.n + plan.policy.alphabet.m
+    reals = [_real("s", start=repr(s), min="0", **_display(plan)) for s in times.seconds]
+    names = variable_names(plan)[first:]
     return [
         _variable("symbol", 0, "output", "discrete", Element("Integer"), f"Symbol; {symbols}"),
         _variable("status", 1, "output", "discrete", Element("Integer"), statuses),
-        _variable("min_dwell", place, "parameter", "fixed", dwell, about),
+        *(
+            _variable(name, place, "parameter", "fixed", real, about)
+            for place, (name, real, about) in enumerate(zip(names, reals, times.about), first)
+        ),
     ]
 
 

@@ -35,7 +35,12 @@ typedef enum { OK, WARNING, DISCARD, ERROR, FATAL, PENDING } Status;
 enum { INSIDE, OUTSIDE, NOT_FINITE };
 
 typedef struct {
+#ifdef REMEMBERS
+    Real inputs[STATES], times[TIMES + 1], time, start, since; /* since: its symbol was entered */
+    Real changes[CONTROLS]; /* when each input changed */
+#else
     Real inputs[STATES], dwell, time, since;
+#endif
     int symbol;  /* that is held, or -1 before the first */
     int status;
     int changed; /* whether the inputs are newer than the symbol */
@@ -64,8 +69,14 @@ static int step(int i, double x) {
 }
 
 #ifdef CELLS
+#ifdef REMEMBERS
+/* Down to a leaf: the label that follows that in force. Of affine leaves it is that of the largest
+ * row; with prices, which are taken off, of equals that in force. */
+static int label_of(const int *z, int now) {
+#else
 /* Down to a leaf; up to DEFAULT it is a label, else that of its largest row, of equals the first. */
 static int label_of(const int *z) {
+#endif
     int i, row, label, most = 0, size[STATES];
     long at = 0, child;
     for (i = 0; i < STATES; ++i) {
@@ -81,20 +92,42 @@ static int label_of(const int *z) {
         at = ENTRIES[at] + child;
     }
     at = -1 - ENTRIES[at];
+#ifdef REMEMBERS
+    if (at < ROWS) return TRANSITIONS[at][now];
+    at -= ROWS;
+#else
     if (at <= DEFAULT) return (int)at;
     at -= DEFAULT + 1;
+#endif
     for (row = ROW_STARTS[at], label = -1; row < ROW_STARTS[at + 1]; ++row) {
         int value = ROW_CONSTANTS[row];
+#ifdef PRICES
+        const int ratio = ROW_RATIOS[now * LABELS + ROW_SYMBOLS[row]];
+        if (ratio < 0) continue;
+        value -= ROW_PRICES[at] * ratio;
+#endif
         for (i = 0; i < STATES; ++i) value += ROW_SLOPES[(long)row * STATES + i] * z[i];
+#ifdef PRICES
+        if (label < 0 || value > most || (value == most && ROW_SYMBOLS[row] == now)) {
+#else
         if (label < 0 || value > most) {
+#endif
             most = value;
             label = ROW_SYMBOLS[row];
         }
     }
+#ifdef PRICES
+    return label < 0 ? now : label;
+#else
     return label;
+#endif
 }
 #else
+#ifdef REMEMBERS
+static int label_of(const int *z, int now) {
+#else
 static int label_of(const int *z) {
+#endif
     int i, node = 0;
     while (SPLIT[node] >= 0) {
         int value = 0;
@@ -102,11 +135,19 @@ static int label_of(const int *z) {
         else for (i = 0; i < PLACES; ++i) value += PLANES[SPLIT[node] - PLACES][i] * z[i];
         node = value >= THRESHOLD[node] ? SECOND[node] : node + 1;
     }
+#ifdef REMEMBERS
+    return TRANSITIONS[THRESHOLD[node]][now];
+#else
     return THRESHOLD[node];
+#endif
 }
 #endif
 
+#ifdef REMEMBERS
+static int decide(const Real *inputs, int now, int *status) {
+#else
 static int decide(const Real *inputs, int *status) {
+#endif
     int i, z[PLACES], label;
     double x[STATES];
     *status = INSIDE;
@@ -122,7 +163,11 @@ static int decide(const Real *inputs, int *status) {
     if (*status == OUTSIDE && !NEAREST) return SAFE;
     for (i = 0; i < STATES; ++i) z[i] = step(i, x[i]);
     RANKS
+#ifdef REMEMBERS
+    label = label_of(z, now);
+#else
     label = label_of(z);
+#endif
     if (label == GAP) {
         *status = OUTSIDE;
         return SAFE;
@@ -130,6 +175,47 @@ static int decide(const Real *inputs, int *status) {
     return label;
 }
 
+#ifdef REMEMBERS
+static int held(const policy *p, Real since, int hold) {
+    return p->time - since < p->times[hold] * (1.0 - 1e-6);
+}
+
+/* What is taken where another label than that in force is wanted. Inputs whose time is not over
+ * keep their values, if a symbol that may follow has these. */
+static int permitted(const policy *p, int wanted) {
+    const int now = p->symbol;
+    Real mixed[CONTROLS];
+    int i, k, whole = 1;
+    if (held(p, p->since, HOLD[now])) return now;
+    for (i = 0; i < CONTROLS; ++i) {
+        mixed[i] = CONTROL[held(p, p->changes[i], INPUT_HOLD[i]) ? now : wanted][i];
+        whole = whole && mixed[i] == CONTROL[wanted][i];
+    }
+    if (whole) return wanted;
+    for (k = 0; k < LABELS - 1; ++k) {
+        for (i = 0; i < CONTROLS && CONTROL[k][i] == mixed[i]; ++i) {}
+        if (i < CONTROLS) continue;
+        for (i = 0; i < FORBIDDEN && !(NO[i][0] == now && NO[i][1] == k); ++i) {}
+        if (i == FORBIDDEN) return k;
+    }
+    return now;
+}
+
+static void decide_now(policy *p) {
+    const int first = p->symbol < 0, now = first ? LABELS - 1 : p->symbol;
+    int i, waits, symbol = decide(p->inputs, now, &p->status);
+    waits = p->status == INSIDE || (p->status == OUTSIDE && !OUTSIDE_AT_ONCE);
+    if (first) p->start = p->time;
+    if (held(p, p->start, HOLD_OFF)) symbol = SAFE;
+    if (!first && waits && KIND[symbol] != KIND[now]) symbol = permitted(p, symbol);
+    if (first || KIND[symbol] != KIND[now]) p->since = p->time;
+    for (i = 0; i < CONTROLS; ++i) {
+        if (first || CONTROL[symbol][i] != CONTROL[now][i]) p->changes[i] = p->time;
+    }
+    p->symbol = symbol;
+    p->changed = 0;
+}
+#else
 static void decide_now(policy *p) {
     const int symbol = decide(p->inputs, &p->status);
     const int waits = p->status == INSIDE || (p->status == OUTSIDE && !OUTSIDE_AT_ONCE);
@@ -142,6 +228,7 @@ static void decide_now(policy *p) {
     }
     p->changed = 0;
 }
+#endif
 
 /* The outputs now: decided anew where inputs have come since, but taken only by a step. */
 static policy seen(const policy *p) {
@@ -152,7 +239,11 @@ static policy seen(const policy *p) {
 
 static void start(policy *p) {
     memset(p, 0, sizeof *p);
+#ifdef REMEMBERS
+    memcpy(p->times, LEAST, sizeof LEAST);
+#else
     p->dwell = DWELL;
+#endif
     p->symbol = -1;
     p->changed = 1;
 }
@@ -190,7 +281,11 @@ FMI(Status, fmi2GetReal)(Component c, const Reference r[], size_t n, Real value[
     for (k = 0; k < n; ++k) {
         if (r[k] < STATES) value[k] = p.inputs[r[k]];
         else if (r[k] < STATES + CONTROLS) value[k] = CONTROL[p.symbol][r[k] - STATES];
+#ifdef REMEMBERS
+        else if (r[k] < STATES + CONTROLS + TIMES) value[k] = p.times[r[k] - STATES - CONTROLS];
+#else
         else if (r[k] == STATES + CONTROLS) value[k] = p.dwell;
+#endif
         else return ERROR;
     }
     return OK;
@@ -200,7 +295,12 @@ FMI(Status, fmi2SetReal)(Component c, const Reference r[], size_t n, const Real 
     size_t k;
     for (k = 0; k < n; ++k) {
         if (r[k] < STATES) p->inputs[r[k]] = value[k];
+#ifdef REMEMBERS
+        else if (r[k] < STATES + CONTROLS || r[k] >= STATES + CONTROLS + TIMES) return ERROR;
+        else if (value[k] >= 0.0) p->times[r[k] - STATES - CONTROLS] = value[k];
+#else
         else if (r[k] == STATES + CONTROLS && value[k] >= 0.0) p->dwell = value[k];
+#endif
         else return ERROR;
     }
     p->changed = 1;

@@ -2,8 +2,9 @@
 
 Inputs are readings of the states, outputs the control vector, the symbol and the status. A step
 decides from the inputs at its begin and holds the control over it; inputs that are set afterwards
-show in the outputs at once. The parameter ``min_dwell`` overrides the policy's. It is in seconds,
-as all time of FMI is; tools can display it in the policy's unit.
+show in the outputs at once. The parameter ``min_dwell`` overrides the policy's; where symbols and
+inputs have times of their own there is one for each, ``hold_NAME``, and ``hold_off`` where there is
+one. They are in seconds, as all time of FMI is; tools can display them in the policy's unit.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
+import re
 import sys
 import textwrap
 import uuid
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -31,7 +33,8 @@ from capsyn.exports.c.language import KEYWORDS
 from capsyn.exports.constants import cell_tables
 from capsyn.exports.feature_texts import c_ranks, features_of
 from capsyn.exports.fmu.build import ENDINGS, build, own_platform
-from capsyn.exports.fmu.description import description, variable_names
+from capsyn.exports.fmu.description import description
+from capsyn.exports.fmu.times import times_of, variable_names
 from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, renamed
 from capsyn.exports.plan import OUTSIDE, Files, Plan
@@ -79,13 +82,14 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     return Exported({f"{name}.fmu": _zip(content)}, renamed(names, variable_names(plan)))
 
 
-TARGET = Target(export, Options, features=True)
+TARGET = Target(export, Options, features=True, remembers=True)
 
 
 def _guid(plan: Plan) -> str:
     """Return an identifier of what the unit does, made from the policy and the plan."""
     parts = [plan.sha256, plan.safe, plan.dwell, plan.at_once, plan.scale.tolist()]
     parts += [plan.offset.tolist(), __version__]
+    parts += [plan.policy.rules.holds.tolist(), plan.hold_off] if plan.remembers else []
     digits = hashlib.sha256(repr(parts).encode()).hexdigest()
     return str(uuid.UUID(digits[:32]))
 
@@ -154,7 +158,7 @@ def _source(plan: Plan, guid: str) -> bytes:
         f"#define SAFE {plan.safe}",
         f"#define NEAREST {int(plan.nearest)}",
         f"#define GAP {plan.gap}",
-        f"#define DWELL {plan.dwell_s!r}",
+        *([] if plan.remembers else [f"#define DWELL {plan.dwell_s!r}"]),
         f"#define OUTSIDE_AT_ONCE {int(OUTSIDE in plan.at_once)}",
         "",
         _table("double", "LOWER[STATES]", domain.lower.tolist()),
@@ -164,12 +168,48 @@ def _source(plan: Plan, guid: str) -> bytes:
         _table("double", "OFFSET[STATES]", plan.offset.tolist()),
         _table("int32_t", "COUNTS[STATES]", plan.counts),
         _table("double", f"CONTROL[{plan.labels}][CONTROLS]", policy.controls.tolist()),
+        *(_memory(plan) if plan.remembers else []),
         *_arrays(plan),
         *_ranks(features),
         "",
     ]
     text = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
-    return ("\n".join(lines) + "\n" + text).encode()
+    known = {"REMEMBERS": plan.remembers, "PRICES": plan.cells.priced}
+    return ("\n".join(lines) + "\n" + _resolved(text, known)).encode()
+
+
+def _resolved(text: str, known: Mapping[str, bool]) -> str:
+    """Return source text with each ``#ifdef`` of known names carried out, and others left alone."""
+    block = rf"#ifdef ({'|'.join(known)})\n(.*?)(?:#else\n(.*?))?#endif\n"  # none in another
+
+    def chosen(match: re.Match[str]) -> str:
+        return match[2] if known[match[1]] else match[3] or ""
+
+    return re.sub(block, chosen, text, flags=re.DOTALL)
+
+
+def _memory(plan: Plan) -> list[str]:
+    """Return what follows which symbol in force, and what its changes wait for, by number."""
+    rules, times = plan.policy.rules, times_of(plan)
+    forbidden = plan.forbidden
+    rows, labels = plan.transitions.shape
+    return [
+        f"#define LABELS {labels}",
+        f"#define ROWS {rows}",
+        f"#define TIMES {len(times.seconds)}",
+        f"#define HOLD_OFF {times.hold_off}",
+        f"#define FORBIDDEN {len(forbidden)}",
+        _table(
+            f"{smallest_type(plan.transitions)}_t",
+            f"TRANSITIONS[{rows}][LABELS]",
+            plan.transitions.tolist(),
+        ),
+        _table("double", "LEAST[TIMES + 1]", [*times.seconds, 0.0]),
+        _table("int", "HOLD[LABELS]", times.of_labels),
+        _table("int", "INPUT_HOLD[CONTROLS]", times.of_inputs),
+        _table("int", "KIND[LABELS]", rules.kinds.tolist()),
+        _table("int", f"NO[{max(1, len(forbidden))}][2]", forbidden or [[0, 0]]),
+    ]
 
 
 def _arrays(plan: Plan) -> list[str]:
