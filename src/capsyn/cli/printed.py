@@ -77,7 +77,7 @@ def _print_complexity(data: dict[str, Any], from_cells: bool, time_unit: str) ->
         print_line("exact tree", _exact_tree(tree))
     elif mean is not None:
         print_line("", f"{mean:.1f} comparisons on average")
-    if tree["deepest"] is not None:
+    if tree is not None and tree["deepest"] is not None:
         place = ", ".join(f"{x:.6g}" for x in tree["deepest"])
         print_line("", f"most comparisons of the tree at ({place})")
     print_line("entropy", f"{data['symbol_entropy']:.3f} bits of the symbols by volume")
@@ -114,13 +114,14 @@ def _exact_tree(tree: dict[str, Any] | None) -> str:
 def print_automaton(data: dict[str, Any]) -> None:
     """Print what ``Automaton.to_json`` returns."""
     names, unit = {}, data.get("time_unit", "s")
+    stays = " stays" if data.get("remembers") else ""
     for vertex in data["vertices"]:
         names[vertex["symbol"]] = vertex["name"]
         print_line(
             f"region {vertex['region']}",
-            f"{vertex['name']} {vector(vertex['value'])}: {vertex['volume_share']:.2%} of the "
-            f"volume, {vertex['cells']:,} cells in {vertex['partitions']:,} connected partitions "
-            f"and {vertex['boxes']:,} boxes",
+            f"{vertex['name']} {vector(vertex['value'])}{stays}: {vertex['volume_share']:.2%} of "
+            f"the volume, {vertex['cells']:,} cells in {vertex['partitions']:,} connected "
+            f"partitions and {vertex['boxes']:,} boxes",
         )
     pairs = [{key: names[edge[key]] for key in ("source", "target")} for edge in data["edges"]]
     edges = [edge | pair for edge, pair in zip(data["edges"], pairs)]
@@ -200,11 +201,48 @@ def print_report(data: dict[str, Any]) -> None:
     if data["target"]:
         print_line("target", data["target"])
     rule = data["outside"] + (", at once" if data.get("outside_at_once") else "")
-    print_line("outside", f"{rule}; minimum dwell {data['min_dwell']:g} {unit}")
+    hold = data.get("switching", {}).get("hold")
+    dwell = "" if hold else f"; minimum dwell {data['min_dwell']:g} {unit}"
+    print_line("outside", f"{rule}{dwell}")
+    _print_memory(data, unit)
     for name, sentence in evidence_rows(data["evidence"]):
         print_line(name, sentence)
     for hint in data["hints"]:
         print_line("hint", hint)
+
+
+def _print_memory(data: dict[str, Any], unit: str) -> None:
+    """Print how the next symbol depends on the one in force, what changes cost and wait for."""
+    if memory := data.get("memory"):
+        print_line(
+            "memory",
+            f"{memory['rows']:,} rows of next symbols, {memory['varying_rows']:,} of which depend "
+            f"on the one in force, which stays only for that on {memory['staying_share']:.2%} of "
+            "the volume; shares of symbols are the mean over those in force",
+        )
+    switching = data.get("switching", {})
+    names = [symbol["name"] for symbol in data["symbols"]]
+    if price := switching.get("price"):
+        print_line("price", _price(price, NAMES[unit]))
+    if hold := switching.get("hold"):
+        times = dict(zip(names, hold)) if isinstance(hold, list) else hold
+        each = [f"{k} {time:g}" for k, time in times.items()] if isinstance(times, dict) else []
+        print_line("hold", f"{', '.join(each) or f'{hold:g}'} {unit} at least")
+    if pairs := switching.get("forbidden"):
+        print_line("forbidden", ", ".join(f"{before} to {after}" for before, after in pairs))
+    if "delay" in data:
+        print_line("delay", f"{data['delay']:g} {unit}, compensated")
+
+
+def _price(price: Any, per: str) -> str:
+    """Return a price on switching in words."""
+    if isinstance(price, dict):
+        each = ", ".join(f"{name} {value:.4g}" for name, value in price.items())
+        return f"{each} per {per}, for each unit of change"
+    if isinstance(price, list):
+        values = [value for row in price for value in row if value]
+        return f"{min(values, default=0):.4g} to {max(values, default=0):.4g} per {per}, by pair"
+    return f"{price:.4g} per {per}, of any switch"
 
 
 def _print_states_and_symbols(data: dict[str, Any]) -> None:

@@ -39,7 +39,7 @@ def map_html(policy: Any) -> str:
     band = stays(policy, states, backend="numpy").reshape(rows, WIDE)
     told = layers[:MOST_NAMED]
     if band.any():
-        layers.append((SHADE, _runs(band), "the one in force stays"))
+        layers.append((SHADE, _runs(band), "shaded: the one in force stays"))
         told.append(layers[-1])
     paths = [f'<path {fill} d="{runs}"/>' for fill, runs, _ in layers]
     width, height = WIDE * SCALE, rows * SCALE

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import FeatureTree
 from capsyn.cells.packing import lookup_arrays, packed_bytes
@@ -13,8 +15,11 @@ from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.targets import describe_target
 from capsyn.policies.file import content_hash
 from capsyn.policies.guarantee import CONFIDENCE, Guarantee
+from capsyn.policies.in_force import reachable, staying_rows, stays
 from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 
+SAMPLES = 10_000
+"""Random states at which the share where symbols stay is estimated where planes bound them."""
 PER_AXIS = ("partitions", "refinement")
 """What the structure of cells has one number of for each axis."""
 
@@ -49,7 +54,7 @@ def report(policy: Policy) -> dict[str, Any]:
         "target": None if policy.target is None else describe_target(policy.target, domain),
         "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
         "gaps": policy.gaps,
-        "unused_symbols": [names[k] for k in range(len(alphabet)) if not shares[k]],
+        "unused_symbols": unused_symbols(policy),
         **(_tree(policy) if isinstance(policy, DecisionTree) else _cells(policy)),
         "outside": policy.outside
         if isinstance(policy.outside, str)
@@ -57,6 +62,7 @@ def report(policy: Policy) -> dict[str, Any]:
         **({"outside_at_once": True} if policy.outside_at_once else {}),
         **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
         "min_dwell": policy.min_dwell,
+        **_memory(policy),
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "statistics": policy.statistics,
@@ -64,6 +70,42 @@ def report(policy: Policy) -> dict[str, Any]:
         "sha256": digest,
         "hints": hints(policy),
     }
+
+
+def unused_symbols(policy: Policy) -> list[str]:
+    """Return the names of symbols that are never in force."""
+    names = policy.alphabet.names
+    if policy.remembers:
+        return [name for k, name in enumerate(names) if k not in reachable(policy)]
+    return [name for name, share in zip(names, policy.volume_shares) if not share]
+
+
+def _memory(policy: Policy) -> dict[str, Any]:
+    """Return what a policy does about switches: its rows, its `Switching` and its delay, if any."""
+    data: dict[str, Any] = {}
+    if policy.remembers:
+        table = policy.transitions
+        used = table[np.unique(policy.cells.constant_leaves(len(table)))]
+        data["memory"] = {
+            "rows": len(used),
+            "varying_rows": int((used != used[:, :1]).any(axis=1).sum()),
+            "staying_share": _staying_share(policy),
+        }
+    if policy.switching is not None:
+        data["switching"] = policy.switching.to_json()
+    return data | ({"delay": policy.delay} if policy.delay else {})
+
+
+def _staying_share(policy: Policy) -> float:
+    """Return the share of the volume where a symbol stays only because it is in force.
+
+    Where planes bound symbols it is estimated at `SAMPLES` random states.
+    """
+    if policy.has_planes:
+        return float(stays(policy, policy.domain.sample(SAMPLES)).mean())
+    boxes = policy.cells.boxes()
+    volumes = boxes.volumes()
+    return float(volumes[staying_rows(policy)[boxes.labels]].sum() / volumes.sum())
 
 
 def _holds_back(settings: SsacSettings | None) -> str:
@@ -143,8 +185,7 @@ def _cell_hints(policy: Policy) -> Iterator[str]:
     """Yield what the cells show; a table, which is as it is, has no such hints."""
     if "table" in policy.statistics:
         return
-    unused = [name for name, share in zip(policy.alphabet.names, policy.volume_shares) if not share]
-    if unused:
+    if unused := unused_symbols(policy):
         steepest = policy.settings is not None and policy.settings.rule == "steepest"
         weights = "control_weight" if steepest else "gamma and control_weight"
         yield f"never used: {', '.join(unused)}; drop them, or look at {weights}"
