@@ -8,6 +8,7 @@ from capsyn.errors import OutsideDomainError, ProblemError
 
 control = pytest.importorskip("control")
 from capsyn.integrations.control import plant_system, policy_system  # noqa: E402
+from support.closed_loops import two_inputs  # noqa: E402
 
 
 def closed_loop(model, policy, dt, **options):
@@ -30,6 +31,25 @@ def test_a_sampled_loop_is_a_simulation(name):
         n = problem.domain.n
         np.testing.assert_allclose(found.outputs[:n].T, run.states, rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(found.outputs[n:, :-1].T, run.controls)
+
+
+@pytest.mark.parametrize("outside", [0, "nearest"])
+def test_a_policy_that_remembers_has_states(outside):
+    problem = two_inputs(outside=outside)
+    policy = synthesize(problem)
+    dt, samples = 0.01, 300
+    system = policy_system(policy, dt)
+    assert system.state_labels == ["in_force", "held", "held_x", "held_y"]
+    switches = []
+    for x0 in ([0.5, 1.0], [0.7, 1.4]):  # the second leaves the domain
+        run = simulate(policy, x0, samples * dt, 1 / dt)
+        found = control.input_output_response(
+            closed_loop(problem, policy, dt), np.arange(samples + 1) * dt, 0, [*x0, 0, 0, 0, 0]
+        )
+        np.testing.assert_allclose(found.outputs[:2].T, run.states, rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(found.outputs[2:, :-1].T, run.controls)
+        switches.append(run.switches)
+    assert switches[0] == 10 and run.outside > 0
 
 
 def test_a_plant_in_continuous_time():
@@ -67,6 +87,8 @@ def test_bad_arguments_are_named():
         (lambda: plant_system(problem, 0.1, substeps=0), "`substeps` must be a whole number"),
         (lambda: plant_system(problem, substeps=2), "with a sample time `dt` only"),
         (lambda: plant_system(3), "`model` must be"),
+        (lambda: plant_system(problem.replace(delay=0.1)), "must have no delay, .*; got 0.1 s"),
+        (lambda: policy_system(synthesize(two_inputs(), max_level=0)), "`dt` must be above 0"),
     ):
         with pytest.raises(ProblemError, match=words):
             call()

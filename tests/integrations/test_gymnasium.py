@@ -21,6 +21,7 @@ from capsyn.integrations.gymnasium import (  # noqa: E402
     evaluate,
     player,
 )
+from support.closed_loops import two_inputs  # noqa: E402
 
 
 class Counter(gymnasium.Env):
@@ -75,6 +76,31 @@ def test_an_environment_moves_as_a_simulation_does():
         total += reward
         assert terminated is False and truncated is (k == 49)
     np.testing.assert_allclose(total, -run.cost, rtol=1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.024])
+def test_a_policy_that_remembers_acts_as_in_a_simulation(delay):
+    problem = two_inputs(delay=delay)
+    policy = synthesize(problem)
+    env = environment(problem, rate=100.0, duration=2.0)
+    run = simulate(policy, [0.5, 1.0], 2.0, 100.0, substeps=env._substeps)
+    act = player(policy, env)
+    for _ in range(2):
+        act.reset()
+        _, info = env.reset(options={"state": [0.5, 1.0]})
+        total = 0.0
+        for k in range(200):
+            np.testing.assert_allclose(info["state"], run.states[k], rtol=1e-9, atol=1e-12)
+            action = act(info["state"])
+            assert action == run.symbols[k]
+            _, reward, _, _, info = env.step(action)
+            total += reward
+        np.testing.assert_allclose(total, -run.cost, rtol=1e-9)
+    assert run.switches > 5
+    plain = Counter(gymnasium.spaces.Discrete(4))
+    with pytest.raises(ProblemError, match="`period` must be given, the time of a step"):
+        evaluate(policy, plain, 1)
+    evaluate(policy, plain, 3, period=0.05)
 
 
 def test_observations_stay_in_the_space_and_leaving_may_end():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,7 +13,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from capsyn import Box, Policy, Problem, SsacSettings, problems
+from capsyn import Alphabet, Box, Policy, Problem, SsacSettings, Switching, problems
 from capsyn.cells.cell_tree import CellTree
 from capsyn.modelling.grid import Grid
 from capsyn.modelling.transcription import transcribe, transcribe_target
@@ -162,3 +163,27 @@ def assert_same_trials(one: MonteCarlo, two: MonteCarlo, count: int | None = Non
             ), name
         elif count is None:
             assert a == b, name
+
+
+def two_inputs(**changes: Any) -> Problem:
+    """Return a problem of a point with two inputs, prices, least times and a forbidden pair."""
+    names = ["rest", "up", "left", "both"]
+    switching = Switching(
+        price=0.02, hold={"up": 0.05, "both": 0.03, "x": 0.4}, forbidden=[("up", "left")]
+    )
+    given: dict[str, Any] = {
+        "name": "point",
+        "dynamics": lambda x, u: [x[1], 2 * u[0] - 2 * u[1] - 0.5 * ca.sin(3 * x[0])],
+        "domain": Box([-1, -2], [1, 2], names=["place", "speed"]),
+        "alphabet": Alphabet(
+            [[a, b] for a, b in itertools.product([0, 1], repeat=2)], names=names, inputs=["x", "y"]
+        ),
+        "default": [0.5, 0.5],
+        "horizon": 0.5,
+        "running_cost": lambda x: x[0] ** 2 + 0.1 * x[1] ** 2,
+        "partitions": 12,
+        "max_level": 2,
+        "outside": 0,
+        "switching": switching,
+    }
+    return Problem(**given | changes)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.integrations.stepping import has_memory, stepper
 from capsyn.policies.policy import Policy
 from capsyn.policies.single_lookup import single_lookup
 from capsyn.simulation.plant import choose_substeps, plant_of
@@ -26,16 +27,21 @@ except ImportError:
 def policy_system(
     policy: Policy, dt: float = 0.0, name: str = "policy"
 ) -> control.NonlinearIOSystem:
-    """Return a policy as a static system: states in, controls out.
+    """Return a policy as a system: states in, controls out.
+
+    It is static, but for a policy that depends on the symbol in force or whose `Switching` has
+    least times. The states of its system are ``in_force``, 0 before the first decision, else 1 more
+    than the symbol, or N + 1 for the default control; ``held``, the samples that it has been held;
+    and ``held_INPUT``, those that each input has been held. All are 0 at the start.
 
     Parameters
     ----------
     policy : Policy
-        The policy; its out-of-domain rule holds, its minimum dwell time does not.
+        The policy; its out-of-domain rule holds, and its switching; its `min_dwell` does not.
     dt : float
-        Sample time [time unit of the policy]; 0 for a system in continuous time. A loop that
-        chatters needs samples: the steps of a solver in continuous time shrink without end at a
-        switching surface.
+        Sample time [time unit of the policy]; 0 for a system in continuous time, which only a
+        static one can be. A loop that chatters needs samples: the steps of a solver in continuous
+        time shrink without end at a switching surface.
     name : str
         Name of the system.
 
@@ -47,18 +53,28 @@ def policy_system(
     if not isinstance(policy, Policy):
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
 
-    look_up = single_lookup(policy)
+    dt = finite_number("dt", dt, least=0.0)
+    ports = {"inputs": list(policy.domain.names), "outputs": list(policy.alphabet.inputs)}
+    if not has_memory(policy):
+        look_up = single_lookup(policy)
 
-    def output(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
-        return policy.controls[look_up(u)]
+        def output(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
+            return policy.controls[look_up(u)]
 
+        return control.NonlinearIOSystem(None, output, dt=dt, name=name, **ports)
+    if not dt:
+        raise ProblemError(
+            "`dt` must be above 0 for a policy that depends on the symbol in force or has least "
+            "times; got 0"
+        )
+    step = stepper(policy, dt)
     return control.NonlinearIOSystem(
-        None,
-        output,
-        inputs=list(policy.domain.names),
-        outputs=list(policy.alphabet.inputs),
-        dt=finite_number("dt", dt, least=0.0),
+        lambda time, x, u, params: step(u, np.asarray(x))[1],
+        lambda time, x, u, params: policy.controls[step(u, np.asarray(x))[0]],
+        states=["in_force", "held", *(f"held_{name}" for name in policy.alphabet.inputs)],
+        dt=dt,
         name=name,
+        **ports,
     )
 
 
@@ -70,7 +86,7 @@ def plant_system(
     Parameters
     ----------
     model : Problem or Policy
-        What has the dynamics.
+        What has the dynamics, without a delay.
     dt : float
         Sample time [time unit of the model] over which the control is held and the state
         integrated, as `capsyn.simulate` does; 0 for a system in continuous time.
@@ -86,6 +102,11 @@ def plant_system(
     """
     dt = finite_number("dt", dt, least=0.0)
     plant = plant_of(lambda time, states: states, model)
+    if plant.delay:
+        raise ProblemError(
+            "`model` must have no delay, which this system would not have; got "
+            f"{plant.delay:g} {plant.time_unit}: take `replace(delay=0)` and a delay before it"
+        )
     if substeps is not None:
         substeps = whole_number("substeps", substeps, least=1)
         if not dt:

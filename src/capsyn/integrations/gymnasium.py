@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import math
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.integrations.evaluation import Evaluation
+from capsyn.integrations.stepping import has_holds, has_memory, stepper
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import target_program
 from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy
 from capsyn.policies.single_lookup import single_lookup
 from capsyn.random_streams import derived_seed
+from capsyn.simulation.closed_loop import SLACK
 from capsyn.simulation.plant import choose_substeps, plant_of
 from capsyn.sources.callables import foreign
 from capsyn.validation import describe, finite_array, finite_number, numbers, one_line, whole_number
@@ -27,8 +31,6 @@ except ImportError:
         "`capsyn.integrations.gymnasium` needs Gymnasium: pip install 'capsyn[gymnasium]'"
     ) from None
 
-CONFIDENCE = 0.95
-"""Of the interval of the mean return."""
 PLAYING = 8
 """Purpose of the seeds of episodes."""
 HORIZONS = 10
@@ -39,56 +41,35 @@ WORST_REWARD = -1e30
 """Least reward of a problem's sample; finite in single precision too."""
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Episodes that a policy has played.
+class Player:
+    """The actions of a policy in an environment, observation after observation; see `player`."""
 
-    Parameters
-    ----------
-    returns : (E,)
-        Sum of the rewards of each episode.
-    lengths : (E,)
-        Steps of each episode.
-    terminated : (E,) booleans
-        Whether an episode ended by itself, not by a limit of its length.
-    """
+    def __init__(
+        self, policy: Policy, period: float, state: Callable[[Any], np.ndarray], table: list[Any]
+    ) -> None:
+        self._policy, self._state, self._table = policy, state, table
+        self._look_up = single_lookup(policy)
+        timed = np.isfinite(period) and bool(policy.rules.holds.any())
+        self._step = stepper(policy, period) if has_memory(policy) or timed else None
+        self.reset()
 
-    returns: np.ndarray
-    lengths: np.ndarray
-    terminated: np.ndarray
+    def reset(self) -> None:
+        """Begin an episode: nothing is in force."""
+        self._memory = np.zeros(2 + self._policy.alphabet.m)
 
-    @property
-    def mean(self) -> float:
-        """Mean return."""
-        return float(self.returns.mean())
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Student's interval of the mean return, of `CONFIDENCE`; infinite for one episode."""
-        from scipy.stats import t
-
-        count = len(self.returns)
-        if count < 2:
-            return -np.inf, np.inf
-        reach = t.ppf((1 + CONFIDENCE) / 2, count - 1) * self.returns.std(ddof=1) / np.sqrt(count)
-        return self.mean - float(reach), self.mean + float(reach)
-
-    def __repr__(self) -> str:
-        low, high = self.interval
-        return (
-            f"Evaluation({len(self.returns)} episodes, mean return {self.mean:.6g}, {low:.6g} to "
-            f"{high:.6g} with {CONFIDENCE:.0%} confidence, {int(self.terminated.sum())} terminated)"
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the evaluation as plain data."""
-        low, high = (v if np.isfinite(v) else None for v in self.interval)
-        figures = {"mean": self.mean, "low": low, "high": high, "confidence": CONFIDENCE}
-        return figures | {name: values.tolist() for name, values in vars(self).items()}
-
-
-Act = Callable[[Any], Any]
-"""Observation to action."""
+    def __call__(self, observed: Any) -> Any:
+        """Return the action of an observation."""
+        state = self._state(observed)
+        if self._step is None:
+            symbol = self._look_up(state)
+        else:
+            symbol, self._memory = self._step(state, self._memory)
+        if symbol < 0 and len(self._table) == len(self._policy.alphabet):
+            raise ProblemError(
+                "`actions` must have an entry for the default control, which the policy gives at "
+                f"state {state.tolist()}"
+            )
+        return self._table[symbol]
 
 
 def player(
@@ -97,13 +78,17 @@ def player(
     *,
     observation: Callable[[Any], Any] | None = None,
     actions: Sequence[Any] | None = None,
-) -> Act:
+    period: float | None = None,
+) -> Player:
     """Return the function from an environment's observations to its actions by a policy.
+
+    Of a policy that remembers it keeps the symbol in force, from call to call: its method ``reset``
+    begins an episode.
 
     Parameters
     ----------
     policy : Policy
-        The policy; its out-of-domain rule holds.
+        The policy; its out-of-domain rule holds, and its switching.
     env : gymnasium.Env
         Its actions are ``Discrete`` or ``Box``.
     observation : callable, optional
@@ -112,6 +97,9 @@ def player(
         The action of each symbol, and of the default control. Default: for ``Discrete`` the
         symbol's index from the first action on, and none for the default control; for ``Box`` the
         control vector.
+    period : float, optional
+        Time of a step [time unit of the policy], by which least times count. Default: that of an
+        `environment` where the policy's `Switching` has least times; else there are none.
 
     Raises
     ------
@@ -152,26 +140,31 @@ def player(
                 f"the action {describe(action)} of symbol '{name}' is not in {one_line(str(space))}"
             )
 
-    look_up = single_lookup(policy)
-
-    def act(observed: Any) -> Any:
+    def state(observed: Any) -> np.ndarray:
         seen = observed
         if observation is not None:
             with foreign("`observation` failed"):
                 seen = observation(observed)
-        state = numbers("observation", seen)
-        state = state.reshape(-1) if observation is None else state
-        if state.shape != (n,):
+        array = numbers("observation", seen)
+        array = array.reshape(-1) if observation is None else array
+        if array.shape != (n,):
             raise ProblemError(f"`observation` must give {n} numbers; got {describe(seen)}")
-        symbol = look_up(state)
-        if symbol < 0 and len(table) == count:
-            raise ProblemError(
-                "`actions` must have an entry for the default control, which the policy gives at "
-                f"state {state.tolist()}"
-            )
-        return table[symbol]
+        return array
 
-    return act
+    return Player(policy, _period(policy, env, period), state, table)
+
+
+def _period(policy: Policy, env: gymnasium.Env, period: float | None) -> float:
+    """Return the time of a step [time unit], infinite where no least times are kept."""
+    if period is not None:
+        return finite_number("period", period, above=0.0)
+    if not has_holds(policy):
+        return np.inf
+    if isinstance(env.unwrapped, Environment):
+        return env.unwrapped.period
+    raise ProblemError(
+        "`period` must be given, the time of a step of `env`, to keep the least times of the policy"
+    )
 
 
 def _actions(policy: Policy, space: Any) -> list[Any]:
@@ -203,6 +196,7 @@ def evaluate(
     *,
     observation: Callable[[Any], Any] | None = None,
     actions: Sequence[Any] | None = None,
+    period: float | None = None,
 ) -> Evaluation:
     """Return how a policy does in episodes of an environment.
 
@@ -216,7 +210,7 @@ def evaluate(
         How many; each has a seed of its own, so that the first ones do not depend on it.
     seed : int
         Seed.
-    observation, actions
+    observation, actions, period
         See `player`.
 
     Raises
@@ -232,16 +226,17 @@ def evaluate(
             with foreign(f"`env` must be a registered environment; got {describe(env)}"):
                 env = gymnasium.make(env)
             stack.callback(env.close)
-        act = player(policy, env, observation=observation, actions=actions)
+        act = player(policy, env, observation=observation, actions=actions, period=period)
         seeds = [derived_seed(seed, PLAYING, k) % 2**31 for k in range(episodes)]
         played = [_episode(act, env, seed) for seed in seeds]
     returns, lengths, terminated = zip(*played)
     return Evaluation(np.array(returns), np.array(lengths), np.array(terminated))
 
 
-def _episode(act: Act, env: gymnasium.Env, seed: int) -> tuple[float, int, bool]:
+def _episode(act: Player, env: gymnasium.Env, seed: int) -> tuple[float, int, bool]:
     with foreign(f"`env` failed to begin the episode of seed {seed}"):
         observed, _ = env.reset(seed=seed)
+    act.reset()
     total, length = 0.0, 0
     while True:
         action, length = act(observed), length + 1
@@ -267,10 +262,13 @@ class Environment(gymnasium.Env):
         self.problem, self._stop = problem, stop
         self._plant = plant_of(lambda time, states: states, problem)
         self._inside = target_program(self._plant.target, problem.domain)
-        self._period, self._samples = 1 / rate, max(1, round(duration * rate))
+        self.period, self._samples = 1 / rate, max(1, round(duration * rate))
+        whole = math.floor(problem.delay * rate + SLACK)
+        self._rest = max(0.0, problem.delay - whole * self.period)
+        self._queue = deque([problem.default], maxlen=min(whole, self._samples) + 2)  # newest last
         controls = np.vstack([problem.alphabet.values, problem.default])
         if substeps is None:
-            substeps = choose_substeps(self._plant, controls, np.zeros((0, 1)), self._period)
+            substeps = choose_substeps(self._plant, controls, np.zeros((0, 1)), self.period)
         self._substeps = substeps
         domain = problem.domain
         self.observation_space = gymnasium.spaces.Box(domain.lower, domain.upper, dtype=np.float64)
@@ -295,6 +293,7 @@ class Environment(gymnasium.Env):
                 raise ProblemError(f"`state` must have shape ({domain.n},); got {state.shape}")
             self._state = np.array(state)
         self._left = self._samples
+        self._queue.extend([self.problem.default] * (self._queue.maxlen or 0))
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -314,11 +313,13 @@ class Environment(gymnasium.Env):
         """
         if not self.action_space.contains(action):
             raise ProblemError(f"`action` must be in {self.action_space}; got {describe(action)}")
-        domain, u = self.problem.domain, self.problem.alphabet.values[int(action)]
-        x, cost = self._plant.advance(
-            self._state[:, None], np.zeros(1), u[:, None], np.zeros((0, 1)),
-            np.zeros((domain.n, 1)), np.full(1, self._period), self._substeps,
-        )  # fmt: skip
+        domain = self.problem.domain
+        self._queue.append(self.problem.alphabet.values[int(action)])
+        x, cost, none = self._state[:, None], np.zeros(1), np.zeros((0, 1))
+        for u, time in zip(self._queue, (self._rest, self.period - self._rest)):
+            if time > SLACK * self.period:
+                held = (u[:, None], none, np.zeros((domain.n, 1)), np.full(1, time))
+                x, cost = self._plant.advance(x, cost, *held, self._substeps)
         self._state = x[:, 0]
         self._left -= 1
         finite = bool(np.isfinite(self._state).all() and np.isfinite(cost[0]))
@@ -355,7 +356,9 @@ def environment(
     An action is a symbol, held over a sample; an episode begins anywhere in the domain. The
     observation is the state, on periodic axes within a period, and beyond the domain its nearest
     state; the state itself is in ``info``. An episode ends when the state or the cost is not
-    finite, or the state leaves the domain of a problem whose `outside` is ``"error"``.
+    finite, or the state leaves the domain of a problem whose `outside` is ``"error"``. A control
+    acts after the problem's delay, before the first the default control does; what a problem says
+    of switching is for who acts.
 
     Parameters
     ----------

@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.controllers.command import NONE, NOT_FINITE, TARGET, TIME, Command, Decide, hold
+from capsyn.modelling.switching import SwitchRules
 from capsyn.programs.program import Program
 from capsyn.simulation.kernel import trial_type
 from capsyn.simulation.plant import Plant
@@ -47,6 +48,19 @@ class Holds:
     kinds: np.ndarray  # (N + 1,) ints, equal where a change is no switch
     forbidden: np.ndarray  # (N + 1, N + 1) bool: transitions, from each to each
     controls: np.ndarray  # (N + 1, m): of the symbols [input units]
+
+    @staticmethod
+    def of(rules: SwitchRules, period: float) -> Holds:
+        """Return what changes wait for by rules, in samples of a period [time unit].
+
+        Of an infinite period there are no least times.
+        """
+
+        def whole(times: np.ndarray) -> np.ndarray:
+            return np.ceil(np.minimum(times / period - SLACK, 2.0**40)).astype(np.int64)
+
+        holds, inputs = whole(rules.holds), whole(rules.input_holds)
+        return Holds(holds, inputs, rules.kinds, rules.forbidden, rules.controls)
 
     @property
     def any(self) -> bool:
