@@ -72,7 +72,7 @@ def test_the_preferred_symbol_comes_first_in_the_order(count):
 def test_votes_are_those_of_points_and_ties_go_by_order(count):
     sets, held = random_sets(count, (7, 300), 4)
     order = np.random.default_rng(5).permutation(count).tolist()
-    labels, seen = most_voted(sets, order)
+    labels, _, seen = most_voted(sets, order)
     for cell in range(300):
         points = [set(np.flatnonzero(row).tolist()) for row in held[:, cell]]
         known = set().union(*(p for p in points if len(p) == 1)) or set().union(*points)

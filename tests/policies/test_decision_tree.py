@@ -134,7 +134,7 @@ def test_large_batches_take_the_compiled_lookup(planes, monkeypatch):
     states = np.resize(hard_states(tree, 9000), (COMPILED_FROM + 137, 3))
     wanted = tree(states, "nearest", "numpy")
     assert len(set(wanted.tolist())) == 3
-    monkeypatch.setattr(Policy, "_labels", None)
+    monkeypatch.setattr(type(tree.cells), "labels", None)
     assert np.array_equal(tree(states, "nearest"), wanted)
 
 

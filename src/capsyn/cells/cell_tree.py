@@ -20,7 +20,9 @@ MAX_MASKED = 16
 """Most axes of a tree whose cells are split along some of them only."""
 CELL_ARRAYS = {"entries": np.int32, "mixed_cells": np.int32, "mixed_labels": np.uint64}
 SPLIT_ARRAYS = {"splits": np.uint16}
-"""The arrays as files and kernels call them; `splits` where cells are split along some axes."""
+SEEN_ARRAYS = {"mixed_sets": np.uint64, "mixed_places": np.int32}
+"""The arrays as files and kernels call them; `splits` where cells are split along some axes. Sets
+for several labels in force are kept once each, with their places, instead of `mixed_labels`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +107,15 @@ class CellTree:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by their names in a file."""
         arrays = {name: getattr(self, name) for name in CELL_ARRAYS}
-        if self.mixed_labels.shape[1:] == (1, 1):
+        count, in_force, words = self.mixed_labels.shape
+        if (in_force, words) == (1, 1):
             arrays["mixed_labels"] = self.mixed_labels[:, 0, 0]
+        elif in_force > 1:
+            del arrays["mixed_labels"]
+            every = self.mixed_labels.reshape(-1, words)
+            sets, places = np.unique(every, axis=0, return_inverse=True)
+            arrays["mixed_sets"] = sets
+            arrays["mixed_places"] = places.reshape(count, in_force).astype(np.int32)
         if self.splits is not None:
             arrays["splits"] = self.splits
         return arrays | ({} if self.affine is None else self.affine.arrays())

@@ -74,12 +74,10 @@ def masks_of_members(held: np.ndarray, words: int | None = None) -> np.ndarray:
 
     By default they have as few words as hold them.
     """
-    count = held.shape[-1]
-    sets = np.zeros((*held.shape[:-1], words or word_count(count)), dtype=np.uint64)
-    for symbol in range(count):
-        word, bit = _bit(sets, symbol)
-        sets[..., word] |= np.where(held[..., symbol], bit, np.uint64(0))
-    return sets
+    octets = np.packbits(held, axis=-1, bitorder="little")
+    sets = np.zeros((*held.shape[:-1], 8 * (words or word_count(held.shape[-1]))), dtype=np.uint8)
+    sets[..., : octets.shape[-1]] = octets
+    return sets.view("<u8").astype(np.uint64, copy=False)
 
 
 def priced_sets(low: np.ndarray, high: np.ndarray, prices: np.ndarray) -> np.ndarray:
@@ -129,17 +127,24 @@ def holds(sets: np.ndarray, symbols: np.ndarray) -> np.ndarray:
     return word >> (symbols % bits).astype(sets.dtype) & sets.dtype.type(1) != 0
 
 
+def _present(sets: np.ndarray, order: Sequence[int]) -> list[int]:
+    """Return those symbols of an order, in order, that some set (..., W) holds."""
+    there = np.bitwise_or.reduce(sets.reshape(-1, sets.shape[-1]), axis=0)
+    held = members(there, max(order, default=0) + 1)
+    return [symbol for symbol in order if held[symbol]]
+
+
 def preferred(sets: np.ndarray, order: Sequence[int]) -> np.ndarray:
     """Return the symbol of each set that comes first in `order`; anything where it is empty."""
     labels = np.full(sets.shape[:-1], order[-1], dtype=np.int32)
-    for symbol in reversed(order[:-1]):
+    for symbol in reversed(_present(sets, order[:-1])):
         word, bit = _bit(sets, symbol)
         labels[(sets[..., word] & bit) != 0] = symbol
     return labels
 
 
-def most_voted(sets: np.ndarray, order: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the labels (...) and the sets of labels seen (..., W) of mixed cells.
+def most_voted(sets: np.ndarray, order: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the labels (...), their votes and the sets of labels seen (..., W) of mixed cells.
 
     `sets` (P, ..., W) are those of their test points.
 
@@ -151,15 +156,17 @@ def most_voted(sets: np.ndarray, order: Sequence[int]) -> tuple[np.ndarray, np.n
         np.where(undetermined, sets.dtype.type(0), sets), axis=0
     )
     np.copyto(seen, np.bitwise_or.reduce(sets, axis=0), where=empty(seen)[..., None])
-    labels = np.full(seen.shape[:-1], order[0], dtype=np.int32)
-    most = np.zeros(labels.shape, dtype=np.int64)
-    for symbol in order:
+    shape, words = seen.shape[:-1], seen.shape[-1]
+    flat, own = sets.reshape(len(sets), -1, words), seen.reshape(-1, words)
+    labels = np.full(len(own), order[0], dtype=np.int32)
+    most = np.zeros(len(own), dtype=np.int64)
+    for symbol in _present(seen, order):
         word, bit = _bit(sets, symbol)
-        known = (seen[..., word] & bit) != 0
-        votes = np.count_nonzero(sets[..., word] & bit, axis=0) * known
-        labels[votes > most] = symbol
-        most = np.maximum(votes, most)
-    return labels, seen
+        known = np.flatnonzero(own[:, word] & bit)
+        votes = np.count_nonzero(flat[:, known, word] & bit, axis=0)
+        more = votes > most[known]
+        labels[known[more]], most[known[more]] = symbol, votes[more]
+    return labels.reshape(shape), most.reshape(shape), seen
 
 
 def checked_masks(label: Callable[[np.ndarray], Any], n_symbols: int, in_force: int = 1) -> Label:

@@ -63,13 +63,12 @@ class RowTable:
 
         `sets` (P, M, J, W) are those of their test points.
         """
+        labels, votes, seen = most_voted(sets, self._order)
         if self._in_force == 1:
-            labels, seen = most_voted(sets, self._order)
-        else:  # among equals that in force comes first
-            orders = ([j, *(k for k in self._order if k != j)] for j in range(self._in_force))
-            votes = [most_voted(sets[:, :, j], order) for j, order in enumerate(orders)]
-            labels = np.stack([label for label, _ in votes], axis=-1)
-            seen = np.stack([seen for _, seen in votes], axis=-2)
+            return labels[..., 0], seen
+        own = np.broadcast_to(np.arange(self._in_force, dtype=np.int32), labels.shape)
+        kept = np.count_nonzero(holds(sets, own), axis=0) * holds(seen, own)
+        labels = np.where((kept == votes) & (votes > 0), own, labels)  # of equals that in force
         return self.numbers(labels), seen
 
     def numbers(self, labels: np.ndarray) -> np.ndarray:

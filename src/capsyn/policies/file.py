@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from capsyn.cells.affine_leaves import PRICE_ARRAYS, ROW_ARRAYS, AffineLeaves
-from capsyn.cells.cell_tree import CELL_ARRAYS, SPLIT_ARRAYS, CellTree
+from capsyn.cells.cell_tree import CELL_ARRAYS, SEEN_ARRAYS, SPLIT_ARRAYS, CellTree
 from capsyn.cells.feature_tree import Features, FeatureTree
 from capsyn.cells.masks import WORD
 from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
@@ -49,6 +49,7 @@ ALL_ARRAYS = {
     **CELL_ARRAYS,
     **ROW_ARRAYS,
     **SPLIT_ARRAYS,
+    **SEEN_ARRAYS,
     **TREE_ARRAYS,
     **PRICE_ARRAYS,
     **TRANSITIONS,
@@ -59,15 +60,16 @@ ARRAYS = [
     for arrays in (
         TREE_ARRAYS,
         *(
-            {**CELL_ARRAYS, **rows, **splits}
-            for rows in ({}, ROW_ARRAYS, {**ROW_ARRAYS, **PRICE_ARRAYS})
-            for splits in ({}, SPLIT_ARRAYS)
+            {"entries", "mixed_cells", *seen, *rows, *splits}
+            for seen in (("mixed_labels",), SEEN_ARRAYS)
+            for rows in ((), ROW_ARRAYS, {**ROW_ARRAYS, **PRICE_ARRAYS})
+            for splits in ((), SPLIT_ARRAYS)
         ),
     )
     for transitions in ((), TRANSITIONS)
 ]
 """The sets of arrays that a file may hold."""
-PLANAR = {"planes", "row_slopes", "row_ratios", "transitions"}
+PLANAR = {"planes", "row_slopes", "row_ratios", "transitions", *SEEN_ARRAYS}
 """Those of two dimensions."""
 KEYS = set(
     "name domain alphabet default outside min_dwell target horizon settings model "
@@ -161,9 +163,9 @@ def content_hash(policy: Any) -> str:
 def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> int:
     """Return the first version that has files with such arrays and content."""
     values = [tuple(value) for value in content["alphabet"]["values"]]
-    news = "transitions" in arrays or "row_prices" in arrays
+    news = {"transitions", "row_prices", "mixed_sets"} & set(arrays)
     needed = {
-        9: news or "switching" in content or "delay" in content,
+        9: bool(news) or "switching" in content or "delay" in content,
         8: len(values) >= WORD or len(set(values)) < len(values),
         7: "features" in content,
         6: "time_unit" in content or "outside_at_once" in content,
@@ -292,9 +294,19 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         tables = [arrays[name] for name in (*ROW_ARRAYS, *PRICE_ARRAYS) if name in arrays]
         affine = AffineLeaves(first, *tables)
     domain.check_resolution(grid.counts)
-    entries, mixed, labels = (arrays[name] for name in CELL_ARRAYS)
-    cells = CellTree(grid, entries, mixed, labels, affine, arrays.get("splits"))
+    entries, mixed = arrays["entries"], arrays["mixed_cells"]
+    cells = CellTree(grid, entries, mixed, _seen(arrays), affine, arrays.get("splits"))
     return fields | {"cells": cells}
+
+
+def _seen(arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the sets of labels seen in mixed cells."""
+    if "mixed_sets" not in arrays:
+        return arrays["mixed_labels"]
+    sets, places = arrays["mixed_sets"], arrays["mixed_places"]
+    if (places < 0).any() or (places >= len(sets)).any() or places.shape[1] < 2:
+        raise PolicyFormatError("the sets of labels seen in mixed cells are not there")
+    return sets[places]
 
 
 def _switching(data: Any) -> Switching | None:
