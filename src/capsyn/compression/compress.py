@@ -238,9 +238,9 @@ def _check_mode(policy: Policy, mode: str, options: dict[str, Any]) -> None:
             raise ProblemError(f"`{name}` is for mode {modes} only; got {describe(value)}")
     if policy.has_planes and (mode == "freedom" or level is not None):
         got = "level" if level is not None else "mode 'freedom'"
+        there = "is mode linear" if policy.cells.priced else "are modes exact and linear"
         raise ProblemError(
-            "`policy` has affine leaves, for which there are modes exact and linear, without "
-            f"level; got {got}"
+            f"`policy` has affine leaves, for which there {there}, without level; got {got}"
         )
 
 

@@ -20,6 +20,11 @@ MODES = ("exact", "freedom", "linear")
 class Guarantee:
     """What a decision tree has in common with the policy that it was made from.
 
+    Of a policy that remembers this is about rows, what follows each symbol in force: "the same
+    symbol" is the same for every symbol in force, the default control among them, "another" one for
+    any. So of `agreeing` states there are no more than of those of `capsyn.agreement`, which is the
+    mean over the symbols in force.
+
     Parameters
     ----------
     mode : "exact", "freedom" or "linear"

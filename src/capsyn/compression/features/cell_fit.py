@@ -24,6 +24,8 @@ CUT_PENALTIES = (0.1, 0.02, 0.5)
 """What a like pair that is parted counts against an unlike one; each gives a tree."""
 AT_ONCE = 2**18
 """Cells whose sets are looked at together."""
+SAME = 1e-12
+"""Coordinates so close are one."""
 FAR = 1000
 """Pairs of cells that are no neighbours, where no neighbours are unlike."""
 
@@ -90,6 +92,7 @@ class _Grid:
                 pairs = self._far(rows, own)
             split = best_split(pairs, penalty)
             assert split is not None, "unlike cells differ along an axis"
+            split = split[0], _between(split[1], self.x[rows, split[0]])
             node.plane = across(*split, self.x.shape[1])
             beyond = self.x[rows, split[0]] >= split[1]
             for part, beside in zip((rows[~beyond], rows[beyond]), pairs.beside(*split)):
@@ -110,3 +113,14 @@ class _Grid:
         most = self.own[rows] == own.argmax()
         one, other = (self.rng.choice(rows[x], FAR) for x in (most, ~most))
         return Pairs(self.x[one], self.x[other], np.ones(FAR, dtype=bool))
+
+
+def _between(threshold: float, values: np.ndarray) -> float:
+    """Return a threshold that none of the values is at: on a lattice it might fall to either side.
+
+    Pairs do not show all values of their cells.
+    """
+    if not (np.abs(values - threshold) < SAME).any():
+        return threshold
+    beyond = values > threshold - SAME
+    return float((values[~beyond].max() + values[beyond].min()) / 2)
