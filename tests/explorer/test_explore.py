@@ -14,6 +14,7 @@ from capsyn import Alphabet, Box, Policy, compress, explore, simulate, subdivide
 from capsyn.errors import ProblemError
 from capsyn.explorer.explore import page
 from support.explorer.page import OUTPUT, Shown, chromium, hex_color, synthesized
+from support.exports import remembering
 from support.features import exact
 from support.processes.command_line import capsyn as run_capsyn
 from support.processes.command_line import run_apart
@@ -712,6 +713,48 @@ def test_affine_leaves_are_shown_as_they_are(show):
     assert shown.page.locator(".vertex").count() == 2
 
 
+def test_a_policy_that_remembers(show):
+    policy = remembering.pendulum()
+    shown = show(policy, height=1000)
+    shown.slide("#scrub", 0.4)
+    OUTPUT.mkdir(parents=True, exist_ok=True)
+    shown.page.screenshot(path=OUTPUT / "remembers.png", full_page=True)
+    start = shown.active["start"]
+    known = simulate(policy, start, 10)
+    assert shown.active["switches"] == known.switches
+    k = int(np.floor(shown.state["time"] * 1000 + 1e-6))
+    so_far = np.count_nonzero(np.diff(known.symbols[: k + 1]))
+    told = shown.text("#timers")
+    assert f"{so_far} switch" in told and f"of {known.switches}" in told
+    assert policy.symbol_name(known.symbols[k]) in told
+    shown.page.uncheck("#outlines")
+    states = policy.domain.sample(4000, 1)
+    follow = np.array([policy(states, current=now) for now in (0, 1, -1)])
+    depends = states[follow[0] != follow[1]][0]
+    for state, words in ((depends, "5 → 5, -5 → -5, start → "), ([2.2, 2.0], "-5 → -5, start → ")):
+        shown.hover(state)
+        text = shown.text("#readout").replace("\n", "")
+        assert words in text and ("5 or -5" in text) == (words[0] == "5")
+    for now, value in ((0, "0"), (1, "1"), (None, "-1")):
+        shown.page.select_option("#in-force", value)
+        shown.assert_map(current=now)
+    rows = policy.transitions[-1 - policy.cells.entries[policy.cells.entries < 0]]
+    for source, target in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        cells = np.count_nonzero(rows[:, source] == target)
+        title = shown.page.locator(f"[data-edge='{source}-{target}'] title").text_content()
+        assert f": {cells:,} cells, taken" in title
+    shown.page.uncheck("#set-own")
+    shown.set("dwell", 0.05)
+    known = simulate(policy, start, 10, min_dwell=0.05)
+    assert shown.active["switches"] == known.switches and "dwell 0.05 s" in shown.text(".chip")
+
+
+def test_pages_of_policies_without_memory_have_nothing_of_it():
+    text = page(pendulum(1))
+    assert '"memory"' not in text and (HOME / "page.js").read_text().strip() in text
+    assert "in-force" in (HOME / "page.memory.js").read_text() and "in-force" not in text
+
+
 def test_cells_without_a_symbol_are_outside(show):
     policy = random_policy(3)
     assert policy.volume_shares[-1] > 0
@@ -736,14 +779,15 @@ def test_the_page_is_built_from_its_modules(tmp_path):
     esbuild = ROOT / "node_modules" / ".bin" / "esbuild"
     if not esbuild.exists():
         pytest.skip("needs the packages of package.json: npm ci")
-    command = ["npm", "run", "--silent", "page", "--", f"--outdir={tmp_path}"]
-    subprocess.run(command, cwd=ROOT, check=True)
-    for name in ("page.js", "page.css"):
-        assert (tmp_path / name).read_text() == (HOME / name).read_text(), "run `make page`"
+    for script, built in (("page", "page"), ("page-memory", "page.memory")):
+        command = ["npm", "run", "--silent", script, "--", f"--outdir={tmp_path}"]
+        subprocess.run(command, cwd=ROOT, check=True)
+        for name in (f"{built}.js", f"{built}.css"):
+            assert (tmp_path / name).read_text() == (HOME / name).read_text(), "run `make page`"
+        assert "</script" not in (HOME / f"{built}.js").read_text().lower()
     for name in ("uPlot.esm.js", "uPlot.min.css"):
         vendored = (HOME / "vendor" / name).read_bytes()
         assert vendored == (ROOT / "node_modules" / "uplot" / "dist" / name).read_bytes()
-    assert "</script" not in (HOME / "page.js").read_text().lower()
 
 
 def test_the_command(tmp_path, monkeypatch):

@@ -6,13 +6,13 @@ import functools
 import numpy as np
 import pytest
 
-from capsyn import Alphabet, Box, Policy, Switching, compress, problems, synthesize
+from capsyn import Alphabet, Box, Policy, compress, problems, synthesize
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.masks import singles
 from capsyn.errors import OutsideDomainError
 from capsyn.policies.in_force import reachable
 from support.explorer.node import BEGIN, node, texts
 from support.exports.policies import built_in, oblique
+from support.exports.remembering import pendulum, random_prices, random_rows
 from support.features import exact
 from support.trees import GRIDS, random_affine_policy, random_policy, random_tree, states_at_faces
 
@@ -60,36 +60,6 @@ def many_symbols():
     return Policy("many", box, Alphabet(np.arange(40.0)), [0.5], tree)
 
 
-@functools.cache
-def priced(**changes):
-    """Return a policy that remembers, of cells unless `changes` of the synthesis say so."""
-    price = Switching(price="3%", hold={"5": 0.02})
-    problem = problems.get("cart-pendulum").replace(switching=price)
-    return synthesize(problem, max_level=2, **changes)
-
-
-def of_rows(grid, some_axes=False, affine=False):
-    """Return a random policy of random rows of transitions, or prices of affine leaves."""
-    policy = random_policy(grid, True, 0, some_axes)
-    rng = np.random.default_rng(grid)
-    table = np.unique(rng.integers(0, 3, (7, 3)), axis=0).astype(np.int32)
-    table = np.concatenate([np.repeat(np.arange(3)[:, None], 3, 1), table[np.ptp(table, 1) > 0]])
-    if not affine:
-        cells = random_tree(*GRIDS[grid], leaf_count=len(table), seed=3, some_axes=some_axes)
-        seen = singles(table[cells.labels_at(cells.mixed_cells)], 3)
-        seen |= rng.integers(0, 8, seen.shape, dtype=np.uint64)
-        cells = dataclasses.replace(cells, mixed_labels=seen)
-        return dataclasses.replace(policy, cells=cells, transitions=table)
-    cells = random_affine_policy(grid, True, 0, some_axes).cells
-    prices = rng.integers(0, 40, len(cells.affine)).astype(np.int32)
-    ratios = np.array([[0, 2, -1], [1, 0, 3], [0, 0, 0]], dtype=np.int16)
-    leaves = dataclasses.replace(cells.affine, prices=prices, ratios=ratios)
-    seen = np.repeat(cells.mixed_labels, 3, axis=1)
-    return dataclasses.replace(
-        policy, cells=dataclasses.replace(cells, affine=leaves, mixed_labels=seen)
-    )
-
-
 POLICIES = {
     "cart-pendulum": lambda: built_in("cart-pendulum"),
     "cart-pole": lambda: built_in("cart-pole"),
@@ -110,12 +80,11 @@ POLICIES = {
     },
 }
 REMEMBERING = {
-    "priced": priced,
-    "priced affine": lambda: priced(leaves="affine"),
-    "priced exact": lambda: compress(priced(), "exact"),
-    "rows": functools.partial(of_rows, 3),
-    "rows adaptive": functools.partial(of_rows, 6, True),
-    "prices": functools.partial(of_rows, 3, affine=True),
+    "priced": pendulum,
+    "priced exact": lambda: compress(pendulum(), "exact"),
+    "rows": random_rows,
+    "rows adaptive": lambda: random_rows(6, True),
+    "prices": random_prices,
 }
 POLICIES |= REMEMBERING
 

@@ -3,6 +3,7 @@
 import dataclasses
 import warnings
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,12 +11,14 @@ from hypothesis import given, settings
 from capsyn import Alphabet, Ball, Box, Problem, SsacSettings, simulate, synthesize
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.explorer.program_javascript import model_javascript, program_javascript
+from capsyn.modelling.transcription import transcribe
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Program
 from capsyn.programs.texts import JAVASCRIPT
 from capsyn.simulation.plant import choose_substeps, plant_of
 from support.explorer.node import BEGIN, node, texts
 from support.exports.policies import built_in
+from support.exports.remembering import random_rows
 from support.random_programs import random_program
 from support.trees import random_policy
 
@@ -128,6 +131,7 @@ def compare(policy, trajectory, rtol=1e-9, **options):
 def assert_runs_agree(directory, policy, runs):
     """Run options in JavaScript's names, and compare each; return the trajectories of Python."""
     names = {"minDwell": "min_dwell", "stopAtTarget": "stop_at_target"}
+    names["outsideAtOnce"] = "outside_at_once"
     trajectories = node(directory, RUN, policy, runs=runs)
     return [
         compare(policy, trajectory, **{names.get(key, key): value for key, value in run.items()})
@@ -181,6 +185,55 @@ def test_cart_pole_and_its_running_cost_are_those_of_simulate(tmp_path):
     policy = dataclasses.replace(built_in("cart-pole"), outside="nearest", min_dwell=0.02)
     runs = [{"x0": x0, "duration": 2.0, "rate": 500.0} for x0 in policy.domain.sample(4).tolist()]
     assert_runs_agree(tmp_path, policy, runs)
+
+
+def restless(**changes):
+    """Return a policy of random rows with a model, which wants another symbol all the time."""
+    policy = random_rows()
+    width = policy.domain.widths
+    problem = Problem(
+        name="restless",
+        dynamics=lambda x, u: [(2 * u[0] - 1) * width[0], ca.cos(5 * x[0]) * u[1] * width[1]],
+        domain=policy.domain,
+        alphabet=policy.alphabet,
+        default=policy.default,
+        horizon=1.0,
+        running_cost=lambda x: ca.sumsqr(x),
+    )
+    return dataclasses.replace(policy, model=transcribe(problem), **changes)
+
+
+@pytest.mark.parametrize("changes", [{"outside": 0}, {"delay": 0.04, "outside": "nearest"}])
+def test_what_is_in_force_and_waits_is_that_of_simulate(changes, tmp_path):
+    policy = restless(**changes)
+    assert policy.remembers and policy.rules.input_holds.any()
+    x0s = policy.domain.sample(3, 1).tolist()
+    cases = [
+        {},
+        {"minDwell": 0.02},
+        {"minDwell": 0.0, "delay": 0.015},
+        {"outside": 0, "outsideAtOnce": True, "rate": 150.0},
+        {"delay": 0.0, "rate": 500.0, "outside": "nearest"},
+    ]
+    runs = [{"x0": x0, "duration": 5.0, "rate": 200.0} | more for x0 in x0s for more in cases]
+    done = assert_runs_agree(tmp_path, policy, runs)
+    assert sum(int(t.switches) for t in done) > 300 and any(t.outside for t in done)
+    held = node(tmp_path, RUN, policy, runs=runs[:1])[0]
+    assert_held(policy, held, done[0])
+
+
+def assert_held(policy, told, known):
+    """Compare how long symbols and inputs have been held with what a trajectory did."""
+    symbols, controls = known.symbols[: known.last], known.controls[: known.last]
+    kinds = policy.rules.kinds[symbols]
+    for values, held in ((kinds[:, None], told["held"]), (controls, told["heldInputs"])):
+        for column, times in zip(values.T, np.reshape(held, values.shape).T):
+            starts = np.flatnonzero(np.append(True, column[1:] != column[:-1]))
+            since = np.arange(len(column)) - np.maximum.accumulate(
+                np.isin(np.arange(len(column)), starts) * np.arange(len(column))
+            )
+            np.testing.assert_array_equal(times, since + 1)
+    assert told["changes"][-1] == known.switches
 
 
 def escaping():

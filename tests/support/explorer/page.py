@@ -154,13 +154,16 @@ class Shown:
             states[:, shown["axes"][1]] = y0 + where[:, 1] * (y1 - y0)
         return np.array(pixels), states
 
-    def assert_map(self, count=400):
-        """Check the map's colours at random pixels against the policy; outlines must be off."""
+    def assert_map(self, count=400, current=None):
+        """Check the map's colours at random pixels against the policy; outlines must be off.
+
+        They are of what follows `current`.
+        """
         assert not self.state["outlines"]
         shares = np.random.default_rng(3).uniform(0.001, 0.999, (count, 2))
         pixels, states = self.colors(shares)
         colors = np.array([hex_color(color) for color in self.state["colors"]])
-        painted = (pixels == colors[self.policy(states, "nearest")]).all(axis=1)
+        painted = (pixels == colors[self.policy(states, "nearest", current=current)]).all(axis=1)
         assert painted.mean() > 0.99  # a pixel's centre may round to the other side of a face
         return pixels, states
 

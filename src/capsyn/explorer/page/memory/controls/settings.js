@@ -5,14 +5,18 @@ import { rerun } from "../../state/trajectories.js";
 
 /**
  * Return the settings of the closed loop, see the other `makeSettings`. The delay is at first that
- * which the policy compensates; where symbols or inputs have least times of their own, a box tells
- * whether these hold instead of one for all.
+ * which the policy compensates. Outside the domain, no symbol can be chosen to which a transition is
+ * forbidden. Where symbols or inputs have least times of their own, a box tells whether these hold
+ * instead of one for all.
  */
 export function makeSettings(app) {
   const settings = makePlainSettings(app), { data } = app;
-  const { holds, input_holds: inputs } = data.memory;
+  const { holds, input_holds: inputs, forbidden } = data.memory;
   const delay = byId("set-delay"), dwell = byId("set-dwell");
   if (data.delay) delay.value = data.delay * (timeUnit(data) === "s" ? 1000 : 1);
+  for (const option of byId("set-outside").options) {
+    option.disabled = forbidden.some(row => row.at(Number(option.value)));
+  }
   const several = holds.some(time => time !== holds[0]) || inputs.some(time => time > 0);
   if (!several) return settings;
   const own = element("input", {
