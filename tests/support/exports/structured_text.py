@@ -18,7 +18,9 @@ import tree_sitter
 import tree_sitter_iec61131_3_st as grammar
 
 from capsyn.exports.golden import golden_vectors
+from capsyn.exports.sequence import golden_sequence
 from capsyn.exports.structured_text.target import TARGET as target
+from capsyn.modelling.time_unit import to_seconds
 from support.exports.siemens import to_iec
 
 PARSER = tree_sitter.Parser(tree_sitter.Language(grammar.language()))
@@ -443,7 +445,10 @@ def _check_name(name: str) -> None:
 
 
 class Program:
-    """The units of a source text; the last, and no other, is a function block."""
+    """The units of a source text; the last is a function block.
+
+    Before it there may be one more, of its name with ``_next``.
+    """
 
     def __init__(self, source: bytes) -> None:
         text = source.decode("ascii")
@@ -459,20 +464,22 @@ class Program:
             unit = Unit(self, node)
             self.units[unit.name] = unit
         self.block = unit
-        functions = [unit for unit in self.units.values() if unit.is_function]
-        refuse(len(functions) != len(self.units) - 1 or unit.is_function, "one block, at the end")
+        blocks = {k for k, unit in self.units.items() if not unit.is_function} - {
+            f"{unit.name}_next"
+        }
+        refuse(blocks != {unit.name}, "one block, at the end")
 
     def interface(self) -> list[tuple[str, str]]:
         """Return names and types of the inputs and the outputs of the block."""
         block = self.block
         return [(name, block.kinds[name]) for name in (*block.inputs, *block.outputs)]
 
-    def instance(self) -> Callable[..., Values]:
+    def instance(self, end: str = "") -> Callable[..., Values]:
         """Return a new instance of the block: called with inputs, it returns all its variables.
 
-        A TIME is given in milliseconds.
+        A TIME is given in milliseconds. Of another unit with an `end` to the block's name likewise.
         """
-        block = self.block
+        block = self.units[self.block.name + end]
         values = {k: list(v) if isinstance(v, list) else v for k, v in block.start.items()}
 
         def call(*inputs: float) -> Values:
@@ -530,13 +537,15 @@ def check(plan, golden=None, **options):
     real, reading = options.get("real", "LREAL"), options.get("readings", "real")
     inputs = plan.policy.alphabet.inputs
     kinds = [kind for _, kind in made.interface()]
-    timed = ["TIME"] * (plan.dwell > 0)
+    timed = ["TIME"] * plan.waits
     expected = [real if reading == "real" else reading] * plan.n + timed + ["INT", "INT"]
     assert kinds == expected + [real] * len(inputs)
     names = made.block.outputs[2:]
     controls = plan.policy.controls
     controls = controls.astype(np.float32 if real == "REAL" else float).tolist()
-    cycle = [10**9] * (plan.dwell > 0)
+    if plan.remembers:
+        return len(golden), next_symbols(made, plan, golden)
+    cycle = [10**9] * plan.waits
     call = made.instance()
     seen = set()
     for state, label, status in zip(golden.readings.tolist(), golden.labels, golden.statuses):
@@ -545,3 +554,38 @@ def check(plan, golden=None, **options):
         assert [float(found[name]) for name in names] == controls[label]
         seen.add(int(label))
     return len(golden), seen
+
+
+def next_symbols(made, plan, golden):
+    """Compare what follows symbols in force with golden vectors; return which symbols there are."""
+    call, unit = made.instance("_next"), made.units[made.block.name + "_next"]
+    in_force = np.full(len(golden), plan.default) if golden.in_force is None else golden.in_force
+    for now, reading, label, status in zip(
+        in_force.tolist(), golden.readings.tolist(), golden.labels, golden.statuses
+    ):
+        found = call(now, *reading)
+        if unit.is_function:
+            assert found[unit.name] == label, reading
+        else:
+            assert (found["symbol"], found["status"]) == (label, status), reading
+    for wrong in (-1, plan.labels, -(1 << 15), (1 << 15) - 1):  # the default control
+        assert call(wrong, *reading) == call(plan.default, *reading)
+    return set(golden.labels.tolist())
+
+
+def check_sequence(plan, **options):
+    """Compare symbols, statuses and controls with some golden sequences; return their labels."""
+    exported = target.files(plan, golden_vectors(plan), **options)
+    sequence = exported.sequence or golden_sequence(plan)
+    made = _compiled(_text_of(exported), options)
+    cycle = [1000 * to_seconds(sequence.period, plan.policy.time_unit)] * plan.waits
+    names, controls = made.block.outputs[2:], plan.policy.controls
+    controls = controls.astype(REALS[options.get("real", "LREAL")]).tolist()
+    runs = list(zip(sequence.readings, sequence.labels, sequence.statuses))[::3]
+    for readings, labels, statuses in runs:
+        call = made.instance()
+        for reading, label, status in zip(readings.tolist(), labels, statuses):
+            found = call(*reading, *cycle)
+            assert (found["symbol"], found["status"]) == (label, status)
+            assert [found[name] for name in names] == controls[label]
+    return np.stack([labels for _, labels, _ in runs])

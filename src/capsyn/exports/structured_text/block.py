@@ -23,6 +23,11 @@ FIXED = ("symbol", "status", "cycle")
 LOCAL = (
     "z wanted started rest node value axis i first last middle splits thresholds seconds planes"
 ).split()
+REMEMBERED = (
+    "in_force now row remaining off mixed place own asked other same levels transitions prices "
+    "ratios ratio"
+).split()
+"""Those of blocks that remember, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +70,12 @@ class Block:
         n, steps = plan.n, [f"z{i}" for i in range(plan.n)]
         kept = {*KEYWORDS, *FIXED, *LOCAL, *steps, *(f"faces{i}" for i in range(n))}
         kept |= {*cells_text.LOCAL, *cells_text.TABLES} if isinstance(tree, CellTree) else set()
+        parts = ["wrap", "step", "tree"]
+        if plan.remembers:
+            kept |= {*REMEMBERED, *(f"rest{i}" for i in range(plan.policy.alphabet.m))}
+            parts += ["row", "next"]
         (block,) = identifiers([wanted[:LONGEST_NAME]], kept, fold=True)
-        calls = {part: f"{block}_{part}" for part in ("wrap", "step", "tree")}
+        calls = {part: f"{block}_{part}" for part in parts}
         kept |= {block, *calls.values()}
         if isinstance(tree, SplitTree):
             kept |= {f"{calls['tree']}{k}" for k in range(1, tree.node_count)}

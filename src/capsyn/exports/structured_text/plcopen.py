@@ -27,7 +27,7 @@ def project(name: str, header: Iterable[str], units: Iterable[Pou]) -> bytes:
     SubElement(types, "dataTypes")
     pous = SubElement(types, "pous")
     for unit in units:
-        about = [*([] if unit.result else header), *unit.about]
+        about = [*(header if unit.name == name else []), *unit.about]
         _unit(SubElement(pous, "pou", name=unit.name), unit, about)
     SubElement(SubElement(root, "instances"), "configurations")
     file = io.BytesIO()

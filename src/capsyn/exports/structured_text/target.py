@@ -9,7 +9,7 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.errors import ProblemError
-from capsyn.exports.c.readings.counts import golden_counts
+from capsyn.exports.c.readings.counts import golden_counts, limit_of
 from capsyn.exports.c.readings.single import (
     SAMPLES,
     check_single_precision,
@@ -18,13 +18,15 @@ from capsyn.exports.c.readings.single import (
 )
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Files, Plan
+from capsyn.exports.sequence import Sequence, golden_sequence, run
 from capsyn.exports.structured_text.block import Block
 from capsyn.exports.structured_text.functions import functions
 from capsyn.exports.structured_text.lines import comment
+from capsyn.exports.structured_text.memory import row_function
 from capsyn.exports.structured_text.plcopen import project
 from capsyn.exports.structured_text.pou import text
 from capsyn.exports.structured_text.siemens import scl
-from capsyn.exports.structured_text.source import block_unit, notes
+from capsyn.exports.structured_text.source import block_unit, next_units, notes
 from capsyn.exports.structured_text.steps import tables
 from capsyn.exports.target import Exported, Target
 from capsyn.validation import one_of
@@ -90,8 +92,40 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     elif block.axes:
         vectors = golden_counts(plan, block.axes, options.readings)
     files = _files(block, options, _header(block, options, changed))
-    chosen = {"style": style}
-    return Exported(files, block.renamed, notes(block), changed, vectors, plan=plan, chosen=chosen)
+    return Exported(
+        files,
+        block.renamed,
+        notes(block),
+        changed,
+        vectors,
+        plan=plan,
+        chosen={"style": style},
+        sequence=_sequence(block, single) if plan.remembers else None,
+    )
+
+
+def _sequence(block: Block, single: bool) -> Sequence | None:
+    """Return golden sequences of readings as the block has them; None: those of the plan."""
+    if not (single or block.axes):
+        return None
+    plan = block.plan
+    found = golden_sequence(plan)
+    if block.axes:
+        limit = limit_of(block.reading)
+        readings = np.clip(np.rint(np.nan_to_num(found.readings)), -limit, limit - 1)
+        in_turn = readings.copy()
+        for i, axis in enumerate(block.axes):
+            if axis.turn:  # exactly, where the state would be rounded
+                turned = -1 - readings[..., i] if axis.falling else readings[..., i]
+                turned = axis.inside[0] + (turned - axis.inside[0]) % axis.turn
+                in_turn[..., i] = -1 - turned if axis.falling else turned
+        expected = run(plan, in_turn, found.period)
+    else:
+        golden = decide_single(plan, found.readings.reshape(-1, plan.n))
+        readings = golden.readings.reshape(found.readings.shape)
+        unfolded = dataclasses.replace(plan, scale=np.ones(plan.n), offset=np.zeros(plan.n))
+        expected = run(unfolded, golden.states.reshape(readings.shape), found.period)
+    return dataclasses.replace(expected, readings=readings)
 
 
 def _check(plan: Plan, options: Options, single: bool) -> None:
@@ -112,8 +146,9 @@ def _check(plan: Plan, options: Options, single: bool) -> None:
             )
     if single:
         check_single_precision(plan, plan.cells, "`real` REAL", "LREAL")
-    if plan.labels > 1 << 15:
-        raise ProblemError(f"target structured-text has INT symbols; the policy has {plan.labels}")
+    if (rows := len(plan.transitions)) > 1 << 15:
+        what = "rows of transitions" if rows > plan.labels else "symbols"
+        raise ProblemError(f"target structured-text has INT {what}; the policy has {rows}")
 
 
 def _check_tables(block: Block) -> None:
@@ -155,11 +190,12 @@ def _header(block: Block, options: Options, changed: float | None) -> list[str]:
 
 def _files(block: Block, options: Options, header: list[str]) -> Files:
     siemens = options.dialect == "siemens"
-    units = [*functions(block), block_unit(block, siemens)]
+    units = [*functions(block), *row_function(block), *next_units(block)]
+    units.append(block_unit(block, siemens))
     names = [unit.name for unit in units]
     lines: list[str] = [] if siemens else list(comment(header))
     for unit in units:
-        own = [] if unit.result else header
+        own = header if unit.name == block.name else []
         lines += ["", *(scl(unit, names, block.real, own) if siemens else text(unit))]
     source = ("\n".join(lines).lstrip() + "\n").encode("ascii")
     if siemens:
@@ -167,4 +203,4 @@ def _files(block: Block, options: Options, header: list[str]) -> Files:
     return {f"{block.name}.st": source, f"{block.name}.xml": project(block.name, header, units)}
 
 
-TARGET = Target(export, Options)
+TARGET = Target(export, Options, remembers=True)
