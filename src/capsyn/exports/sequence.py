@@ -81,13 +81,18 @@ def step_period(plan: Plan) -> float:
     return min(times) / IN_A_HOLD
 
 
+def holds_of(plan: Plan, period: float) -> Holds:
+    """Return what changes of labels wait for, in steps of a period [time unit]."""
+    return Holds.of(plan.policy.rules, period)
+
+
 def run(plan: Plan, readings: np.ndarray, period: float) -> Sequence:
     """Return what an export must give for runs of readings (S, K, n), a period apart.
 
     The rule is that of capsyn's closed loop. During the hold-off the safe symbol is in force, which
     counts as entered at the start.
     """
-    holds = Holds.of(plan.policy.rules, period)
+    holds = holds_of(plan, period)
     runs, steps, _ = readings.shape
     off = math.ceil(plan.hold_off / period - SLACK)
     wanted, labels, statuses = np.empty((3, runs, steps), dtype=np.int64)
