@@ -16,11 +16,13 @@ from support.exports.c_machines import (
 )
 from support.exports.c_plans import (
     FINE,
+    REMEMBERING,
     files,
     made_of_counts,
     plan_of,
     plan_of_nodes,
     random_plan,
+    remembering,
 )
 from support.features import exact
 from support.trees import random_affine_policy, random_policy
@@ -67,6 +69,13 @@ def test_misra(tmp_path, mode, style, arithmetic, dwell):
 @pytest.mark.parametrize("style", ["table", "nested", "grid"])
 def test_misra_of_features(tmp_path, style):
     assert_misra(files(Plan.of(exact()), None, style=style), tmp_path)
+
+
+@pytest.mark.parametrize("kind", REMEMBERING)
+def test_misra_of_what_remembers(tmp_path, kind):
+    plan = Plan.of(remembering(2, **REMEMBERING[kind]), safe=1, hold_off=1.0 * (kind == "holds"))
+    style = "cells" if kind == "forbidden" else "table"
+    assert_misra(files(plan, None, style=style, tick=0.01), tmp_path)
 
 
 def test_misra_of_mirrors_and_references(tmp_path, monkeypatch):

@@ -288,7 +288,7 @@ def test_references(tmp_path, monkeypatch, case):
     assert len(places) and (places < skips).any() == (case == "above a skip")
     assert (1 + form.label + form.reference > form.node + form.skip) == (skips == 0)
     written = c_stream.Stream((), diagram, form, c_stream.encode(diagram, form))
-    monkeypatch.setattr(c_table, "stream", lambda tree: written)
+    monkeypatch.setattr(c_table, "stream", lambda *_: written)
     steps = np.stack(np.indices(tree.counts), axis=-1).reshape(-1, 3)
     library = Library(files(plan, None), tmp_path, 3, "gcc", UNDEFINED)
     assert np.array_equal(library.look(steps), tree.labels(steps))

@@ -220,6 +220,7 @@ class Library:
         write(files, directory, **{"entry.c": text.format(**names)})
         flags = ["-std=c99", *options, *WARNINGS, "-shared", "-fPIC"]
         call([compiler, *flags, f"{p}.c", "entry.c", "-o", "library.so"], directory)
+        self.quantises = f"{p}_symbol(" in header
         self.library = ctypes.CDLL(str(directory / "library.so"))
         self._check_controls()
 

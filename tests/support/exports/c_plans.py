@@ -191,8 +191,9 @@ def made_of_counts(plan):
 
 def of_vectors(golden, rows):
     """Return some rows of golden vectors."""
-    names = [field.name for field in dataclasses.fields(golden)]
-    return dataclasses.replace(golden, **{name: getattr(golden, name)[rows] for name in names})
+    columns = {field.name: getattr(golden, field.name) for field in dataclasses.fields(golden)}
+    known = {name: column[rows] for name, column in columns.items() if column is not None}
+    return dataclasses.replace(golden, **known)
 
 
 def remembering(grid=3, seed=0, hold=0.0, forbidden=(), symbols=4, own_rows=9):
@@ -216,7 +217,7 @@ def remembering(grid=3, seed=0, hold=0.0, forbidden=(), symbols=4, own_rows=9):
     rows |= {row for row in map(tuple, keeps) if allowed[np.arange(symbols + 1), row].all()}
     rows = sorted(row for row in rows if len(set(row)) > 1)
     constant = np.repeat(np.arange(symbols + 1)[:, None], symbols + 1, 1)
-    table = np.vstack([constant, np.array(rows)])
+    table = np.vstack([constant, *(np.array([row]) for row in rows)])
     free = np.flatnonzero(allowed[np.arange(symbols + 1), table].all(axis=1))
     free = rng.permutation(free)[:60]
     tree = random_tree(*GRIDS[grid], leaf_count=len(free), seed=seed)
@@ -232,3 +233,15 @@ def remembering(grid=3, seed=0, hold=0.0, forbidden=(), symbols=4, own_rows=9):
         transitions=table,
         switching=switching,
     )
+
+
+FORBIDDEN = (("off", "both"), ("both", "off"), ("valve on", "fan on"))
+REMEMBERING = {
+    "rows": {},
+    "holds": {"hold": (0.2, 0.5, 0.1, 0.2)},
+    "inputs": {"hold": {"fan": 0.4, "valve": 1.0, "valve on": 0.7, "default": 0.5}},
+    "forbidden": {"hold": {"valve": 0.6}, "forbidden": FORBIDDEN},
+    "ways": {"forbidden": FORBIDDEN},
+    "many": {"symbols": 300, "hold": {"7": 0.3}},
+}
+"""Options of `remembering`."""
