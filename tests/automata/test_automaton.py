@@ -19,7 +19,7 @@ from capsyn import Alphabet, Box, problems, synthesize
 from capsyn.automata.automaton import Automaton, Edge
 from capsyn.errors import ProblemError
 from capsyn.plots.automaton import plot_automaton, save_automaton, vertex_colors
-from support.relays import below, relay
+from support.relays import below, hysteresis, relay
 from support.trees import GRIDS, random_policy, states_at_faces
 
 PLANE = Box([-2.0, -2.0], [2.0, 2.0])
@@ -69,6 +69,111 @@ def test_the_machines_of_the_paper_have_a_vertex_per_symbol_and_all_edges(name, 
     assert sum(r.share for r in machine.regions) == pytest.approx(1)
     assert [machine.region_name(k) for k in machine.vertices] == [f"A{k + 1}" for k in range(count)]
     assert np.array_equal(machine.controls, policy.alphabet.values)
+
+
+def house():
+    """Return a policy that goes from heating to cooling and back by way of off only."""
+    alphabet = Alphabet([0.0, 1.0, -1.0], names=["off", "heat", "cool"])
+
+    def label(x):
+        cold, warm = x[:, 0] < -1.0, x[:, 0] > 1.0
+        off = np.where(cold, 1, np.where(warm, 2, 0))
+        return np.stack([off, np.where(warm, 0, 1), np.where(cold, 0, 2), off], axis=1)
+
+    policy = relay(lambda x, u: [u[0], -x[1]], PLANE, label, alphabet, partitions=8, in_force=True)
+    forbidden = [("heat", "cool"), ("cool", "heat")]
+    return dataclasses.replace(policy, switching=capsyn.Switching(forbidden=forbidden))
+
+
+@pytest.fixture(scope="module")
+def priced():
+    problem = problems.get("cart-pendulum-4").replace(switching=capsyn.Switching(price="3%"))
+    return synthesize(problem, max_level=3)
+
+
+def test_the_switches_of_a_policy_that_remembers_are_edges_with_regions_of_their_own(priced):
+    for policy in (house(), priced):
+        machine = Automaton.of(policy)
+        states = policy.domain.sample(2000)
+        found = set()
+        for source in machine.vertices:
+            symbols = policy(states, current=source)
+            found |= {(source, target) for target in set(symbols.tolist())}
+            hits = np.zeros(len(states), dtype=int)
+            for target in set(symbols.tolist()):
+                lower, upper = machine.bounds(target, source)
+                x = states[:, None]
+                inside = ((lower <= x) & (x < upper)).all(axis=2).sum(axis=1)
+                assert (inside == (symbols == target)).all()
+                hits += inside
+                region = machine.region(target, source)
+                assert machine.regions[machine.edge(source, target).region] is region
+                share = (symbols == target).mean()
+                assert region.share == pytest.approx(share, abs=0.05)
+            assert (hits == 1).all()
+        assert found == {(edge.source, edge.target) for edge in machine.edges}
+
+
+def test_forbidden_transitions_are_no_edges():
+    machine = Automaton.of(house())
+    assert machine.vertices == (0, 1, 2)
+    pairs = {(edge.source, edge.target) for edge in machine.edges}
+    assert pairs == {(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (2, 0), (2, 2)}
+    with pytest.raises(ProblemError, match="`target` must be a symbol that follows 1"):
+        machine.edge(1, 2)
+    # heat warms up to 1, there it becomes off and at once cool: the start in the cold is heat
+    assert all(edge.possible for edge in machine.edges)
+    assert machine.edge(0, 2).rate == machine.edge(1, 0).rate > 0
+    assert machine.region_name(1, 0) == "A12" and machine.region_name(0) == "A11"
+    data = json.loads(json.dumps(machine.to_json()))
+    assert data["remembers"] and data["vertices"][1]["volume_share"] == pytest.approx(0.75)
+    assert {"region": "A31", "volume_share": 0.25}.items() <= data["edges"][5].items()
+    assert "A12 is where heat follows off" in machine.to_dot()
+    assert "1 -> 2" not in machine.to_dot()
+    ax = drawn(machine)
+    assert "A31" in {text.get_text() for text in ax.texts}
+    legend = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert "A12 is where heat follows off" in legend
+
+
+@pytest.mark.parametrize("name", ["house", "priced"])
+def test_the_switches_of_a_fast_loop_are_not_called_impossible(name, request):
+    policy = house() if name == "house" else request.getfixturevalue(name)
+    machine = Automaton.of(policy)
+    starts = policy.domain.sample(200, 1)
+    run = capsyn.simulate(policy, starts, 5.0, 200.0, outside="nearest")
+    before, after = run.symbols[:, :-1].ravel(), run.symbols[:, 1:].ravel()
+    known = (before >= 0) & (after >= 0)
+    taken = set(zip(before[known].tolist(), after[known].tolist()))
+    assert len(taken) > 4
+    for source, target in taken:
+        assert machine.edge(source, target).possible is not False
+
+
+def test_a_symbol_that_never_stays_is_a_vertex_without_a_region():
+    def label(x):  # 0 and 1 in turn
+        return np.stack([1 + 0 * x[:, 0], 0 * x[:, 0], 0 * x[:, 0]], axis=1).astype(int)
+
+    policy = relay(lambda x, u: [u[0]], Box([-1.0], [1.0]), label, in_force=True)
+    machine = Automaton.of(policy)
+    assert {(e.source, e.target, e.possible, e.sliding) for e in machine.edges} == {
+        (0, 1, True, True),
+        (1, 0, True, True),
+    }
+    assert len(machine.region(0)) == 0 and machine.region(0).share == 0.0
+    assert machine.to_json()["vertices"][0]["partitions"] == 0
+
+
+def test_the_safe_symbol_outside_may_be_in_force():
+    def label(x):
+        return hysteresis(x)[:, [0, 1, 2, 2]]
+
+    line = Box([-1.0], [1.0])
+    policy = relay(lambda x, u: [u[0]], line, label, [1.0, -1.0, 0.5], partitions=6, in_force=True)
+    assert Automaton.of(policy).vertices == (0, 1)
+    machine = Automaton.of(dataclasses.replace(policy, outside=2))
+    assert machine.vertices == (0, 1, 2)
+    assert [machine.edge(2, target).possible for target in (0, 1)] == [None, None]
 
 
 @pytest.mark.parametrize("turning", [False, True])

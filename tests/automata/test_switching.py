@@ -19,7 +19,7 @@ from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.errors import ProblemError
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.policy import DecisionTree
-from support.relays import below, relay
+from support.relays import below, hysteresis, relay
 
 LINE = Box([-1.0], [1.0])
 PLANE = Box([-2.0, -2.0], [2.0, 2.0])
@@ -45,6 +45,33 @@ def test_a_relay_that_pushes_away_never_switches():
     assert found.shares[0, REPELLING] == 1
     assert (found.switches == IMPOSSIBLE).all() and (found.slidings == IMPOSSIBLE).all()
     assert found.exit_rates == pytest.approx([0.5, 0.5, 0])
+
+
+@pytest.mark.parametrize("speed", [1.0, -1.0])
+def test_a_relay_with_hysteresis_goes_to_and_fro_and_does_not_slide(speed):
+    rule = {"partitions": 6, "in_force": True}
+    found = switching(relay(lambda x, u: [speed * u[0]], LINE, hysteresis, **rule))
+    assert found.labels.tolist() == [[0, 1], [0, 1]]  # at -1/3 downwards, at 1/3 upwards
+    assert found.sliding_share == 0 and not found.slidings.any()
+    onward = np.array([[0, 1], [1, 0]])
+    if speed > 0:  # in the band either symbol is as likely
+        assert np.array_equal(found.switches[:2, :2], POSSIBLE * onward)
+        assert found.switch_rates[:2, :2] == pytest.approx(onward / 4)
+        assert found.shares.tolist() == [[0, 1, 0, 0], [1, 0, 0, 0]]
+        assert found.exit_rates.tolist() == [0, 0, 0]
+    else:
+        assert not found.switches.any() and found.rate == 0
+        assert found.exit_rates == pytest.approx([0.5, 0.5, 0])
+
+
+def test_a_relay_without_a_band_slides_though_it_may_remember():
+    def label(x):  # but for the start it is the same whatever is in force
+        return np.stack([below()(x), below()(x), 1 - below()(x)], axis=1)
+
+    found = switching(relay(lambda x, u: [u[0]], LINE, label, in_force=True))
+    plain = switching(relay(lambda x, u: [u[0]], LINE, below()))
+    for name in ("slidings", "sliding_rates", "areas_between", "exit_rates"):
+        assert np.array_equal(getattr(found, name), getattr(plain, name)), name
 
 
 def test_a_double_integrator_slides_where_its_speed_is_0():

@@ -21,14 +21,17 @@ def relay(
     default: float = 0.0,
     partitions: Any = 4,
     max_level: int = 0,
+    in_force: bool = False,
 ) -> Policy:
-    """Return a policy with a model; `label` gives symbols of states (B, n), -1 the default."""
+    """Return a policy with a model; `label` gives symbols of states (B, n), -1 the default.
+
+    They are symbols (B, N + 1) of each symbol `in_force`, if so.
+    """
     problem = Problem(
         "relay", dynamics, box, alphabet, default, 1.0, running_cost=lambda x: ca.sumsqr(x)
     )
-    policy = subdivide(
-        label, box, problem.alphabet, partitions=partitions, max_level=max_level, name="relay"
-    )
+    grid = {"partitions": partitions, "max_level": max_level}
+    policy = subdivide(label, box, problem.alphabet, **grid, in_force=in_force, name="relay")
     return dataclasses.replace(policy, default=np.array([default]), model=transcribe(problem))
 
 
@@ -39,3 +42,9 @@ def below(axis: int = 0, at: float = 0.0) -> Callable[[np.ndarray], np.ndarray]:
     their test points, all but the vertices in the plane, have it.
     """
     return lambda x: (x[:, axis] > at).astype(int)
+
+
+def hysteresis(x: np.ndarray) -> np.ndarray:
+    """Return what follows symbols 0 and 1 and the start: 0 stays up to x1 = 1/3, 1 down to -1/3."""
+    up, down, start = (x[:, 0] > at for at in (1 / 3, -1 / 3, 0.0))
+    return np.stack([up, down, start], axis=1).astype(int)
