@@ -48,9 +48,9 @@ exports.c: language styles.mirrors styles.diagram styles.stream styles.table sty
     styles.grid styles.cells readings.single readings.lines readings.counts features memory code
     readings.places readings.quantiser notes dwell timers header source packages sizes
     timing.programs timing.emulators timing.states timing.slowest target
-exports.structured_text: words lines pou cells block cuts functions steps memory hold source siemens
-    plcopen target
-exports.verilog: words ports module tree bench source target
+exports.structured_text: words lines pou cells block cuts functions steps memory hold source
+    siemens plcopen target
+exports.verilog: words ports module tree memory bench source target
 exports.javascript: target
 exports.policy_json: target
 exports.fmu: times description build target

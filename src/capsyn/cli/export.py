@@ -35,6 +35,9 @@ class ExportOptions:
     dwell: float | None = option(
         "Least time between switches [time unit of the policy] [default: the policy's]."
     )
+    hold_off: float | None = option(
+        "Time after the start for which the safe symbol is in force [time unit] [0]."
+    )
     outside_at_once: OutsideAtOnce = None
     scale: str | None = option(
         "A state is reading * scale + offset, for all or each [1].", metavar="S[,S..]"
@@ -99,6 +102,7 @@ def _plan_options(options: ExportOptions) -> dict[str, Any]:
     values = {
         "safe": options.safe,
         "dwell": options.dwell,
+        "hold_off": options.hold_off,
         "outside_at_once": options.outside_at_once,
         "scale": None if options.scale is None else one_or_list("--scale", options.scale),
         "offset": None if options.offset is None else one_or_list("--offset", options.offset),
@@ -121,19 +125,22 @@ def _value(text: str) -> Any:
 
 def _costs(figures: dict[str, Any]) -> str:
     """Return what a decision costs, in a line."""
+    table, more = figures.get("transitions"), ""
+    if table:
+        more = f"; {table['rows']:,} rows of transitions of {table['bytes']:,} bytes"
     if "cells" in figures:
         rows, levels = figures["rows_evaluated"], figures["levels"]
         return (
             f"{figures['cells']:,} cells with {figures['rows']:,} rows; {levels['most']} levels "
             f"and {rows['most']} rows at most, {levels['mean']:.1f} and {rows['mean']:.1f} on "
             f"average; "
-            f"cells of {figures['cells_bytes']:,} bytes"
+            f"cells of {figures['cells_bytes']:,} bytes{more}"
         )
     compared = figures["comparisons"]
     mean = "" if compared["mean"] is None else f", {compared['mean']:.1f} on average"
     return (
         f"{figures['nodes']:,} nodes, {compared['most']} comparisons at most{mean}; tree of "
-        f"{figures['tree_bytes']:,} bytes"
+        f"{figures['tree_bytes']:,} bytes{more}"
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.packing import packed_bytes
+from capsyn.cells.packing import packed_bytes, smallest_type
 from capsyn.cells.work import work_of
 from capsyn.compression.complexity import deepest_steps, mean_depth
 from capsyn.exports.plan import Plan
@@ -27,11 +27,16 @@ def certificate(
     the tree has any, and ``written`` where the target writes it in another form, see `Exported`. Of
     cells there are ``levels`` that are passed and ``rows_evaluated``, most and mean over the
     volume, ``cells_bytes`` as those of a tree, and ``worst``, lattice steps of a leaf with the most
-    rows, of these the deepest. ``changed_by_rounding`` is the share of random states whose symbol
-    is another as the target rounds them; None where it rounds to the policy's own lattice, which
-    changes none.
+    rows, of these the deepest. Where the next symbol depends on that in force, ``transitions`` has
+    the rows of that table and its bytes, likewise. ``changed_by_rounding`` is the share of random
+    states whose symbol is another as the target rounds them; None where it rounds to the policy's
+    own lattice, which changes none.
     """
     costs = _of_cells(plan.cells) if isinstance(plan.cells, CellTree) else _of_tree(plan.tree)
+    if plan.policy.remembers:
+        table = plan.transitions
+        size = table.size * smallest_type(table).itemsize
+        costs["transitions"] = {"rows": len(table), "bytes": size}
     return {
         "header": list(plan.header),
         "target": target,

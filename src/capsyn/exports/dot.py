@@ -1,4 +1,8 @@
-"""Target ``dot``: the automaton of the policy, for Graphviz."""
+"""Target ``dot``: the automaton of the policy, for Graphviz.
+
+Of a policy that remembers, an edge is a switch that is made somewhere; what changes wait for stands
+in the lines at the top.
+"""
 
 from __future__ import annotations
 
@@ -22,4 +26,4 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     return Exported({file: (header + Automaton.of(plan.policy).to_dot()).encode()})
 
 
-TARGET = Target(export, planes=False, cells=False)
+TARGET = Target(export, planes=False, cells=False, remembers=True)

@@ -16,7 +16,7 @@ from capsyn.errors import ProblemError
 from capsyn.exports.certificate import certificate
 from capsyn.exports.feature_texts import features_of
 from capsyn.exports.golden import Golden, golden_vectors
-from capsyn.exports.plan import MOST_NODES, Files, Plan, tree_within
+from capsyn.exports.plan import MOST_NODES, Files, Plan, remembers, tree_within
 from capsyn.exports.sequence import golden_sequence
 from capsyn.exports.target import Target
 from capsyn.policies.policy import Policy
@@ -55,7 +55,7 @@ def all_targets(policy: Policy) -> tuple[str, ...]:
         small = tree_within(policy, MOST_NODES) is not None
         targets = {k: target for k, target in targets.items() if target.planes}
         targets = {k: target for k, target in targets.items() if small or target.cells}
-    if policy.remembers:
+    if remembers(policy):
         targets = {k: target for k, target in targets.items() if target.remembers}
     if features_of(policy.cells):
         targets = {k: target for k, target in targets.items() if target.features}
@@ -157,7 +157,8 @@ def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) ->
     if plan.remembers and not target.remembers:
         able = ", ".join(x for x in TARGETS if _load(x).remembers)
         raise ProblemError(
-            f"target {name} takes no policy that remembers the symbol in force; these do: {able}"
+            f"target {name} keeps one least time between decisions, and nothing else; "
+            f"these keep the symbol in force and all times: {able}"
         )
     if features_of(plan.policy.cells) and not target.features:
         able = ", ".join(x for x in TARGETS if _load(x).features)

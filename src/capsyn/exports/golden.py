@@ -146,7 +146,7 @@ def decide(plan: Plan, readings: np.ndarray, in_force: np.ndarray | None = None)
     known = finite if plan.nearest else inside
     labels = cells.labels(steps, in_force)
     if in_force is not None:
-        labels = plan.transitions[labels, in_force]
+        labels = plan.policy.transitions[labels, in_force]
     labels = np.where(known, labels, plan.safe)
     inside &= labels != plan.gap
     labels = np.where(labels == plan.gap, plan.safe, labels)

@@ -14,14 +14,14 @@ from capsyn.cells.feature_tree import FeatureTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.compression.compress import affine_tree_of, tree_of
 from capsyn.errors import ProblemError
+from capsyn.exports.crossings import reading_factors
 from capsyn.modelling.alphabet import Alphabet, check_outside
-from capsyn.modelling.domain import Box
 from capsyn.modelling.switching import DEFAULT
 from capsyn.modelling.time_unit import to_seconds
 from capsyn.policies.file import content_hash
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.policy import DecisionTree, Policy
-from capsyn.validation import describe, finite_array, finite_number, numbers, true_or_false
+from capsyn.validation import describe, finite_number, true_or_false
 from capsyn.version import __version__
 
 _tree_of = functools.lru_cache(maxsize=1)(tree_of)  # kept for the next target
@@ -98,16 +98,9 @@ class Plan:
         labels = len(policy.alphabet)
         own = policy.outside if isinstance(policy.outside, int) else -1
         chosen = own if safe is None else _symbol(safe, policy.alphabet)
-        n = policy.domain.n
-        factors = [
-            np.full(n, default) if value is None else _per_state(name, value, n)
-            for name, value, default in (("scale", scale, 1.0), ("offset", offset, 0.0))
-        ]
-        if (factors[0] == 0).any():
-            raise ProblemError(f"`scale` must not be 0; got {describe(scale)}")
         at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
         true_or_false("outside_at_once", at_once)
-        _check_readings(policy.domain, policy.cells.counts, *factors)
+        factors = reading_factors(policy.domain, policy.cells.counts, scale, offset)
         given = policy
         if dwell is not None and finite_number("dwell", dwell, least=0.0) >= 0:
             policy = _held(policy, float(dwell))
@@ -128,8 +121,7 @@ class Plan:
             policy.outside == "nearest",
             policy.min_dwell,
             at_once,
-            factors[0],
-            factors[1],
+            *factors,
             _is_affine(policy),
             hold_off,
             given,
@@ -183,14 +175,12 @@ class Plan:
         That is the symbol in force, where the next depends on it, and the times of symbols and
         inputs.
         """
-        rules = self.policy.rules
-        several = len(set(rules.holds.tolist())) > 1 or rules.input_holds.any()
-        return bool(self.policy.remembers or several or self.hold_off)
+        return bool(remembers(self.policy) or self.hold_off)
 
     @property
     def transitions(self) -> np.ndarray:
-        """The label that follows each label in force, (R, N + 1), of the rows of leaves."""
-        return self.policy.transitions
+        """The label that follows each in force, (R, N + 1), of the rows of leaves written."""
+        return (self.policy if self.as_cells else self.tree).transitions
 
     @property
     def waits(self) -> bool:
@@ -327,7 +317,7 @@ class Plan:
                 "The next symbol depends on the symbol in force, which stays where it ties"
             )
         if switching is not None and switching.price:
-            lines.append(f"Price of a switch: {switching.price!r} [cost / {unit}]")
+            lines.append(f"Price of a switch: {_price(switching.price)} [cost / {unit}]")
         if switching is not None and switching.forbidden:
             pairs = ", ".join(f"{before} to {after}" for before, after in switching.forbidden)
             lines.append(f"Forbidden: {pairs}")
@@ -342,6 +332,13 @@ class Plan:
         return lines
 
 
+def remembers(policy: Policy) -> bool:
+    """Return whether a policy has more to remember than one least time for all symbols."""
+    rules = policy.rules
+    several = len(set(rules.holds.tolist())) > 1 or rules.input_holds.any()
+    return bool(policy.remembers or several)
+
+
 def tree_within(policy: Policy, most: int) -> DecisionTree | None:
     """Return the tree of a policy; None where that of affine leaves has more nodes than `most`."""
     return _affine_tree_of(policy, most) if _is_affine(policy) else _tree_of(policy)
@@ -353,6 +350,16 @@ def _held(policy: Policy, dwell: float) -> Policy:
     if switching is not None:
         switching = dataclasses.replace(switching, hold=0.0)
     return dataclasses.replace(policy, min_dwell=dwell, switching=switching)
+
+
+def _price(price: float | dict[str, float] | tuple[tuple[float, ...], ...]) -> str:
+    """Return a price in words: one, for each unit of change of inputs, or from least to most."""
+    if isinstance(price, dict):
+        return ", ".join(f"{value!r} a unit of {name}" for name, value in price.items())
+    if isinstance(price, tuple):
+        others = [p for j, row in enumerate(price) for i, p in enumerate(row) if i != j]
+        return f"{min(others)!r} to {max(others)!r}"
+    return repr(price)
 
 
 def _is_affine(policy: Policy) -> bool:
@@ -375,24 +382,6 @@ def with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _check_readings(
-    domain: Box, counts: tuple[int, ...], scale: np.ndarray, offset: np.ndarray
-) -> None:
-    """Raise where the steps of an axis fall together in the readings, or in ``+ offset``."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        ends = np.stack([(domain.lower - offset) / scale, (domain.upper - offset) / scale])
-        at = np.maximum(np.maximum(abs(domain.lower), abs(domain.upper)), abs(offset))
-        step = np.abs(ends[1] - ends[0]) / counts
-        lost = ~(step >= 2 * np.spacing(np.abs(ends).max(axis=0)))
-        lost |= ~(domain.widths / counts >= 2 * np.spacing(at)) | ~np.isfinite(ends).all(axis=0)
-    if ((scale != 1) | (offset != 0))[lost].any():
-        i = int(np.flatnonzero(lost)[0])
-        raise ProblemError(
-            f"`scale` and `offset` must keep the {counts[i]:,} lattice steps of axis "
-            f"'{domain.names[i]}' apart in double precision; got {scale[i]:g} and {offset[i]:g}"
-        )
-
-
 def _symbol(safe: object, alphabet: Alphabet) -> int:
     """Return the index of a safe symbol, -1 for the default control."""
     if safe in ("default", len(alphabet), str(len(alphabet))) and safe not in alphabet.names:
@@ -408,10 +397,3 @@ def _symbol(safe: object, alphabet: Alphabet) -> int:
             f"{len(alphabet) - 1}; got {describe(safe)}"
         )
     return chosen
-
-
-def _per_state(name: str, value: object, n: int) -> np.ndarray:
-    values = finite_array(name, value, 1 if numbers(name, value).ndim else 0).reshape(-1)
-    if len(values) not in (1, n):
-        raise ProblemError(f"`{name}` must be one number or {n}; got {describe(value)}")
-    return np.array(np.broadcast_to(values, n))

@@ -78,7 +78,7 @@ def step_period(plan: Plan) -> float:
     if not times:
         settings = plan.policy.settings
         return 1.0 if settings is None else settings.sample_time
-    return min(times) / IN_A_HOLD
+    return float(min(times)) / IN_A_HOLD
 
 
 def holds_of(plan: Plan, period: float) -> Holds:

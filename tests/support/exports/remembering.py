@@ -13,17 +13,19 @@ from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.exports.sequence import golden_sequence
 from support.exports.policies import MICROPYTHON, by_node, made_by, module, read
+from support.features import exact
 from support.trees import GRIDS, random_affine_tree, random_policy, random_tree
 
 
 def random_transitions(labels, rows, forbidden, seed=0):
     """Return a table of so many rows beyond the constant ones, without forbidden transitions."""
     rng = np.random.default_rng([11, seed])
-    table = rng.integers(0, labels, (rows, labels))
+    table = rng.integers(0, labels, (5 * rows, labels))
     stays = np.arange(labels)
     table = np.where((rng.random(table.shape) < 0.4) & (stays < labels - 1), stays, table)
     table = np.where(forbidden[stays, table], stays, table)
-    return np.vstack([np.repeat(stays[:, None], labels, axis=1), table])
+    table = table[(table != table[:, :1]).any(axis=1)]
+    return np.vstack([np.repeat(stays[:, None], labels, axis=1), np.unique(table, axis=0)[:rows]])
 
 
 ALPHABET = Alphabet(
@@ -132,6 +134,24 @@ def only_transitions():
     return dataclasses.replace(random_rows(), switching=dataclasses.replace(SWITCHING, hold=0.0))
 
 
+def with_gaps():
+    """Return a policy whose default control stands for states outside."""
+    return dataclasses.replace(random_rows(1), gaps=True, outside=0)
+
+
+@functools.cache
+def with_features():
+    """Return a tree with features, and a random row in every other leaf."""
+    tree = exact()
+    leaves = np.flatnonzero(tree.cells.split < 0)[::2]
+    threshold = tree.cells.threshold.copy()
+    threshold[leaves] = 3 + np.arange(len(leaves)) % 4
+    table = random_transitions(3, 4, np.zeros((3, 3), dtype=bool))
+    cells = dataclasses.replace(tree.cells, threshold=threshold)
+    switching = Switching(hold={"5": 0.02, "-5": 0.05})
+    return dataclasses.replace(tree, cells=cells, transitions=table, switching=switching)
+
+
 POLICIES = {
     "rows": random_rows,
     "one axis": lambda: random_rows(1),
@@ -142,6 +162,8 @@ POLICIES = {
     "house": house,
     "times": only_times,
     "no times": only_transitions,
+    "gaps": with_gaps,
+    "features": with_features,
 }
 """What makes them, by name."""
 
