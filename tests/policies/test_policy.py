@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import capsyn
-from capsyn import Alphabet, Box, Policy
+from capsyn import Alphabet, Box
 from capsyn.errors import CapsynWarning, KernelBuildError, OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import check_outside
 from capsyn.modelling.grid import Grid
