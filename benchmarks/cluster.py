@@ -132,9 +132,9 @@ def killed():
 
 def main():
     """Measure and print rows."""
-    problem = problems.get("cart-pole")
+    problem = problems.plain("cart-pole")
     fine = problem.replace(settings=dataclasses.replace(problem.settings, steps=STEPS))
-    policy = synthesize(problems.get("cart-pendulum"))
+    policy = synthesize(problems.plain("cart-pendulum"))
 
     def synthesis(chosen):
         return lambda client: synthesize(chosen, max_level=4, threads=2, executor=client)

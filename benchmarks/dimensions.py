@@ -50,7 +50,7 @@ def rows_of(what, problem, bounds, **options):
 
 def cart_pole():
     """Return the rows of the 4-D cart-pole."""
-    problem, found = problems.get("cart-pole"), []
+    problem, found = problems.plain("cart-pole"), []
     for options, share, solves, leaves in (
         ({"max_level": 0}, 99.4, 1200, 300),
         ({"max_level": 3, "max_solves": 15_000}, 99.9, 15_000, None),
@@ -70,7 +70,7 @@ def cart_pole():
 
 def planar_quadrotor():
     """Return the rows of the 6-D quadrotor."""
-    problem, found = problems.get("planar-quadrotor"), []
+    problem, found = problems.plain("planar-quadrotor"), []
     for solves, share, seconds in ((6000, 98.7, 3), (140_000, 99.7, 20)):
         bounds = {
             "agreement": f">= {share}",
@@ -86,7 +86,7 @@ def planar_quadrotor():
 
 def spacecraft():
     """Return the rows of the 6-D spacecraft, without and with its control weight."""
-    problem, found = problems.get("spacecraft"), []
+    problem, found = problems.plain("spacecraft"), []
     free = problem.replace(settings=dataclasses.replace(problem.settings, control_weight=0.0))
     for solves, share in ((6000, 94.9), (170_000, 98.9)):
         bounds = {"agreement": f">= {share}", "solves": f"<= {solves}", "seconds": ""}
@@ -114,7 +114,7 @@ def solves_for(points, share):
 
 def double_pendulum():
     """Return the rows of agreement against solves on curved surfaces."""
-    problem, found, curves = problems.get("double-pendulum"), [], {}
+    problem, found, curves = problems.plain("double-pendulum"), [], {}
     choices = {
         "constant": [{"max_level": k} for k in (1, 2, 3, 4)],
         "affine": [
@@ -139,7 +139,7 @@ def double_pendulum():
 
 def adaptive():
     """Return the rows of splits along some axes: agreements, and solves saved at one of them."""
-    free = dataclasses.replace(problems.get("spacecraft").settings, control_weight=0.0)
+    free = dataclasses.replace(problems.plain("spacecraft").settings, control_weight=0.0)
     found = []
     for name, share, budgets, wanted, changes in (
         ("cart-pole", 99.95, (5_000, 15_000, 60_000), ">= 25", {}),
@@ -147,7 +147,7 @@ def adaptive():
         ("spacecraft", 98.5, (6_000, 100_000, 170_000), "", {"settings": free}),
         ("double-pendulum", 95, (5_000, 20_000, 100_000), "", {}),
     ):
-        problem, needed = problems.get(name).replace(**changes), {}
+        problem, needed = problems.plain(name).replace(**changes), {}
         called = f"{name}, R = 0" if changes else name
         for refine in ("isotropic", "adaptive"):
             curve = []
@@ -167,7 +167,7 @@ def adaptive():
     for name, level in (("cart-pole", 3), ("double-pendulum", 3)):
         solves = []
         for refine in ("isotropic", "adaptive"):
-            policy, _, agreeing = made(problems.get(name), max_level=level, refine=refine)
+            policy, _, agreeing = made(problems.plain(name), max_level=level, refine=refine)
             solves.append(policy.statistics["solves"])
             what = f"{name}, constant, {refine}, {solves[-1]:,} solves: agreement"
             found.append({"what": what, "value": agreeing, "unit": "%"})
@@ -179,7 +179,7 @@ def adaptive():
 
 def constant_leaves():
     """Return the rows of the cart-pole at level 4, whose cells are one symbol each."""
-    problem = problems.get("cart-pole")
+    problem = problems.plain("cart-pole")
     synthesize(problem, max_level=0)
     policy, seconds, share = made(problem, max_level=4)
     what = "cart-pole level 4, constant"
@@ -193,7 +193,7 @@ def constant_leaves():
 
 def bounded_memory():
     """Return the rows of the same in blocks, beside whole levels."""
-    problem, found = problems.get("cart-pole"), []
+    problem, found = problems.plain("cart-pole"), []
     synthesize(problem, max_level=0)
     start = peak()
     what = "cart-pole level 4, constant"

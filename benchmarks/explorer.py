@@ -44,7 +44,7 @@ def measure():
     with tempfile.TemporaryDirectory() as directory, sync_playwright() as tools:
         browser = tools.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         for name, level in (("cart-pendulum", 4), ("cart-pole", 3)):
-            policy = synthesize(problems.get(name), max_level=level)
+            policy = synthesize(problems.plain(name), max_level=level)
             path = explore(policy, Path(directory) / f"{name}.html")
             small = name == "cart-pendulum"
             cells = f"page of {name}, {policy.cells.leaf_count:,} cells"

@@ -124,7 +124,7 @@ def measured_on(case, code):
 
 def measure(name, level, mode):
     """Return the rows of one tree: bytes, and nanoseconds per decision."""
-    tree = compress(synthesize(problems.get(name), max_level=level), mode)
+    tree = compress(synthesize(problems.plain(name), max_level=level), mode)
     domain, rows, loops = tree.domain, [], {}
     plain = Plan.of(tree)
     counted = Plan.of(tree, scale=domain.widths / COUNTS, offset=domain.lower)
@@ -163,7 +163,7 @@ def command():
     seconds = []
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory, "p.cap")
-        synthesize(problems.get("cart-pendulum")).save(file)
+        synthesize(problems.plain("cart-pendulum")).save(file)
         for k in range(3):
             run = [sys.executable, "-m", "capsyn", "export", file, "--to", "all"]
             started = time.perf_counter()

@@ -12,7 +12,7 @@ def measure():
     """Return rows for batches of a million random states."""
     rows = []
     for name, level in (("cart-pendulum", 4), ("double-tank-a", 4), ("cart-pole", 3)):
-        policy = synthesize(problems.get(name), max_level=level)
+        policy = synthesize(problems.plain(name), max_level=level)
         states = policy.domain.sample(1_000_000, 0)
         for backend, wanted in (("c", ">= 20"), ("numpy", ">= 1")):
             policy(states, backend=backend)

@@ -83,7 +83,7 @@ def controller_of(problem, model, settings, backend):
 
 def measure():
     """Return rows of microseconds per solve, and the ratios."""
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     model, states = transcribe(problem), problem.domain.sample(STATES, 0)
     engines = {}
     for precision in ("double", "single"):

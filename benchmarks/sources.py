@@ -83,7 +83,7 @@ def measure_table(path):
 
 
 def measure_prediction():
-    problem = problems.get("cart-pendulum").replace(alphabet=Alphabet([-5.0, 0.0, 5.0]))
+    problem = problems.plain("cart-pendulum").replace(alphabet=Alphabet([-5.0, 0.0, 5.0]))
     states = problem.domain.sample(200_000, 1)
     for blocks, wanted in ((1, ">= 200000"), (2, "")):
         control = finite_control_set(problem, 5, sample_time=0.05, blocks=blocks)
@@ -100,12 +100,12 @@ def measure_episodes():
 
     passed = 0
     for name in problems.names():
-        check_env(environment(problems.get(name)), skip_render_check=True)
+        check_env(environment(problems.plain(name)), skip_render_check=True)
         passed += 1
     row(
         "built-in problems that pass Gymnasium's checker", passed, "", f">= {len(problems.names())}"
     )
-    problem = problems.get("cart-pole").replace(horizon=1.5, outside="nearest")
+    problem = problems.plain("cart-pole").replace(horizon=1.5, outside="nearest")
     tree = capsyn.compress(capsyn.synthesize(problem, max_level=2), "linear", agreement=0.99)
     mirrored = {"observation": lambda o: [-o[0], -o[1], o[2], o[3]], "actions": [1, 0]}
     seconds, found = seconds_of(lambda: evaluate(tree, "CartPole-v1", 100, **mirrored), 1)

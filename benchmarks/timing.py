@@ -30,7 +30,7 @@ CASES = [
 def measure(name, level, mode):
     """Yield the rows of one policy."""
     leaves = "affine" if mode == "affine" else "constant"
-    policy = synthesize(problems.get(name), max_level=level, leaves=leaves)
+    policy = synthesize(problems.plain(name), max_level=level, leaves=leaves)
     own = Plan.of(compress(policy, mode) if mode == "freedom" else policy)
     some = np.random.default_rng(1).integers(own.counts, size=(STATES, own.n))
     for style in STYLES if mode == "exact" else [s for s in STYLES if s not in NOT_OF[mode]]:

@@ -51,7 +51,7 @@ class Row:
 
 def problem_of(case: Case) -> Problem:
     """Return the problem of a case."""
-    problem = problems.get(case.problem)
+    problem = problems.plain(case.problem)
     return problem.replace(max_level=case.max_level, settings=case.settings or problem.settings)
 
 

@@ -71,7 +71,7 @@ def reproduce(
         rows = _counts(threads)
         others: list[Row] = []
         pendulums = [
-            synthesize(problems.get(name), threads=threads)
+            synthesize(problems.plain(name), threads=threads)
             for name in ("cart-pendulum", "cart-pendulum-4")
         ]
         tell("pendulum: figures 3 and 4, Lyapunov, swing-up")

@@ -105,7 +105,7 @@ def try_tank(
     letter: str, reading: Reading, trials: int, threads: int | None
 ) -> tuple[Policy, MonteCarlo]:
     """Return the policy of a reading of a case, and its trials."""
-    problem = problems.get(f"double-tank-{letter}").replace(
+    problem = problems.plain(f"double-tank-{letter}").replace(
         settings=reading.settings, default=reading.default, horizon=reading.horizon
     )
     policy = synthesize(problem, threads=threads)

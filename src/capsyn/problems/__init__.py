@@ -27,8 +27,16 @@ def names() -> list[str]:
     return list(_MAKERS)
 
 
+def plain(name: str) -> Problem:
+    """Return a built-in problem whose policy does not depend on the symbol in force, as the paper's.
+
+    It is `get` without a `Switching`, and with its errors.
+    """
+    return get(name).replace(switching=None)
+
+
 def get(name: str) -> Problem:
-    """Return a built-in problem.
+    """Return a built-in problem, with the price on switching that its actuators would want.
 
     Raises
     ------

@@ -10,6 +10,7 @@ from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Box
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.switching import Switching
 
 GRAVITY = 9.81  # m/s^2
 LENGTH = 2.0  # m
@@ -41,6 +42,7 @@ def cart_pole() -> Problem:
         horizon=0.6,
         running_cost=lambda x: x[0] ** 2 + 0.5 * x[1] ** 2 + 10 * x[2] ** 2 + x[3] ** 2,
         settings=SsacSettings(rule="steepest", steps=20),
+        switching=Switching(price="1%"),
         partitions=4,
         max_level=2,
         description="pole on a cart by two accelerations; balances with a horizon of 1.5 s",

@@ -11,6 +11,7 @@ from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.settings import SsacSettings
+from capsyn.modelling.switching import Switching
 
 HEIGHT = 0.5  # of the upper tank above the lower
 SMOOTHING = 1e-6  # of the square root at 0
@@ -38,6 +39,7 @@ def _tank(
     goal: tuple[float, float],
     tolerance: float,
     settings: SsacSettings,
+    price: str,
     description: str,
 ) -> Problem:
     def distance(x: Any) -> Any:
@@ -54,6 +56,7 @@ def _tank(
         terminal_cost=lambda x: 100 * distance(x),
         target=Ball(goal, tolerance),
         settings=settings,
+        switching=Switching(price=price),
         description=description,
     )
 
@@ -71,6 +74,7 @@ def double_tank_a() -> Problem:
         goal=(0.8, 0.2),
         tolerance=0.1,
         settings=SsacSettings(gamma=-10.0),
+        price="2%",
         description="levels of two tanks by three on/off valves",
     )
 
@@ -84,5 +88,6 @@ def double_tank_b() -> Problem:
         goal=(0.4, 0.6),
         tolerance=0.05,
         settings=SsacSettings(rule="steepest"),
+        price="5%",
         description="levels of two tanks by two on/off valves, the one between them ajar",
     )
