@@ -124,7 +124,7 @@ def test_trajectories_are_drawn_by_state_and_control():
 
 
 def test_a_picture_of_a_trajectory_is_the_same_bytes_each_time(tmp_path):
-    run = simulate(synthesize(problems.get("double-tank-b"), max_level=1), [0.2, 0.3], 0.1, 100.0)
+    run = simulate(synthesize(problems.plain("double-tank-b"), max_level=1), [0.2, 0.3], 0.1, 100.0)
     for name in ("one.svg", "two.svg"):
         save_trajectory_plot(run, tmp_path / name)
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
@@ -154,6 +154,71 @@ def test_a_picture_of_a_tree_has_its_colours():
     states[:, [2, 0]] = [path.vertices[:4].mean(axis=0) for path in paths]
     palette = [*PALETTE[:2], "#FFFFFF"]
     assert [to_hex(c).upper() for c in colours] == [palette[k] for k in tree(states)]
+
+
+@pytest.fixture(scope="module")
+def priced():
+    problem = problems.plain("cart-pendulum").replace(switching=capsyn.Switching(price="10%"))
+    return [synthesize(problem, max_level=2, leaves=kind) for kind in ("constant", "affine")]
+
+
+@pytest.mark.parametrize("current", [None, "-5", 0, -1])
+def test_a_picture_of_a_policy_that_remembers_is_of_one_symbol_in_force(current, priced):
+    policy = priced[0]
+    ax = plot_policy(policy, ax=Figure().add_subplot(), current=current)
+    levels = [cells for cells in ax.collections if cells.get_hatch() is None]
+    paths = [path for cells in levels for path in cells.get_paths()]
+    colours = [to_hex(c).upper() for cells in levels for c in cells.get_facecolor()]
+    states = np.array([path.vertices[:4].mean(axis=0) for path in paths])
+    symbols = policy(states, current=current)
+    assert colours == [PALETTE[k] for k in symbols]
+    stay = {symbol: policy(states, current=symbol) == symbol for symbol in (0, 1)}
+    if current is not None:
+        stay = {k: v for k, v in stay.items() if current in (k, policy.alphabet.names[k])}
+    wanted = np.zeros(len(states), dtype=bool)
+    for symbol, there in stay.items():
+        wanted |= there & (policy(states) != symbol)
+    bands = [cells for cells in ax.collections if cells.get_hatch() is not None]
+    assert len(bands) == bool(stay)
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    name = {None: "default", -1: "default", 0: "5"}.get(current, current)
+    assert ax.get_title() == f"cart-pendulum, {name} in force"
+    if stay:
+        hatched = np.array([p.vertices[:4].mean(axis=0) for p in bands[0].get_paths()])
+        assert set(map(tuple, hatched)) == set(map(tuple, states[wanted])) != set()
+        told = "the one in force" if current is None else name
+        assert texts == ["5", "-5", f"{told} stays"]
+
+
+def test_a_picture_of_affine_leaves_that_remember(priced, monkeypatch, tmp_path):
+    monkeypatch.setattr("capsyn.plots.policy.PIXELS", 40)
+    policy = priced[1]
+    assert policy.cells.priced
+    ax = plot_policy(policy, ax=Figure().add_subplot(), current="5")
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["5", "-5", "5 stays"]
+    x, y = ((np.arange(40) + 0.5) / 40 * w for w in policy.domain.widths)
+    grid = np.stack(np.meshgrid(x, y - 5), axis=-1)
+    pixels = ax.images[0].get_array()
+    wanted = np.array([to_hex(PALETTE[k]) for k in policy(grid, current="5").ravel()])
+    assert [to_hex(c) for c in pixels.reshape(-1, 3)] == wanted.tolist()
+    for name in ("one.svg", "two.svg"):
+        save_policy_plot(policy, tmp_path / name, current="5")
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+    with pytest.raises(ProblemError, match="`current` must be a symbol"):
+        plot_policy(policy, current="6")
+
+
+def test_a_legend_is_no_higher_than_the_picture(tmp_path):
+    many = capsyn.subdivide(
+        lambda x: (20 * x[:, 0]).astype(int) % 20,
+        capsyn.Box([0, 0], [1, 1]),
+        20,
+        partitions=[20, 1],
+        max_level=0,
+    )
+    ax = plot_policy(many, ax=Figure().add_subplot())
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert len(texts) == 17 and texts[-1] == "and 4 more"
 
 
 def test_a_picture_of_an_oblique_tree_has_its_colours(tmp_path, monkeypatch):

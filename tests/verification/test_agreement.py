@@ -8,26 +8,38 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from capsyn import Alphabet, Box, Policy, Problem, SsacSettings, problems, subdivide, synthesize
+from capsyn import (
+    Alphabet,
+    Box,
+    Policy,
+    Problem,
+    SsacSettings,
+    Switching,
+    problems,
+    subdivide,
+    synthesize,
+)
 from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.modelling.grid import Grid
+from capsyn.policies.evidence import is_evidence
 from capsyn.statistics import clopper_pearson
 from capsyn.verification import agreement as module
 from capsyn.verification import tally
 from capsyn.verification.agreement import agreement
+from capsyn.verification.sentences import headlines
 
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return synthesize(problems.get("cart-pendulum"))
+    return synthesize(problems.plain("cart-pendulum").replace(switching=None))
 
 
 @pytest.fixture(scope="module")
 def tank():
     settings = SsacSettings(gamma=-5.0)  # of the paper
-    return synthesize(problems.get("double-tank-a"), settings=settings)
+    return synthesize(problems.plain("double-tank-a").replace(switching=None), settings=settings)
 
 
 def relabeled(policy, entry, leaf):
@@ -138,6 +150,76 @@ def test_every_count_is_that_of_a_plain_recount(name, request):
         assert island.others == tuple(np.unique(other[here & missed]))
 
 
+@pytest.fixture(scope="module")
+def priced():
+    problem = problems.plain("cart-pendulum").replace(switching=Switching(price="1%"))
+    return synthesize(problem, max_level=3)
+
+
+@pytest.mark.parametrize("leaves", ["constant", "affine", "delay"])
+def test_with_memory_every_pair_of_state_and_symbol_in_force_is_counted(leaves, priced):
+    policy = priced
+    if leaves != "constant":
+        problem = problems.plain("cart-pendulum").replace(switching=Switching(price="1%"))
+        options = {"leaves": "affine"} if leaves == "affine" else {"delay": 0.02}
+        policy = synthesize(problem, max_level=2, **options)
+    found = agreement(policy, 5000, seed=3)
+    states = policy.domain.sample(5000, 3)
+    sets = policy_controller(policy).masks(states)
+    masks = [[int(word) for word in row] for row in sets[:, :, 0]]
+    pairs, agreeing, wrong, islands = np.zeros((3, 3), int), [0, 0, 0], [], set()
+    cells = policy.cells.find(policy.domain.locate(states, policy.cells.counts))
+    mixed = set(policy.cells.mixed_cells.tolist())
+    for j in range(3):
+        for k, symbol in enumerate(policy(states, current=j).tolist()):
+            right = [i for i in range(3) if masks[k][j] >> i & 1]
+            other = symbol if symbol in right else j if j in right else right[0]
+            pairs[symbol, other] += 1
+            agreeing[j] += other == symbol
+            if other != symbol:
+                wrong.append((k, j, symbol, other))
+                islands |= {cells[k]} - mixed
+    assert found.states == 5000 and found.agreeing == sum(agreeing) // 3
+    assert found.in_force_agreeing.tolist() == agreeing and found.pairs.tolist() == pairs.tolist()
+    assert found.share == pytest.approx(sum(agreeing) / 15000) and 0.9 < found.share < 1
+    assert found.low < found.share < found.high
+    assert found.low == clopper_pearson(found.agreeing, 5000)[0]
+    assert found.level_states.sum() == 15_000 and found.ties == sum(
+        mask.bit_count() > 1 for row in masks for mask in row
+    )
+    wrong.sort()
+    names = [-1 if label == 2 else label for _, label, *_ in wrong]
+    assert found.disagreeing_in_force.tolist() == names
+    assert found.disagreeing_symbols.tolist() == [[own, other] for *_, own, other in wrong]
+    assert np.array_equal(found.disagreeing_states, states[[k for k, *_ in wrong]])
+    assert found.island_cells == len(islands)
+    for island in found.islands:
+        assert policy(island.example, current=island.in_force) == island.symbol
+    data = json.loads(json.dumps(found.to_json(), allow_nan=False))
+    assert [row["symbol"] for row in data["in_force"]] == [*policy.alphabet.names, "default"]
+    assert [row["agreeing"] for row in data["in_force"]] == agreeing
+    assert is_evidence("agreement", data)
+    assert headlines({"agreement": data})["agreement"].endswith(", mean over the symbols in force")
+
+
+def test_controllers_of_ones_own_and_memory(priced, pendulum, monkeypatch):
+    same = agreement(priced, 3000, controller=priced)
+    assert same.agreeing == 3000 and same.in_force_agreeing.tolist() == [3000] * 3
+    plain = agreement(priced, 3000, controller=lambda x: priced(x))  # whatever is in force
+    assert plain.in_force_agreeing[2] == 3000 > plain.in_force_agreeing[0]
+    other = agreement(pendulum, 3000, controller=priced)  # that has memory where the policy has not
+    states = pendulum.domain.sample(3000)
+    wanted = [(pendulum(states) == priced(states, current=j)).sum() for j in (0, 1, -1)]
+    assert other.in_force_agreeing.tolist() == wanted
+    four = synthesize(problems.plain("cart-pendulum-4").replace(switching=None), max_level=0)
+    with pytest.raises(ProblemError, match="`controller` must have 4 symbols, as the policy has"):
+        agreement(four, 10, controller=priced)
+    whole = agreement(priced, 3000).to_json()
+    monkeypatch.setattr(module, "CHUNK", 1000)
+    monkeypatch.setattr(module, "WAVE", 2)
+    assert agreement(priced, 3000, threads=2).to_json() == whole
+
+
 def test_agreement_of_the_papers_policies(pendulum, tank):
     found = agreement(pendulum)
     assert 0.995 < found.share < 0.9965 and found.low < 0.9957 < found.high
@@ -152,7 +234,7 @@ def test_the_tanks_goal_is_an_island(tank):
 
 
 def test_a_policy_of_level_0_only():
-    policy = synthesize(problems.get("cart-pendulum"), max_level=0)
+    policy = synthesize(problems.plain("cart-pendulum").replace(switching=None), max_level=0)
     found = agreement(policy, 10_000)
     assert 0.6 < found.share < 0.95
     assert found.level_states.tolist() == [10_000]

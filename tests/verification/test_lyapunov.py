@@ -18,6 +18,7 @@ from capsyn.verification import lyapunov as module
 from capsyn.verification.bisection import bisect
 from capsyn.verification.loop_derivative import LoopDerivative
 from capsyn.verification.lyapunov import lyapunov, lyapunov_grid
+from support.relays import hysteresis, relay
 
 
 def loop(dynamics, box, label=None, alphabet=(1.0, -1.0), default=0.0, **options):
@@ -73,7 +74,7 @@ def check(proof):
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return synthesize(problems.get("cart-pendulum"))
+    return synthesize(problems.plain("cart-pendulum").replace(switching=None))
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +155,30 @@ def test_each_cell_has_its_own_control_and_the_default_counts():
     np.testing.assert_allclose(found.values, 6 * found.states[:, 0])
     np.testing.assert_array_equal(policy(found.states), found.symbols)
     assert found.boundary.sum() == 1 and found.lower[found.boundary] == 1.0
+
+
+def test_each_symbol_that_may_be_in_force_counts():
+    # u is x1's speed; in the middle third either symbol stays, and one of them leads away
+    policy = relay(lambda x, u: [u[0]], Box([-1.0], [1.0]), hysteresis, partitions=6, in_force=True)
+    proof = check(lyapunov(policy, square))
+    assert shares(proof) == pytest.approx((2 / 3, 2 / 3, 1 / 3, 0), abs=1e-3)
+    found = proof.violated_cells
+    assert (np.abs(found.states) < 1 / 3).all() and found.boundary.all()
+    assert found.symbols.tolist() == [1, 0]  # left of 0 the one to the left
+    np.testing.assert_allclose(found.values, 2 * np.abs(found.states[:, 0]))
+    for state, symbol in zip(found.states, found.symbols):
+        assert policy(state, current=symbol) == symbol
+    grid = lyapunov_grid(policy, square, 1 / 16)
+    inside = np.abs(grid.axes[0]) < 1 / 3
+    assert np.array_equal(grid.signs > 0, inside & (grid.axes[0] != 0))
+    # a symbol that never follows is not in force
+    away = relay(
+        lambda x, u: [u[0]],
+        Box([-1.0], [1.0]),
+        lambda x: np.tile([0, 1, 1], (len(x), 1)),
+        in_force=True,
+    )
+    assert shares(lyapunov(away, lambda x: x[0])) == (1.0, 1.0, 0.0, 0.0)
 
 
 @settings(max_examples=40)

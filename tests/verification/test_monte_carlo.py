@@ -435,7 +435,7 @@ REFUSED = [
         "`parameters k` must have low <= high",
     ),
     (relay(model=None, target=Ball([0], 1)), {}, "`model` must be a Problem, or a Policy with a m"),
-    (READY, {"model": problems.get("cart-pole")}, "`model` must have 1 state(s) and 1 input(s) li"),
+    (READY, {"model": problems.plain("cart-pole")}, "`model` must have 1 state(s) and 1 input(s) li"),
     (READY, {"backend": "gpu"}, "`backend` must be one of"),
     (READY, {"threads": 0}, "`threads` must be a whole number >= 1"),
     (READY, {"outside": "far"}, '`outside` must be "error", "nearest" or a symbol'),
@@ -453,7 +453,7 @@ def test_refusals(controller, options, message):
 def test_the_pendulum_policy_of_the_paper_swings_up_from_everywhere():
     from capsyn import synthesize
 
-    found = monte_carlo(synthesize(problems.get("cart-pendulum")), 300, duration=6, rate=200)
+    found = monte_carlo(synthesize(problems.plain("cart-pendulum")), 300, duration=6, rate=200)
     assert found.success.all() and found.arrived.max() < 5
     assert found.low > 0.98 and found.to_json()["ended"] == {"target": 300}
 

@@ -63,8 +63,9 @@ def print_agreement(data: dict[str, Any], headline: str) -> None:
     print_line("agreement", headline)
     worst = sorted(in_force, key=lambda row: row["share"])[:MOST_NAMED]
     if in_force:
-        which = "in force" if len(worst) == len(in_force) else "worst in force"
-        print_line(which, ", ".join(f"{row['symbol']} {row['share']:.3%}" for row in worst))
+        rest = "; the others more" if len(worst) < len(in_force) else ""
+        each = "; ".join(f"{row['symbol']} {row['share']:.3%}" for row in worst)
+        print_line("in force", each + rest)
     print_line("islands", f"{cells:,} cells hold something that all their test points missed")
 
 

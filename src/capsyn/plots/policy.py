@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 PIXELS = 800
 """Along each axis of a picture of oblique splits."""
+MOST_NAMED = 17
+"""More symbols than these are not named, for a legend must be no higher than the picture."""
 HATCH, INK = "xxxxxx", "#000000"
 """What is drawn where a symbol stays only because it is in force."""
 
@@ -94,9 +96,12 @@ def plot_policy(
     frame(ax, domain, (horizontal, vertical))
     names = [literal(name) for name in (*policy.alphabet.names, "default")]
     if legend:
-        handles = [
-            Patch(facecolor=colors[k], edgecolor="#666666", label=names[k]) for k in sorted(shown)
-        ]
+        named = sorted(shown)
+        if len(named) > MOST_NAMED - hatched:
+            named = named[: MOST_NAMED - hatched - 1]
+        handles = [Patch(facecolor=colors[k], edgecolor="#666666", label=names[k]) for k in named]
+        if len(named) < len(shown):
+            handles.append(Patch(alpha=0.0, label=f"and {len(shown) - len(named)} more"))
         if hatched:
             what = "the one in force stays" if now is None else f"{names[now]} stays"
             handles.append(Patch(facecolor="none", edgecolor=INK, hatch=HATCH, lw=0, label=what))
