@@ -148,7 +148,7 @@ def with_dynamics(program):
     box = Box([0, 0], [1, 1], names=["x", "y"])
     zero = Program("zero", (("x", 2),), (("cost", 1),), (("const", 0.0),), (2,))
     model = dataclasses.replace(
-        transcribe(problems.get("cart-pendulum")),
+        transcribe(problems.plain("cart-pendulum")),
         dynamics=program,
         running_cost=zero,
         terminal_cost=zero,
@@ -212,7 +212,7 @@ BUILT_IN = {
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_built_in_problems_look_as_in_a_text(name):
-    shown = formulas(model_only(problems.get(name)))
+    shown = formulas(model_only(problems.plain(name)))
     assert {topic: [plain(line) for line in lines] for topic, lines in shown.items()} == (
         BUILT_IN[name]
     )
@@ -220,7 +220,7 @@ def test_built_in_problems_look_as_in_a_text(name):
 
 def test_every_built_in_problem_has_formulas():
     for name in problems.names():
-        assert set(formulas(model_only(problems.get(name)))) >= {"dynamics", "cost"}
+        assert set(formulas(model_only(problems.plain(name)))) >= {"dynamics", "cost"}
 
 
 HOSTILE = ["<script>alert(1)</script>", "a & b", "\"'><img src=x onerror=alert(1)>", "</math>"]

@@ -256,7 +256,7 @@ def test_pixels_have_the_symbols_of_their_centres(name, tmp_path):
 
 @functools.cache
 def oblique_4():
-    problem = problems.get("cart-pole").replace(partitions=2, max_level=2)
+    problem = problems.plain("cart-pole").replace(partitions=2, max_level=2)
     return compress(synthesize(problem), "linear", agreement=0.9, states=5000)
 
 

@@ -17,7 +17,7 @@ export function makeReadout(app) {
     const name = one => app.data.symbols.at(one), row = rowOf(app.data, cell.row);
     const before = now => (now === DEFAULT ? "start" : name(now));
     const symbols = [...new Set(app.data.memory.in_force.map(label => cell.row[label]))];
-    root.querySelector(".symbol").after(element("div", { class: "row" }, element("dt", {}, "next"),
+    root.querySelector(".allowed").after(element("div", { class: "row" }, element("dt", {}, "next"),
       element("dd", {}, grouped(row, before).flatMap(([now, next], k) =>
         [`${k ? ", " : ""}${now} → `, swatch(next), name(next)]))));
     if (app.lookup.shown === null && symbols.length > 1) {
