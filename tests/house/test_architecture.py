@@ -42,7 +42,7 @@ compression: rows optimal induction freedom surface plane_tree oblique coarsenin
 compression.features: growing space cell_fit controller_fit
 compression: proof judge compress curve complexity
 plots: figure policy trajectory automaton curve switching
-exports: crossings plan constants golden sequence target certificate identifiers text ranks
+exports: crossings plan constants golden sequence target certificate identifiers text
     feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
     styles.grid styles.cells readings.single readings.lines readings.counts features memory code

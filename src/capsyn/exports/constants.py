@@ -14,13 +14,14 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
     """Return names, values and remarks; remarks of a pair of constants stand at the first."""
     policy = plan.policy
     domain, alphabet = policy.domain, policy.alphabet
+    asked = "a decision" if policy.remembers else "decide"
     return [
         ("STATES", domain.names, "Names of the states."),
         ("UNITS", domain.units, "Their units."),
         ("LOWER", domain.lower.tolist(), "Bounds of the domain."),
         ("UPPER", domain.upper.tolist(), ""),
         ("PERIODIC", domain.periodic, "Whether the upper bound is the same point as the lower."),
-        ("SCALE", plan.scale.tolist(), "A state is what decide gets * SCALE + OFFSET."),
+        ("SCALE", plan.scale.tolist(), f"A state is what {asked} gets * SCALE + OFFSET."),
         ("OFFSET", plan.offset.tolist(), ""),
         ("COUNTS", plan.counts, "Lattice steps along each axis."),
         ("INPUTS", alphabet.inputs, "Names of the inputs."),
@@ -39,7 +40,7 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
         (
             "AT_ONCE",
             plan.at_once,
-            f"Those whose symbol does not wait for {'that' if plan.remembers else 'MIN_DWELL'}.",
+            f"Those whose symbol does not wait{'' if plan.remembers else ' for MIN_DWELL'}.",
         ),
     ]
 
@@ -57,7 +58,7 @@ def _times(plan: Plan) -> list[tuple[str, Any, str]]:
             f"How long each input is held once it has changed [{unit}].",
         ),
         ("HOLD_OFF", plan.hold_off, f"How long SAFE is in force after the start [{unit}]."),
-        ("KINDS", rules.kinds.tolist(), "Between symbols of the same number is no switch."),
+        ("KINDS", rules.kinds.tolist(), "Of each a number: between symbols of one is no switch."),
         ("FORBIDDEN", plan.forbidden, "Transitions that are not taken, from and to."),
     ]
 
@@ -66,7 +67,7 @@ def tables(plan: Plan) -> list[tuple[str, Any, str]]:
     """Return the arrays of the tree, or of the cells, likewise; where T depends on it, T first."""
     tree, rows = plan.cells, []
     if plan.policy.remembers:
-        about = "Of each number of a leaf the symbol that follows each symbol in force."
+        about = "Of each number of a leaf, the symbol that follows each symbol in force."
         rows = [("TRANSITIONS", plan.transitions.tolist(), about)]
     if isinstance(tree, CellTree):
         return rows + [(k, v.tolist(), note) for k, v, note in cell_tables(tree)]

@@ -9,9 +9,9 @@ import numpy as np
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.exports.c.readings.counts import CountAxis, count_axes
+from capsyn.exports.crossings import ranked_tree
 from capsyn.exports.identifiers import identifiers, renamed, wanted_name
 from capsyn.exports.plan import Plan
-from capsyn.exports.ranks import ranked_tree
 from capsyn.exports.structured_text import cells as cells_text
 from capsyn.exports.structured_text.lines import real
 from capsyn.exports.structured_text.words import KEYWORDS

@@ -10,9 +10,9 @@ from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import ProblemError
 from capsyn.exports.c.language import round_up
+from capsyn.exports.crossings import ranked_tree
 from capsyn.exports.golden import Golden, decide
 from capsyn.exports.plan import Plan
-from capsyn.exports.ranks import ranked_tree
 from capsyn.exports.sequence import Sequence, golden_sequence, run
 from capsyn.modelling.domain import Box
 
