@@ -38,7 +38,7 @@ from support.trees import GRIDS, random_affine_policy
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return synthesize(problems.get("cart-pendulum"), leaves="affine", max_level=3)
+    return synthesize(problems.plain("cart-pendulum"), leaves="affine", max_level=3)
 
 
 @pytest.mark.parametrize("grid", range(len(GRIDS)))
@@ -69,7 +69,7 @@ def test_a_tree_with_another_plane_is_no_proof(pendulum):
 
 
 def test_trees_of_several_symbols_are_compiled_alike():
-    policy = synthesize(problems.get("spacecraft"), leaves="affine", max_level=0)
+    policy = synthesize(problems.plain("spacecraft"), leaves="affine", max_level=0)
     tree = compress(policy)
     states = policy.domain.sample(100_000, 2)
     found = policy(states, backend="c")
@@ -88,7 +88,7 @@ def test_an_export_gives_the_same_symbols(pendulum, tmp_path):
 
 @pytest.mark.parametrize(("name", "level"), [("cart-pendulum", 3), ("planar-quadrotor", 0)])
 def test_exported_c_gives_the_same_symbols_without_overflow(name, level, tmp_path):
-    plan = Plan.of(synthesize(problems.get(name), leaves="affine", max_level=level))
+    plan = Plan.of(synthesize(problems.plain(name), leaves="affine", max_level=level))
     golden = golden_vectors(plan)
     options = ["-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover"]
     for style in ("cells", "table"):
@@ -170,17 +170,17 @@ def test_command_line(tmp_path):
 
 
 def test_wrong_test_points_of_affine_leaves_are_no_coarse_boundaries():
-    policy = synthesize(problems.get("spacecraft"), leaves="affine", max_level=0)
+    policy = synthesize(problems.plain("spacecraft"), leaves="affine", max_level=0)
     assert policy.mixed_share > 0.9
     assert not [hint for hint in report(policy)["hints"] if "coarse" in hint]
 
 
 def test_targets_travel_with_the_problems():
     for name in ("planar-quadrotor", "spacecraft"):
-        policy = synthesize(problems.get(name), leaves="affine", max_level=0)
+        policy = synthesize(problems.plain(name), leaves="affine", max_level=0)
         assert isinstance(policy.target, Ball) and policy.outside == "nearest"
 
 
 def test_all_targets_but_dot():
-    policy = synthesize(problems.get("cart-pendulum"), leaves="affine", max_level=2)
+    policy = synthesize(problems.plain("cart-pendulum"), leaves="affine", max_level=2)
     assert set(TARGETS) - set(all_targets(policy)) == {"dot"}

@@ -35,7 +35,7 @@ def test_the_smallest_type_that_holds_all_values(values, kind):
 
 
 def test_a_policy_of_cells_and_its_tree():
-    policy = synthesize(problems.get("cart-pendulum"), max_level=3)
+    policy = synthesize(problems.plain("cart-pendulum"), max_level=3)
     found = complexity(policy)
     json.dumps(found)
     tree = compress(policy)

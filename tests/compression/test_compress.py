@@ -46,13 +46,13 @@ def policy_of(grid, symbols=5, seed=0, split=0.5, mixed=True, **changes):
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return capsyn.synthesize(problems.get("cart-pendulum"))
+    return capsyn.synthesize(problems.plain("cart-pendulum"))
 
 
 @pytest.fixture(scope="module")
 def small():
     """A small policy with its model."""
-    return capsyn.synthesize(problems.get("cart-pendulum"), partitions=5, max_level=3)
+    return capsyn.synthesize(problems.plain("cart-pendulum"), partitions=5, max_level=3)
 
 
 def assert_equal(tree, cells):
@@ -126,7 +126,7 @@ def test_a_cut_is_where_labels_change():
 
 @pytest.mark.parametrize(("name", "most"), [("cart-pendulum", 799), ("cart-pendulum-4", 1523)])
 def test_exact_trees_of_the_built_in_problems_are_small(name, most):
-    policy = capsyn.synthesize(problems.get(name))
+    policy = capsyn.synthesize(problems.plain(name))
     tree = compress(policy)
     assert 100 < tree.node_count <= most
     assert_equal(tree.cells, policy.cells)
@@ -330,7 +330,7 @@ def test_an_agreement_that_takes_a_finer_policy(pendulum):
 def test_an_agreement_that_no_linear_tree_reached_takes_no_finer_cells(monkeypatch):
     monkeypatch.setattr(oblique, "AIMS", (1.0,))
     monkeypatch.setattr(oblique, "ATTEMPTS", 1)
-    policy = capsyn.synthesize(problems.get("cart-pendulum"), partitions=5, max_level=1)
+    policy = capsyn.synthesize(problems.plain("cart-pendulum"), partitions=5, max_level=1)
     text, tree = not_reached(policy, "linear", 0.9999, states=20_000)
     low = tree.guarantee.low
     less = float(re.search("ask for less, such as (0.[0-9]+), or try another `seed`$", text)[1])

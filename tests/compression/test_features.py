@@ -83,7 +83,7 @@ def test_a_linear_tree_reaches_its_target_with_few_nodes(coarse):
 
 def test_sums_of_features_are_features(coarse):
     """The law of four accelerations compares the energy with multiples of cos(theta) omega."""
-    policy = synthesize(problems.get("cart-pendulum-4"))
+    policy = synthesize(problems.plain("cart-pendulum-4"))
     law = {name: FEATURES[name] for name in BY_NUMPY}
     tree = compress(policy, "linear", features=law, agreement=0.97)
     assert tree.guarantee.reached and tree.node_count <= 21
@@ -154,7 +154,7 @@ def test_a_linear_tree_without_use_for_features_has_none(coarse):
 
 
 def test_features_that_are_no_use_are_told():
-    policy = synthesize(problems.get("cart-pendulum"), max_level=1)
+    policy = synthesize(problems.plain("cart-pendulum"), max_level=1)
     with pytest.warns(CapsynWarning, match=r"^no tree with `features` is smaller than the \d+ "):
         tree = compress(policy, features={"e": lambda x: ca.exp(x[1])})
     assert not isinstance(tree.cells, FeatureTree)
@@ -272,7 +272,7 @@ def test_cells_that_do_not_go_with_features(monkeypatch):
     with pytest.raises(ProblemError, match="for at most 1,000 finest cells.*; got 20,736$"):
         compress(pendulum(), features=FEATURES)
     monkeypatch.undo()
-    policy = synthesize(problems.get("cart-pendulum"), max_level=2, leaves="affine")
+    policy = synthesize(problems.plain("cart-pendulum"), max_level=2, leaves="affine")
     with pytest.raises(ProblemError, match="mode freedom|and affine leaves$"):
         compress(policy, features=FEATURES)
 
