@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from capsyn.cells.split_tree import LEAF
+from capsyn.cells.split_tree import LEAF, SplitTree
 from capsyn.exports.plan import Plan
 from capsyn.exports.structured_text.block import Block
 from capsyn.exports.structured_text.lines import indented
@@ -43,13 +43,11 @@ def row_function(block: Block) -> list[Pou]:
     """Return the function that does it where there is no table, if rows are any."""
     if block.table or not has_rows(block.plan):
         return []
-    name, nodes = block.calls["row"], block.nodes
-    used = np.unique(nodes.threshold[nodes.split == LEAF])
-    used = used[used >= block.plan.labels]
+    name, used = block.calls["row"], used_rows(block.plan, block.nodes)
     body = [f"{name} := row;"]
-    if len(used):
+    if used:
         body += ["CASE row OF"]
-        for k in used.tolist():
+        for k in used:
             body += [f"    {k}:", *indented(_row(name, block.plan.transitions[k].tolist()), 2)]
         body += ["END_CASE;"]
     inputs = (Variable("row", "INT"), Variable("in_force", "INT"))
@@ -57,14 +55,28 @@ def row_function(block: Block) -> list[Pou]:
     return [Pou(name, "INT", about, inputs, (), (), tuple(body))]
 
 
-def _row(name: str, row: list[int]) -> Iterator[str]:
-    """Yield the statements of a row: the symbol that is next most often, and all exceptions."""
+def row_cases(row: list[int]) -> tuple[int, dict[str, list[int]]]:
+    """Return the symbol that is next most often, and all others by the symbols in force.
+
+    Of those that stay it is ``in_force``.
+    """
     others = Counter(label for j, label in enumerate(row) if label != j)
     base = (others or Counter(row)).most_common(1)[0][0]
     cases: dict[str, list[int]] = {}
     for j, label in enumerate(row):
         if label != base:
             cases.setdefault("in_force" if label == j else str(label), []).append(j)
+    return base, cases
+
+
+def used_rows(plan: Plan, tree: SplitTree) -> list[int]:
+    """Return the rows of a tree's leaves that are not constant."""
+    rows = np.unique(tree.threshold[tree.split == LEAF])
+    return rows[rows >= plan.labels].tolist()
+
+
+def _row(name: str, row: list[int]) -> Iterator[str]:
+    base, cases = row_cases(row)
     yield f"{name} := {base};"
     for text, labels in cases.items():
         tests = [f"in_force = {j}" for j in labels]

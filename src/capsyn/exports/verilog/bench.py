@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 import numpy as np
 
 from capsyn.exports.golden import Golden, decide
 from capsyn.exports.plan import NOT_FINITE, OK
+from capsyn.exports.sequence import Sequence, golden_sequence, run
+from capsyn.exports.verilog.memory import times
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import port_numbers, quantised_readings
 from capsyn.exports.verilog.words import comment
+from capsyn.simulation.closed_loop import SLACK
 
 PLAIN = """\
     initial begin
@@ -37,6 +43,29 @@ CLOCKED = """\
         if (seen == COUNT) finish;
     end"""
 """What runs a module with one."""
+SEQUENCES = """\
+    initial begin
+        load;
+        clk = 1'b0;
+        rst = 1'b1;
+        valid_in = 1'b0;
+        #2000000000 finish;
+    end
+    always #5 clk = ~clk;
+    always @(negedge clk) begin
+        if (valid_out && !rst) check;
+        valid_in = 1'b0;
+        if (sent < COUNT) begin
+            vector = vectors[sent];
+            if (rst || !vector[BITS - 1]) begin
+                rst = 1'b0;
+                send;
+                valid_in = 1'b1;
+            end else if (seen == sent) rst = 1'b1; // a new start, once all is told
+        end
+        if (seen == COUNT) finish;
+    end"""
+"""What runs sequences, a step a clock, with new starts between them."""
 FRAME = """\
     task load;
         begin
@@ -65,9 +94,9 @@ def bench(module: Module, golden: Golden) -> tuple[bytes, bytes, list[str], Gold
 
     The last are the golden vectors at the readings of fixed-point ports; None for lattice steps.
 
-    A line holds, from the highest bits on, the inputs in order, whether the state is outside (for
-    fixed-point ports or a policy with gaps), and the symbol. States that are not finite are left
-    out.
+    A line holds, from the highest bits on, the inputs in order, the symbol in force, for a core,
+    whether the state is outside (for fixed-point ports or a policy with gaps), and the symbol.
+    States that are not finite are left out.
     """
     plan, ports = module.plan, module.ports
     used = (golden.statuses != NOT_FINITE) & np.isfinite(golden.readings).all(axis=1)
@@ -75,6 +104,8 @@ def bench(module: Module, golden: Golden) -> tuple[bytes, bytes, list[str], Gold
     if ports is None:
         columns = golden.steps[used]
         labels = plan.tree.cells.labels(columns)
+        now = None if golden.in_force is None else golden.in_force[used]
+        labels = labels if now is None else plan.transitions[labels, now]
         beyond = int((golden.statuses[used] != OK).sum())
         about[0] += f" Of {beyond} outside the domain, the nearest steps were taken."
         outside, at_ports = labels == plan.gap, None
@@ -83,60 +114,127 @@ def bench(module: Module, golden: Golden) -> tuple[bytes, bytes, list[str], Gold
         readings = golden.readings[used]
         columns = port_numbers(ports, readings)
         at_ports = decide(plan, quantised_readings(plan, ports, columns))
-        labels, outside = at_ports.labels, at_ports.statuses != OK
+        labels, outside, now = at_ports.labels, at_ports.statuses != OK, at_ports.in_force
         room = np.array([2.0**-port.fraction for port in ports])
         least = np.array([port.least for port in ports]) * room
         most = np.array([port.most for port in ports]) * room
         beyond = int(((readings < least) | (readings > most)).any(axis=1).sum())
         about[0] += f" {beyond} beyond a port, saturated."
+    if module.remembers and now is None:
+        now = np.full(len(columns), plan.default)
+    words, bits = _words(module, columns, [(now, module.symbol_bits)], outside, labels)
+    text = _text(module, len(words), bits)
+    made = _files([*plan.header, *about], words, bits, text)
+    return *made, about, at_ports
+
+
+def sequence_bench(module: Module) -> tuple[bytes, bytes, list[str], Sequence | None]:
+    """Return likewise a test bench that runs the golden sequences, a step a clock.
+
+    A line holds whether it is a new start, in its highest bit, the inputs, whether the state is
+    outside, and the symbol that is then in force. States that are not finite are others.
+    """
+    plan, ports = module.plan, module.ports
+    found, domain = golden_sequence(plan), module.plan.policy.domain
+    states = plan.states(found.readings)
+    states = np.where(np.isfinite(states), states, domain.lower)
+    unfolded = dataclasses.replace(plan, scale=np.ones(plan.n), offset=np.zeros(plan.n))
+    if ports is None:
+        states = np.clip(states, domain.lower, domain.upper)
+        expected, at_ports = run(unfolded, states, found.period), None
+        columns = domain.locate(states.reshape(-1, plan.n), plan.counts)
+    else:
+        readings = ((states - plan.offset) / plan.scale).reshape(-1, plan.n)
+        columns = port_numbers(ports, readings)
+        readings = quantised_readings(plan, ports, columns).reshape(states.shape)
+        expected = at_ports = run(plan, readings, found.period)
+    runs, steps = expected.labels.shape
+    first = np.tile(np.arange(steps) == 0, runs).astype(int)
+    outside = expected.statuses.ravel() != OK
+    words, bits = _words(module, columns, [], outside, expected.labels.ravel())
+    words, bits = words + (first.astype(object) << bits), bits + 1
+    cycles = {
+        name: max(0, math.ceil(time / found.period - SLACK))
+        for name, (_, time) in times(plan).items()
+    }
+    about = [f"Golden sequences: {runs} of {steps} steps, a clock each."]
+    text = _text(module, len(words), bits, cycles)
+    return *_files([*plan.header, *about], words, bits, text), about, at_ports
+
+
+def _words(
+    module: Module,
+    columns: np.ndarray,
+    more: list[tuple[np.ndarray | None, int]],
+    outside: np.ndarray,
+    labels: np.ndarray,
+) -> tuple[np.ndarray, int]:
+    """Return vectors (K,) as whole numbers, and their bits: inputs, more numbers, answers."""
+    parts = [(columns[:, i], width) for i, width in enumerate(module.widths)]
+    parts += [(values, width) for values, width in more if values is not None]
+    parts += [(outside.astype(int), 1)] * module.tells + [(labels, module.symbol_bits)]
     words = np.zeros(len(columns), dtype=object)
-    for i, width in enumerate(module.widths):
-        words = (words << width) + (columns[:, i].astype(object) & (2**width - 1))
-    if module.tells:
-        words = (words << 1) + outside.astype(int).astype(object)
-    words = (words << module.symbol_bits) + labels.astype(object)
-    bits = sum(module.widths) + module.tells + module.symbol_bits
+    for values, width in parts:
+        words = (words << width) + (values.astype(object) & (2**width - 1))
+    return words, sum(width for _, width in parts)
+
+
+def _files(about: list[str], words: np.ndarray, bits: int, text: list[str]) -> tuple[bytes, bytes]:
+    """Return a test bench, and its vectors in hexadecimal numbers, each after remarks."""
+    head = comment(about)
     digits = (bits + 3) // 4
-    head = comment([*plan.header, *about])
     vectors = "\n".join([*head, *(f"{word:0{digits}x}" for word in words.tolist())]) + "\n"
-    text = "\n".join([*head, *_text(module, len(words), bits)]) + "\n"
-    return text.encode("ascii"), vectors.encode("ascii"), about, at_ports
+    return ("\n".join([*head, *text]) + "\n").encode("ascii"), vectors.encode("ascii")
 
 
-def _text(module: Module, count: int, bits: int) -> list[str]:
+def _text(module: Module, count: int, bits: int, cycles: dict[str, int] | None = None) -> list[str]:
     """Return the test bench for some vectors of a number of bits.
 
-    The module under test has no dwell time, which is no matter of one state.
+    The module under test has no dwell time, which is no matter of one state, unless there are
+    `cycles` of its parameters: then vectors are sequences.
     """
     names = [f"in_{i}" for i in range(module.plan.n)]
-    answer_bits = module.symbol_bits + module.tells
-    clocks = ("clk", "rst", "valid_in", "valid_out") * module.clocked
-    answers = ("symbol", "outside")[: 1 + module.tells]
+    answer_bits, symbol_bits = module.symbol_bits + module.tells, module.symbol_bits
+    now = cycles is None and module.remembers
+    clocked = module.clocked or cycles is not None
+    clocks = ("clk", "rst", "valid_in", "valid_out") * clocked
+    answers = ("in_force",) * now + ("symbol", "outside")[: 1 + module.tells]
     wires = [*zip((*clocks, *module.inputs, *answers), (*clocks, *names, *answers))]
     connected = ",\n".join(f"        .{port}({name})" for port, name in wires)
     answer = "{outside, symbol}" if module.tells else "symbol"
     signals = [
         *(f"    reg [{width - 1}:0] {name};" for name, width in zip(names, module.widths)),
-        f"    wire [{module.symbol_bits - 1}:0] symbol;",
+        *[f"    reg [{symbol_bits - 1}:0] in_force;"] * now,
+        f"    wire [{symbol_bits - 1}:0] symbol;",
         *["    wire outside;"] * module.tells,
         f"    reg [{answer_bits - 1}:0] expected;",
-        *["    reg clk, rst, valid_in;", "    wire valid_out;"] * module.clocked,
+        *["    reg clk, rst, valid_in;", "    wire valid_out;"] * clocked,
     ]
     declared = "\n".join(signals)
+    end, driver = "", CLOCKED if clocked else PLAIN
+    own = " #(.DWELL_CYCLES(64'd0))" * module.dwell
+    under_test = f"{module.core}{own} dut ("
+    if cycles is not None:
+        end, driver = "_sequence", SEQUENCES.replace("BITS", str(bits))
+        given = ",\n".join(f"        .{name}(64'd{value})" for name, value in cycles.items())
+        under_test = f"{module.name} #(\n{given}\n    ) dut (" if given else f"{module.name} dut ("
+    sent = answer_bits + sum(module.widths) + symbol_bits * now
+    place = f"[{answer_bits + symbol_bits - 1}:{answer_bits}]"
+    put = f"\n            in_force = vector{place};\n            #1;" * now
     return f"""\
-module {module.name}_tb;
-    parameter VECTORS = "{module.name}.mem";
+module {module.name}{end}_tb;
+    parameter VECTORS = "{module.name}{end}.mem";
     localparam COUNT = {count};
     reg [{bits - 1}:0] vectors [0:COUNT - 1];
     reg [{bits - 1}:0] vector;
 {declared}
     integer sent, seen, wrong;
-    {module.name}{" #(.DWELL_CYCLES(64'd0))" if module.dwell else ""} dut (
+    {under_test}
 {connected}
     );
     task check;
         begin
-            vector = vectors[seen];
+            vector = vectors[seen];{put}
             expected = vector[{answer_bits - 1}:0];
             if ({answer} !== expected || ^expected === 1'bx) begin
                 wrong = wrong + 1;
@@ -150,10 +248,10 @@ module {module.name}_tb;
     task send;
         begin
             vector = vectors[sent];
-            {{{", ".join(names)}}} = vector[{bits - 1}:{answer_bits}];
+            {{{", ".join(names)}}} = vector[{sent - 1}:{answer_bits + symbol_bits * now}];
             sent = sent + 1;
         end
     endtask
-{CLOCKED if module.clocked else PLAIN}
+{driver}
 {FRAME}
 endmodule""".splitlines()

@@ -27,6 +27,12 @@ FIXED = frozenset(
     "valid_then".split()
 )
 """Names that are the module's own."""
+REMEMBERED = frozenset(
+    "in_force follows gap core since kind level label least asked alike taken switches mixed "
+    "level_now level_asked level_mixed level_taken unused_levels unused_in_force "
+    "HOLD_OFF_CYCLES".split()
+)
+"""Those of modules that remember, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +63,12 @@ class Module:
     ) -> Module:
         """Return the module of a plan; for the arguments see the options of the target."""
         wanted = wanted_name(name, plan.policy.name)
-        (module,) = identifiers([wanted[:LONGEST_NAME]], {*KEYWORDS, *FIXED})
+        fixed = {*FIXED, *(_remembered(plan) if plan.remembers else ())}
+        (module,) = identifiers([wanted[:LONGEST_NAME]], {*KEYWORDS, *fixed})
         states, end = plan.policy.domain.names, "" if ports else "_step"
         names = [text[:LONGEST_NAME] + end for text in states]
-        own = {module, f"{module}_tb", *FIXED, *filter(_is_inner, names)}
+        own = {module, f"{module}_tb", *fixed, *filter(_is_inner, names)}
+        own |= {f"{module}_next", f"{module}_sequence_tb"} if plan.remembers else set()
         inputs = identifiers(names, {*KEYWORDS, *own})
         changed = {state: port for state, name, port in zip(states, names, inputs) if port != name}
         depth, stages = max(1, plan.tree.depth), _stages(pipeline, max(1, plan.tree.depth))
@@ -78,6 +86,26 @@ class Module:
     def symbol_bits(self) -> int:
         """Bits of the symbol."""
         return width_of(self.plan.default)
+
+    @property
+    def row_bits(self) -> int:
+        """Bits of the number of a leaf, which is that of a row of transitions, or a symbol."""
+        return width_of(self.rows - 1)
+
+    @property
+    def rows(self) -> int:
+        """Numbers that leaves may have."""
+        return len(self.plan.transitions)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has a core, which tells what follows a symbol in force."""
+        return self.plan.remembers
+
+    @property
+    def core(self) -> str:
+        """Name of the module that looks a state up."""
+        return f"{self.name}_next" if self.remembers else self.name
 
     @property
     def direct(self) -> bool:
@@ -101,8 +129,8 @@ class Module:
 
     @property
     def dwell(self) -> bool:
-        """Whether it has a minimum dwell time."""
-        return self.plan.dwell > 0
+        """Whether it is one module with a minimum dwell time."""
+        return self.plan.dwell > 0 and not self.remembers
 
     @property
     def tells(self) -> bool:
@@ -111,13 +139,20 @@ class Module:
 
     @property
     def clocked(self) -> bool:
-        """Whether it has a clock."""
+        """Whether what looks a state up has a clock."""
         return self.stages > 0 or self.dwell
 
     @functools.cached_property
     def changed(self) -> float | None:
         """Share of states whose symbol the rounding of the ports changes; None without any."""
         return changed_share(self.plan, self.ports) if self.ports else None
+
+
+def _remembered(plan: Plan) -> set[str]:
+    """Return the names that a module has for remembering."""
+    names = [f"{name}_{{}}" for name in ("held", "locked")] + ["HOLD_{}_CYCLES", "INPUT_{}_CYCLES"]
+    numbers = range(max(plan.labels, plan.policy.alphabet.m))
+    return {*REMEMBERED, *(name.format(k) for name in names for k in numbers)}
 
 
 def _stages(pipeline: bool | int, depth: int) -> int:

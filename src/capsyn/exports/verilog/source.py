@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
-from decimal import Decimal
 
-from capsyn.errors import ProblemError
 from capsyn.exports.plan import OUTSIDE
 from capsyn.exports.text import broken
+from capsyn.exports.verilog.memory import clocks, followed, port_list
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import Port, fold, width_of
 from capsyn.exports.verilog.tree import combinational, pipelined
 from capsyn.exports.verilog.words import comment, signed
-from capsyn.modelling.time_unit import PER_SECOND
-
-UNITS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-"""Units that a dwell time is told in, and how many of each a second has."""
 
 
 def source(module: Module, about: Sequence[str]) -> list[str]:
@@ -64,6 +58,8 @@ def _about(module: Module) -> Iterator[str]:
             if domain.periodic[i]:
                 yield f"  beyond, whole turns of {port.turn} units are taken away"
         yield f"Share of random states whose symbol the rounding changes: {module.changed!r}"
+    if module.remembers:
+        yield f"Symbol {plan.default} is in force at first; in_force is read when the answer comes."
     if not module.clocked:
         yield "A circuit without a clock or registers."
     else:
@@ -77,39 +73,11 @@ def _bounds(module: Module, port: Port) -> str:
 
 
 def _interface(module: Module) -> list[str]:
-    lines = [f"module {module.name}"]
+    lines = [f"module {module.core}"]
     if module.dwell:
-        said, unit = Decimal(f"{module.plan.dwell:.12g}"), module.plan.policy.time_unit
-        over, under = PER_SECOND[unit]
-        exact = said * over / under  # in seconds; 0.1 * 3 is 0.3
-        fits = ((name, k) for name, k in UNITS.items() if exact * k == int(exact * k))
-        label, parts = next(fits, ("ns", UNITS["ns"]))
-        amount = math.ceil(exact * parts)
-        if amount * module.clock // parts >= 2**63:
-            raise ProblemError(
-                f"`dwell` must be less than 2^63 clocks of {module.clock} Hz; got {said} {unit}"
-            )
-        lines += ["#(", f"    parameter [63:0] CLOCK_HZ = 64'd{module.clock},"]
-        lines.append(f"    // at least {amount} {label} between switches, in whole clocks")
-        seconds, rest = (f"64'd{k}" for k in divmod(amount, parts))
-        one = f"64'd{parts}"  # products of remainders only, so that 64 bits hold them
-        lines += [
-            "    parameter [63:0] DWELL_CYCLES =",
-            f"        CLOCK_HZ * {seconds} + CLOCK_HZ / {one} * {rest}",
-            f"        + (CLOCK_HZ % {one} * {rest} + 64'd{parts - 1}) / {one}",
-            ")",
-        ]
-    lines.append("(")
-    ports = []
-    if module.clocked:
-        ports += [f"    input wire {text}" for text in ("clk", "rst", "valid_in")]
-    sign = " signed" if module.ports else ""
-    for text, width in zip(module.inputs, module.widths):
-        ports.append(f"    input wire{sign} [{width - 1}:0] {text}")
-    ports += ["    output wire valid_out"] * module.clocked
-    ports.append(f"    output wire [{module.symbol_bits - 1}:0] symbol")
-    ports += ["    output wire outside"] * module.tells
-    return [*lines, *(p + "," for p in ports[:-1]), ports[-1], ");"]
+        lines += ["#(", *clocks(module, {"DWELL_CYCLES": ("between switches", module.plan.dwell)})]
+        lines.append(")")
+    return [*lines, *port_list(module, module.clocked, module.remembers)]
 
 
 def _front(module: Module, i: int) -> list[str]:
@@ -177,11 +145,15 @@ def _outside(module: Module) -> list[str]:
 def _end(module: Module) -> list[str]:
     plan, top = module.plan, module.symbol_bits - 1
     safe = f"{module.symbol_bits}'d{plan.safe}"
-    wanted, outside, lines = "decided", "outside_end", []
+    lines: list[str] = []
+    wanted, outside = "decided", "outside_end"
+    if module.remembers:
+        wanted, lines = followed(module)
+    label = wanted
     if module.ports and not plan.nearest and not all(plan.policy.domain.periodic):
-        wanted = f"outside_end ? {safe} : decided"
+        wanted = f"outside_end ? {safe} : {label}"
     if plan.policy.gaps:
-        lines = [f"    wire gap = decided == {module.symbol_bits}'d{plan.gap};"]
+        lines.append(f"    wire gap = {label} == {module.symbol_bits}'d{plan.gap};")
         wanted, outside = f"gap ? {safe} : {wanted}", "outside_end || gap"
         outside = outside if module.ports else "gap"
     if not module.dwell:

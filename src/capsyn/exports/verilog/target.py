@@ -11,7 +11,8 @@ from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import MOST_NODES, Plan, tree_within
 from capsyn.exports.target import Exported, Target
-from capsyn.exports.verilog.bench import bench
+from capsyn.exports.verilog.bench import bench, sequence_bench
+from capsyn.exports.verilog.memory import shell
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import Port, fixed_port
 from capsyn.exports.verilog.source import source
@@ -65,8 +66,17 @@ def _per_state(name: str, value: object, n: int, least: int) -> tuple[int | None
 
 
 def export(plan: Plan, golden: Golden, options: Options) -> Exported:
-    """Return a module, its test bench and the golden vectors that this reads."""
+    """Return a module, its test bench and the golden vectors that this reads.
+
+    Of a plan that remembers, the test bench is that of a module beside it, which tells what follows
+    a symbol in force; there is one more, with sequences, of the module itself.
+    """
     one_of("inputs", options.inputs, ["lattice", "fixed"])
+    if plan.policy.cells.priced:
+        raise ProblemError(
+            "target verilog writes trees alone, and affine leaves with prices on switching have "
+            "none: take leaves constant"
+        )
     ports = options.ports(plan)
     clock = math.ceil(finite_number("clock_hz", options.clock_hz, above=0.0))
     if tree_within(plan.source, MOST_NODES) is None:
@@ -77,13 +87,29 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     plan = plan.written(as_cells=False)
     module = Module.of(plan, ports, options.pipeline, clock, options.name)
     test_bench, vectors, about, at_ports = bench(module, golden)
-    text = "\n".join(source(module, about)) + "\n"
     files = {
-        f"{module.name}.v": text.encode("ascii"),
+        f"{module.core}.v": _joined(source(module, about)),
         f"{module.name}_tb.v": test_bench,
         f"{module.name}.mem": vectors,
     }
-    return Exported(files, module.renamed, changed=module.changed, golden=at_ports, plan=plan)
+    sequence = None
+    if module.remembers:
+        test_bench, vectors, about, sequence = sequence_bench(module)
+        files = {f"{module.name}.v": _joined(shell(module, about)), **files}
+        files[f"{module.name}_sequence_tb.v"] = test_bench
+        files[f"{module.name}_sequence.mem"] = vectors
+    return Exported(
+        files,
+        module.renamed,
+        changed=module.changed,
+        golden=at_ports,
+        plan=plan,
+        sequence=sequence,
+    )
 
 
-TARGET = Target(export, Options, cells=False)
+def _joined(lines: list[str]) -> bytes:
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+TARGET = Target(export, Options, cells=False, remembers=True)

@@ -50,18 +50,18 @@ def _sum(module: Module, node: int, end: str) -> list[str]:
 
 def combinational(module: Module) -> list[str]:
     """Return the whole tree without registers."""
-    tree, top = module.tree, module.symbol_bits - 1
+    tree, top = module.tree, module.row_bits - 1
     lines = [f"    wire [{top}:0] decided;"]
     for node in (tree.split >= module.plan.n).nonzero()[0].tolist():
         lines += _sum(module, node, "")
     if tree.split[0] == LEAF:
-        lines.append(f"    assign decided = {module.symbol_bits}'d{tree.threshold[0]};")
+        lines.append(f"    assign decided = {module.row_bits}'d{tree.threshold[0]};")
     else:
         parts, waiting, blocks = {0: "part0"}, [0], []
 
         def leaf(node: int, depth: int) -> str | None:
             if tree.split[node] == LEAF:
-                return f"{module.symbol_bits}'d{tree.threshold[node]}"
+                return f"{module.row_bits}'d{tree.threshold[node]}"
             if depth < NESTING:
                 return None
             parts[node] = f"part{len(parts)}"
@@ -98,7 +98,7 @@ def _ifs(module: Module, node: int, into: str, end: str, leaf: _Leaf, level: int
 
 def pipelined(module: Module, used: list[int]) -> list[str]:
     """Return the stages: each goes some levels down, from a label or a subtree to another."""
-    tree, labels, depths = module.tree, module.plan.labels, module.tree.depths
+    tree, labels, depths = module.tree, module.rows, module.tree.depths
     inner, stages = tree.split != LEAF, (depths // module.levels).tolist()
     nodes = inner.nonzero()[0].tolist()
     heads = [
@@ -130,7 +130,7 @@ def pipelined(module: Module, used: list[int]) -> list[str]:
         f"        valid_then <= rst ? {delay}'d0 : {{valid_then[{delay - 2}:0], valid_in}};"
     )
     lines.append(f"    wire valid_end = valid_then[{delay - 1}];")
-    lines.append(f"    wire [{module.symbol_bits - 1}:0] decided = at_{module.stages};")
+    lines.append(f"    wire [{module.row_bits - 1}:0] decided = at_{module.stages};")
     return [*lines, *clock, "    end"]
 
 
@@ -142,7 +142,7 @@ def _uses(module: Module, node: int, axis: int) -> bool:
 
 
 def _stage(module: Module, stage: int, heads: list[list[int]], bits: list[int]) -> list[str]:
-    tree, labels, width, after = module.tree, module.plan.labels, *bits[stage : stage + 2]
+    tree, labels, width, after = module.tree, module.rows, *bits[stage : stage + 2]
     names = {node: labels + k for k, node in enumerate(heads[stage + 1])}
     lines = [f"    reg [{after - 1}:0] at_{stage + 1};"]
     if tree.split[0] == LEAF:
