@@ -55,7 +55,7 @@ def fan(symbols, names=None, model=True):
     ],
 )
 def test_the_machines_of_the_paper_have_a_vertex_per_symbol_and_all_edges(name, options, count):
-    problem = dataclasses.replace(problems.get(name), **options)
+    problem = dataclasses.replace(problems.plain(name), **options)
     policy = synthesize(problem, max_level=2)
     machine = Automaton.of(policy)
     assert len(machine.vertices) == len(machine.regions) == count
@@ -87,7 +87,7 @@ def house():
 
 @pytest.fixture(scope="module")
 def priced():
-    problem = problems.get("cart-pendulum-4").replace(switching=capsyn.Switching(price="3%"))
+    problem = problems.plain("cart-pendulum-4").replace(switching=capsyn.Switching(price="3%"))
     return synthesize(problem, max_level=3)
 
 

@@ -181,7 +181,7 @@ def test_trees_of_splits_have_the_same_regions():
 
 
 def test_the_two_tanks_in_case_b_are_four_boxes():
-    policy = synthesize(problems.get("double-tank-b"))
+    policy = synthesize(problems.plain("double-tank-b"))
     found = regions(policy.cells, connected_partitions(policy.cells))
     assert [len(r) for r in found] == [1, 1, 1, 1]
     for region in found:

@@ -189,7 +189,7 @@ def moved(policy, count, dt, seed=3):
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a"])
 def test_rates_are_those_of_states_moved_a_little(name):
-    policy = synthesize(problems.get(name), max_level=2)
+    policy = synthesize(problems.plain(name), max_level=2)
     count, dt = 400_000, 1e-3
     table, left = moved(policy, count, dt)
     found = switching(policy)
@@ -203,7 +203,7 @@ def test_rates_are_those_of_states_moved_a_little(name):
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a"])
 def test_no_state_on_a_face_contradicts_what_is_proved(name):
-    policy = synthesize(problems.get(name), max_level=2)
+    policy = synthesize(problems.plain(name), max_level=2)
     found = switching(policy)
     faces, domain = found.faces, policy.domain
     low, high = (domain.points(z, policy.cells.counts) for z in (faces.lower, faces.upper))

@@ -19,6 +19,10 @@ def hinted(problem, word, **options):
 def test_policies_with_fine_boundaries_have_no_hints():
     for name in ("cart-pendulum", "double-tank-a", "double-tank-b", "boost-converter"):
         assert hints(synthesize(problems.plain(name))) == []
+    # the band in which symbols stay has two boundaries, of which each symbol in force sees one
+    tank = problems.plain("double-tank-a").replace(switching=Switching(price="1%"))
+    policy = synthesize(tank)
+    assert policy.mixed_share > 0.1 and hints(policy) == []
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +67,7 @@ def test_a_report_tells_what_is_remembered(priced, capsys):
 
 
 def test_a_policy_without_memory_is_told_as_ever(capsys):
-    policy = synthesize(problems.plain("double-tank-a").replace(switching=None), max_level=2)
+    policy = synthesize(problems.plain("double-tank-a"), max_level=2)
     assert not {"memory", "switching", "delay"} & set(report(policy))
     lines = printed(capsys, policy)
     assert any(line.endswith("minimum dwell 0 s") for line in lines)

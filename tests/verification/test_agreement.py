@@ -33,13 +33,13 @@ from capsyn.verification.sentences import headlines
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return synthesize(problems.plain("cart-pendulum").replace(switching=None))
+    return synthesize(problems.plain("cart-pendulum"))
 
 
 @pytest.fixture(scope="module")
 def tank():
     settings = SsacSettings(gamma=-5.0)  # of the paper
-    return synthesize(problems.plain("double-tank-a").replace(switching=None), settings=settings)
+    return synthesize(problems.plain("double-tank-a"), settings=settings)
 
 
 def relabeled(policy, entry, leaf):
@@ -211,7 +211,7 @@ def test_controllers_of_ones_own_and_memory(priced, pendulum, monkeypatch):
     states = pendulum.domain.sample(3000)
     wanted = [(pendulum(states) == priced(states, current=j)).sum() for j in (0, 1, -1)]
     assert other.in_force_agreeing.tolist() == wanted
-    four = synthesize(problems.plain("cart-pendulum-4").replace(switching=None), max_level=0)
+    four = synthesize(problems.plain("cart-pendulum-4"), max_level=0)
     with pytest.raises(ProblemError, match="`controller` must have 4 symbols, as the policy has"):
         agreement(four, 10, controller=priced)
     whole = agreement(priced, 3000).to_json()
@@ -234,7 +234,7 @@ def test_the_tanks_goal_is_an_island(tank):
 
 
 def test_a_policy_of_level_0_only():
-    policy = synthesize(problems.plain("cart-pendulum").replace(switching=None), max_level=0)
+    policy = synthesize(problems.plain("cart-pendulum"), max_level=0)
     found = agreement(policy, 10_000)
     assert 0.6 < found.share < 0.95
     assert found.level_states.tolist() == [10_000]

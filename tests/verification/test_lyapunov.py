@@ -74,7 +74,7 @@ def check(proof):
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return synthesize(problems.plain("cart-pendulum").replace(switching=None))
+    return synthesize(problems.plain("cart-pendulum"))
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import FeatureTree
+from capsyn.cells.masks import several
 from capsyn.cells.packing import lookup_arrays, packed_bytes
 from capsyn.cells.split_tree import SplitTree
 from capsyn.modelling.settings import SsacSettings
@@ -189,12 +190,29 @@ def _cell_hints(policy: Policy) -> Iterator[str]:
         steepest = policy.settings is not None and policy.settings.rule == "steepest"
         weights = "control_weight" if steepest else "gamma and control_weight"
         yield f"never used: {', '.join(unused)}; drop them, or look at {weights}"
-    if policy.mixed_share > 0.1 and not policy.has_planes:
+    mixed = _mixed_share(policy)
+    if mixed > 0.1 and not policy.has_planes:
         affine = ", or take affine leaves" if policy.domain.n > 2 else ""
         yield (
-            f"cells whose test points disagree cover {policy.mixed_share:.0%} of the volume: "
+            f"cells whose test points disagree cover {mixed:.0%} of the volume: "
             f"the boundaries are coarse; raise max_level{affine}"
         )
+
+
+def _mixed_share(policy: Policy) -> float:
+    """Return the share of the volume of cells whose test points did not agree.
+
+    Of a policy that remembers it is the mean over the symbols in force, each of which has its own
+    boundaries.
+    """
+    cells = policy.cells
+    if not policy.remembers or not isinstance(cells, CellTree):
+        return policy.mixed_share
+    places, volumes = cells.volumes()
+    order = np.argsort(places)
+    own = volumes[order[np.searchsorted(places, cells.mixed_cells, sorter=order)]]
+    unlike = several(cells.mixed_labels).mean(axis=1)
+    return float(own @ unlike / np.prod(cells.counts, dtype=float))
 
 
 def _solve_hints(policy: Policy) -> Iterator[str]:
