@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import capsyn.explorer
-from capsyn import simulate
+from capsyn import Switching, problems, simulate, synthesize
 from capsyn.explorer.explore import page
 from support.explorer.page import OUTPUT, synthesized
 from support.exports import remembering
@@ -35,6 +35,10 @@ def test_a_policy_that_remembers(show):
         shown.hover(state)
         text = shown.text("#readout").replace("\n", "")
         assert words in text and ("5 or -5" in text) == (words[0] == "5")
+        steps = policy.domain.locate(
+            np.array([shown.state["pointed"]["state"]]), policy.cells.counts
+        )
+        assert ("mixed" in text) == (policy.cells.find(steps)[0] in policy.cells.mixed_cells)
     for now, value in ((0, "0"), (1, "1"), (None, "-1")):
         shown.page.select_option("#in-force", value)
         shown.assert_map(current=now)
@@ -47,6 +51,19 @@ def test_a_policy_that_remembers(show):
     shown.set("dwell", 0.05)
     known = simulate(policy, start, 10, min_dwell=0.05)
     assert shown.active["switches"] == known.switches and "dwell 0.05 s" in shown.text(".chip")
+
+
+def test_a_policy_that_only_waits(show):
+    problem = problems.get("cart-pendulum").replace(switching=Switching(hold={"5": 0.03}))
+    policy = synthesize(problem, max_level=2)
+    shown = show(policy)
+    known = simulate(policy, shown.active["start"], 10)
+    assert shown.active["switches"] == known.switches
+    shown.slide("#scrub", 0.01)
+    assert "for 0.1 s of at least 0.03 s" in shown.text("#timers") or known.symbols[100] == 1
+    assert not shown.page.locator("#in-force").count()
+    shown.page.uncheck("#outlines")
+    shown.assert_map()
 
 
 def test_pages_of_policies_without_memory_have_nothing_of_it():

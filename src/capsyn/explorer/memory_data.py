@@ -59,7 +59,7 @@ def memory_automaton(policy: Policy) -> tuple[list[dict[str, Any]], list[dict[st
     keys = ("source", "target", "possible", "sliding")
     if policy.has_planes:
         follows = followers(policy)
-        pairs = [(s, t, None, None) for s in labels for t in labels if follows[s, t]]
+        pairs: list[Any] = [(s, t, None, None) for s in labels for t in labels if follows[s, t]]
     else:
         found = edges_between(policy, labels)
         pairs = [(e.source, e.target, e.possible, e.sliding) for e in found]

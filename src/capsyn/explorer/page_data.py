@@ -65,11 +65,11 @@ def _target(policy: Policy) -> dict[str, Any] | None:
 def _automaton(policy: Policy) -> dict[str, Any]:
     """Return the finite state machine; of oblique splits and affine leaves which symbols there are.
 
-    An affine leaf is one of the cells of each symbol of its rows. For what remembers see
+    An affine leaf is one of the cells of each symbol of its rows. Of pages with memory see
     `memory_automaton`.
     """
     what = "cells" if policy.cells.kind == "cells" else "leaves"
-    if policy.remembers:
+    if needs_memory(policy):
         vertices, edges = memory_automaton(policy)
         return {"vertices": vertices, "edges": edges, "what": what}
     counts = np.bincount(_leaf_labels(policy.cells), minlength=len(policy.controls))

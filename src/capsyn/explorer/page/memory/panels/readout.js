@@ -17,6 +17,7 @@ export function makeReadout(app) {
     const name = one => app.data.symbols.at(one), row = rowOf(app.data, cell.row);
     const before = now => (now === DEFAULT ? "start" : name(now));
     const symbols = [...new Set(app.data.memory.in_force.map(label => cell.row[label]))];
+    if (!cell.mixed) root.querySelector(".allowed .quiet").textContent = "";
     root.querySelector(".allowed").after(element("div", { class: "row" }, element("dt", {}, "next"),
       element("dd", {}, grouped(row, before).flatMap(([now, next], k) =>
         [`${k ? ", " : ""}${now} → `, swatch(next), name(next)]))));

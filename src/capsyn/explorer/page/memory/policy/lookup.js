@@ -16,7 +16,8 @@ const STRIPE = 4;
  *
  * symbol(x, outside, now): what follows `now`, DEFAULT or NONE before the first decision.
  *
- * cell(x): has a `row`, too: what follows each symbol, and DEFAULT last.
+ * cell(x): has a `row`, too: what follows each symbol, and DEFAULT last; and tells whether it is
+ * `mixed`: several rows were seen in it, or vary in it.
  *
  * remembers: whether the symbol in force matters anywhere.
  */
@@ -48,6 +49,7 @@ export function makeLookup(data, features = null) {
       symbol: next(place, z),
       allowed: cells.allowed(place).map(symbolOf),
       row: cells.row(place, z).map(symbolOf),
+      mixed: cells.isMixed(place),
     };
   }
 

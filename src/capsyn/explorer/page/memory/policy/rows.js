@@ -9,6 +9,7 @@ import { SplitTree } from "../../policy/split_tree.js";
  * - `label(place, z, now)`: the label that follows `now`; labels are symbols, the default last;
  * - `row(place, z)`: what follows each label, (N + 1);
  * - `constant(place)`: whether that is the same for all lattice steps of a leaf;
+ * - `isMixed(place)`: whether several rows were seen in a cell, or vary in it;
  * - `allowed(place)`: the labels that were seen in a cell, or follow any label there;
  * - `remembers`: whether what follows depends on the label in force anywhere.
  */
@@ -31,9 +32,11 @@ export function cellsOfRows({ tree, cells: packed, controls, memory }, n, ranks)
     return [...new Set(seen)].sort((a, b) => a - b);
   }
 
+  const several = tree ? [] : cells.mixed;
+  const isMixed = place => !constant(place) || several.includes(place);
   const row = (place, z) => controls.map((_, now) => label(place, z, now));
   const remembers = first > labels || priced !== null;
-  return Object.assign(cells, { label, row, constant, allowed, remembers });
+  return Object.assign(cells, { label, row, constant, allowed, remembers, isMixed });
 }
 
 /**
