@@ -20,7 +20,7 @@ QUIET = {"reduced_motion": "reduce"}
 @functools.cache
 def synthesized(name, **changes):
     """Return the policy of a built-in problem."""
-    return synthesize(problems.get(name), **changes)
+    return synthesize(problems.plain(name), **changes)
 
 
 @contextlib.contextmanager
