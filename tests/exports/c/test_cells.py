@@ -121,7 +121,7 @@ def test_narrow_entries(tmp_path):
 @pytest.fixture(scope="module")
 def spacecraft():
     """Return a policy in six dimensions whose tree is far larger than its cells."""
-    return synthesize(problems.get("spacecraft"), leaves="affine", max_level=0)
+    return synthesize(problems.plain("spacecraft"), leaves="affine", max_level=0)
 
 
 def test_six_dimensions(spacecraft, tmp_path):

@@ -53,7 +53,7 @@ def plan_of_prices(counts, some_axes):
 @functools.cache
 def priced(**options):
     price = capsyn.Switching(price="1%", hold={"5": 0.02})
-    problem = problems.get("cart-pendulum").replace(switching=price)
+    problem = problems.plain("cart-pendulum").replace(switching=price)
     return capsyn.synthesize(problem, **options)
 
 
@@ -131,6 +131,7 @@ def test_features_and_gaps(tmp_path):
 def test_kept_sets_stand_for_rows_where_they_are_smaller(tmp_path):
     plan = plan_of("many")
     rows = np.array([[j if (j * r) % 7 < 4 else r for j in range(301)] for r in range(30)])
+    rows[np.arange(9), 3 * np.arange(9) + 5] = 250
     rows = np.unique(rows, axis=0)
     table = np.vstack([np.repeat(np.arange(301)[:, None], 301, 1), rows])
     leaves = -1 - (np.arange(len(plan.policy.cells.entries)) % len(rows) + 301)
@@ -140,6 +141,7 @@ def test_kept_sets_stand_for_rows_where_they_are_smaller(tmp_path):
     code = check(Plan.of(source, safe=3), tmp_path)
     memory = memory_of(Plan.of(source).tree)
     assert memory.kept is not None and memory.bytes < memory.table.size / 6
+    assert len(memory.kept.places) > 5
     assert code.written["row_bytes"] == memory.bytes
     wide = Memory(memory.cells, np.tile(memory.table, (40, 1)))
     assert '#error "tables of' in wide.follows("p").text

@@ -106,9 +106,11 @@ def _of_states(code: Code) -> str:
 {code.decision};
 """
     if plan.remembers:
-        now = "at tick `now`" if code.waits else "from now on"
+        told = f"in force from now on: what follows at {states}"
+        if code.waits:
+            told = f"in force at tick `now`: what follows at {states}, or what must be held"
         text += f"""
-/* Return the symbol in force {now}: what follows at {states}, or what must be held. */
+/* Return the symbol {told}. */
 {timers.step_opening(code)};
 """
     elif plan.dwell:

@@ -60,8 +60,8 @@ class Options:
     name : str, optional
         What files and functions are called, made an identifier. Default: the policy's name.
     tick : float
-        Unit of the time that a dwell time is measured in [s], whatever the policy's unit of time;
-        at most the dwell time. By default a microsecond.
+        Unit of the time that least times are measured in [s], whatever the policy's unit of time;
+        at most the shortest of them. By default a microsecond.
     package : "cmake" or "arduino"
         How the files are laid out: header and source with a project of CMake, or an Arduino
         library, a folder of the export's name for the sketchbook's ``libraries``.

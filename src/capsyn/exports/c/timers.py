@@ -235,7 +235,7 @@ def _longer(timers: Timers) -> Part:
 /* Return ticks and those that have passed since, at most 2^32 - 1. */
 static uint32_t {timers.code.prefix}_longer(uint32_t ticks, uint32_t passed)
 {{
-    const uint32_t most = 4294967295uL;
+    const uint32_t most = UINT32_MAX;
     uint32_t longer = most;
     if (passed < (most - ticks)) {{
         longer = ticks + passed;
