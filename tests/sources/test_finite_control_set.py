@@ -7,8 +7,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from capsyn import Alphabet, Box, Problem, SsacSettings, Switching, problems, simulate
+from capsyn import (
+    Alphabet,
+    Box,
+    Problem,
+    SsacSettings,
+    Switching,
+    agreement,
+    problems,
+    simulate,
+)
 from capsyn.cells.masks import members
+from capsyn.compression.judge import Judge
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
 from capsyn.sources.callables import problem_policy
 from capsyn.sources.finite_control_set import COST_TIE, MOST_DEPTH, finite_control_set
@@ -17,7 +27,7 @@ BACKENDS = ("c", "numpy")
 
 
 def pendulum(symbols=(-5.0, 0.0, 5.0), **changes):
-    return problems.get("cart-pendulum").replace(
+    return problems.plain("cart-pendulum").replace(
         alphabet=Alphabet(list(symbols)),
         running_cost=lambda x: 1 - ca.cos(x[0]) + 0.1 * x[1] ** 2,
         terminal_cost=lambda x: 2 * ca.sin(x[0]) ** 2 + x[1] ** 2,
@@ -142,6 +152,9 @@ def test_a_delay_is_integrated_first(price):
     assert policy.delay == 0.07 and policy.remembers and policy.switching == switching
     agree = [(policy(states, current=j) == control(states, j)).mean() for j in (-1, 0, 1, 2)]
     assert min(agree) > 0.85
+    found = agreement(policy, 2000, controller=control)
+    assert found.share > 0.85 and len(found.in_force_agreeing) == 4
+    assert Judge.of(policy, 2000, 0, "auto", control).compare(policy).share > 0.75
 
 
 def test_a_policy_of_another_switching_is_refused():
@@ -267,6 +280,8 @@ def test_a_single_symbol_may_have_the_most_moves(backend):
 @pytest.mark.parametrize("backend", ["c", "numpy"])
 @pytest.mark.parametrize("shape", [(2,), (4, 1), (4, 3), (1, 2, 2)])
 def test_states_of_another_shape_are_refused(backend, shape):
-    control = finite_control_set(problems.get("cart-pendulum"), 2, sample_time=0.1, backend=backend)
+    control = finite_control_set(
+        problems.plain("cart-pendulum"), 2, sample_time=0.1, backend=backend
+    )
     with pytest.raises(ProblemError, match=r"`states` must be of shape \(B, 2\)"):
         control(np.zeros(shape))

@@ -30,7 +30,7 @@ from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.random_streams import derived_seed
 from capsyn.statistics import clopper_pearson
 from capsyn.validation import describe
-from capsyn.verification.agreement import Controller, agreement
+from capsyn.verification.agreement import Controller, agreement, masks_in_force
 
 MOST_CELLS = 10**7
 """A policy with more cells is not advised."""
@@ -100,6 +100,9 @@ class Judge:
                         f"`controller` must have {count} symbols like the policy; got {controller}"
                     )
                 source, known["remembers"] = _sets_of(controller), True
+            own = masks_in_force(controller, count)
+            if own is not None:
+                source, known["remembers"] = own, True
             return Judge(policy, "function", source, controller, **known)
         ssac = policy_controller(policy, backend)
         if ssac is None:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import Label, masks_of_symbols
+from capsyn.cells.masks import Label, checked_masks, masks_of_symbols
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
@@ -164,7 +164,8 @@ def agreement(
         Number of states, drawn uniformly from the domain.
     controller : callable, optional
         States (B, n) to symbol indices (B,), -1 for the default, whatever is in force; or another
-        policy. Default: sSAC with the policy's own model, horizon, settings, prices and delay.
+        policy, or a `FiniteControlSet`. Default: sSAC with the policy's own model, horizon,
+        settings, prices and delay.
     seed : int
         Seed of the states.
     confidence : float
@@ -236,8 +237,22 @@ def _rule(policy: Policy, controller: Controller | None, backend: str) -> Rule:
         controller = dataclasses.replace(controller, gaps=False)  # a gap is a label like others
         if controller.remembers:
             return Rule(_masks_in_turn(controller, count), order, count)
+    own = masks_in_force(controller, count - 1)
+    if own is not None:
+        return Rule(own, order, count)
     masks = masks_of_symbols(controller, count - 1, "controller")
     return Rule(masks, order, count if policy.remembers else 1)
+
+
+def masks_in_force(controller: Any, n_symbols: int) -> Label | None:
+    """Return the masks (B, N + 1, W) that a controller has for each symbol in force, if it has.
+
+    Those that do say for how many ``in_force`` they have ``masks``, as a `FiniteControlSet` does.
+    """
+    count = getattr(controller, "in_force", 1)
+    if isinstance(controller, Policy) or not isinstance(count, int) or count == 1:
+        return None
+    return checked_masks(controller.masks, n_symbols, n_symbols + 1)
 
 
 def _masks_in_turn(policy: Policy, count: int) -> Label:
