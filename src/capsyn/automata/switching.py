@@ -142,24 +142,10 @@ def switching(policy: Policy) -> Switching:
     sides = Sides.of(rows, beside)
     columns = (met.axis, met.lower, met.upper, met.below, met.above)
     faces, labels = Faces(*(column[sides.face] for column in columns)), sides.labels
-    low, high = domain.points(faces.lower, cells.counts), domain.points(faces.upper, cells.counts)
-
-    shares, flows = np.empty((len(faces), 4)), np.empty((len(faces), 4))
-    statuses = np.empty((len(faces), 3), dtype=np.int8)
-    areas = np.empty(len(faces))
-    exits = np.zeros(number)
-    for axis in range(domain.n):
-        own = np.flatnonzero(faces.axis == axis)
-        at = low[own, axis]
-        seam = faces.lower[own, axis] == 0
-        ends = np.stack([np.where(seam, domain.upper[axis], at), at])
-        some = AxisFaces(policy, axis, low[own].T, high[own].T, ends, labels[own].T)
-        areas[own] = some.areas
-        shares[own], flows[own], points = some.sampled()
-        statuses[own] = some.decided(points)
-        exits += _exits(policy, rows, axis, boxes)
+    areas, statuses, shares, flows = _looked_at(policy, faces, labels)
     _one_way(sides, statuses, shares, flows)
     flows *= rows.weights[sides.rows][:, [0, 1, 0, 1]]
+    exits = np.sum([_exits(policy, rows, axis, boxes) for axis in range(domain.n)], axis=0)
 
     def total(values: np.ndarray, downward: bool) -> np.ndarray:
         table = np.zeros((number, number))
@@ -193,6 +179,24 @@ def switching(policy: Policy) -> Switching:
         exit_rates=exits,
         volume_shares=policy.volume_shares,
     )
+
+
+def _looked_at(policy: Policy, faces: Faces, labels: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return areas (F,), statuses (F, 3), shares and flows (F, 4) of faces with labels (F, 2)."""
+    domain, counts = policy.domain, policy.cells.counts
+    low, high = domain.points(faces.lower, counts), domain.points(faces.upper, counts)
+    shares, flows = np.empty((len(faces), 4)), np.empty((len(faces), 4))
+    areas, statuses = np.empty(len(faces)), np.empty((len(faces), 3), dtype=np.int8)
+    for axis in range(domain.n):
+        own = np.flatnonzero(faces.axis == axis)
+        at = low[own, axis]
+        seam = faces.lower[own, axis] == 0
+        ends = np.stack([np.where(seam, domain.upper[axis], at), at])
+        some = AxisFaces(policy, axis, low[own].T, high[own].T, ends, labels[own].T)
+        areas[own] = some.areas
+        shares[own], flows[own], points = some.sampled()
+        statuses[own] = some.decided(points)
+    return areas, statuses, shares, flows
 
 
 def _one_way(sides: Sides, statuses: np.ndarray, shares: np.ndarray, flows: np.ndarray) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.modelling.switching import DEFAULT
 from capsyn.plots.figure import frame, literal, outline_width, rectangles, saved_figure
 from capsyn.policies.checks import labels_in_force
 from capsyn.policies.colors import symbol_colors
@@ -60,7 +61,6 @@ def plot_policy(
         stays. Default: that of the start, the default control, and hatched where any may stay.
     """
     import matplotlib.pyplot as plt
-    from matplotlib.patches import Patch
 
     domain, tree = policy.domain, policy.cells
     if domain.n == 1:
@@ -94,34 +94,52 @@ def plot_policy(
             policy, steps, (horizontal, vertical), colors, ax, outlines, now
         )
     frame(ax, domain, (horizontal, vertical))
-    names = [literal(name) for name in (*policy.alphabet.names, "default")]
     if legend:
-        named = sorted(shown)
-        if len(named) > MOST_NAMED - hatched:
-            named = named[: MOST_NAMED - hatched - 1]
-        handles = [Patch(facecolor=colors[k], edgecolor="#666666", label=names[k]) for k in named]
-        if len(named) < len(shown):
-            handles.append(Patch(alpha=0.0, label=f"and {len(shown) - len(named)} more"))
-        if hatched:
-            what = "the one in force stays" if now is None else f"{names[now]} stays"
-            handles.append(Patch(facecolor="none", edgecolor=INK, hatch=HATCH, lw=0, label=what))
-        title = ", ".join(policy.alphabet.inputs)
-        if policy.alphabet.m == 1 and policy.alphabet.units[0]:
-            title += f" [{policy.alphabet.units[0]}]"
-        ax.legend(
-            handles=handles,
-            title=literal(title),
-            alignment="left",
-            loc="upper left",
-            bbox_to_anchor=(1.01, 1),
-            frameon=False,
-        )
+        _draw_legend(policy, shown, hatched, colors, ax, now)
     where = ", ".join(f"{domain.names[i]} = {point[i]:g}" for i in others)
-    title = literal(policy.title + (f" at {where}" if where else ""))
-    ax.set_title(
-        f"{title}, {names[-1 if now is None else now]} in force" if policy.remembers else title
-    )
+    title = policy.title + (f" at {where}" if where else "")
+    if policy.remembers:
+        title += f", {_name(policy, now)} in force"
+    ax.set_title(literal(title))
     return ax
+
+
+def _name(policy: Policy, label: int | None) -> str:
+    """Return the name of a label, by default the default's."""
+    return (*policy.alphabet.names, DEFAULT)[-1 if label is None else label]
+
+
+def _draw_legend(
+    policy: Policy, shown: set[int], hatched: bool, colors: np.ndarray, ax: Axes, now: int | None
+) -> None:
+    """Name the labels that are shown, and say what is hatched."""
+    from matplotlib.patches import Patch
+
+    named = sorted(shown)
+    if len(named) > MOST_NAMED - hatched:
+        named = named[: MOST_NAMED - hatched - 1]
+    handles = [
+        Patch(facecolor=colors[k], edgecolor="#666666", label=literal(_name(policy, k)))
+        for k in named
+    ]
+    if len(named) < len(shown):
+        handles.append(Patch(alpha=0.0, label=f"and {len(shown) - len(named)} more"))
+    if hatched:
+        what = "the one in force" if now is None else literal(_name(policy, now))
+        handles.append(
+            Patch(facecolor="none", edgecolor=INK, hatch=HATCH, lw=0, label=f"{what} stays")
+        )
+    title = ", ".join(policy.alphabet.inputs)
+    if policy.alphabet.m == 1 and policy.alphabet.units[0]:
+        title += f" [{policy.alphabet.units[0]}]"
+    ax.legend(
+        handles=handles,
+        title=literal(title),
+        alignment="left",
+        loc="upper left",
+        bbox_to_anchor=(1.01, 1),
+        frameon=False,
+    )
 
 
 def _draw_boxes(

@@ -20,9 +20,9 @@ from capsyn.modelling.switching import Switching, SwitchRules
 from capsyn.modelling.targets import Target
 from capsyn.policies.checks import check_fields, labels_in_force
 from capsyn.policies.guarantee import Guarantee
+from capsyn.policies.in_force import mixed_share, volume_shares
 from capsyn.policies.lookup import GAP, OUTSIDE, row_numbers
 from capsyn.policies.outside import outside_text
-from capsyn.policies.volumes import mixed_share, volume_shares
 from capsyn.programs.model import Model
 from capsyn.validation import (
     describe,

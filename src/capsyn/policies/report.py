@@ -77,7 +77,8 @@ def unused_symbols(policy: Policy) -> list[str]:
     """Return the names of symbols that are never in force."""
     names = policy.alphabet.names
     if policy.remembers:
-        return [name for k, name in enumerate(names) if k not in reachable(policy)]
+        known = set(reachable(policy).tolist())
+        return [name for k, name in enumerate(names) if k not in known]
     return [name for name, share in zip(names, policy.volume_shares) if not share]
 
 
