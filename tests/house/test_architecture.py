@@ -26,7 +26,7 @@ execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
 cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree faces packing work
-policies: lookup outside guarantee evidence colors in_force picture volumes file checks policy
+policies: lookup outside guarantee evidence colors in_force picture file checks policy
     single_lookup report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
