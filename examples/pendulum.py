@@ -6,7 +6,7 @@ import capsyn
 from capsyn import problems
 from capsyn.problems.cart_pendulum import GRAVITY, LENGTH, MASS
 
-policy = capsyn.synthesize(problems.get("cart-pendulum"))
+policy = capsyn.synthesize(problems.plain("cart-pendulum"))
 states = policy.domain.sample(200_000, seed=1)
 theta, omega = states.T
 energy = 0.5 * MASS * LENGTH**2 * omega**2 + MASS * GRAVITY * LENGTH * (np.cos(theta) - 1)

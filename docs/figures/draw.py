@@ -58,7 +58,8 @@ if __name__ == "__main__":
     for name in ("cart-pendulum", "double-tank-a"):
         save_policy_plot(synthesize(problems.get(name)), HERE / f"{name}.png")
     pendulum = synthesize(problems.get("cart-pendulum"))
-    save_curve_plot(size_curve(pendulum), pendulum.name, HERE / "curve.png")
+    plain = synthesize(problems.plain("cart-pendulum"))
+    save_curve_plot(size_curve(plain), plain.name, HERE / "curve.png")
     dimensions = runpy.run_path(str(HERE.parents[1] / "benchmarks" / "dimensions.py"))
     dimensions["save_growth_plot"](HERE / "growth.png")
     save_screenshot(pendulum, HERE / "explorer.png")

@@ -107,18 +107,24 @@ class CellTree:
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by their names in a file."""
         arrays = {name: getattr(self, name) for name in CELL_ARRAYS}
-        count, in_force, words = self.mixed_labels.shape
+        _, in_force, words = self.mixed_labels.shape
         if (in_force, words) == (1, 1):
             arrays["mixed_labels"] = self.mixed_labels[:, 0, 0]
         elif in_force > 1:
             del arrays["mixed_labels"]
-            every = self.mixed_labels.reshape(-1, words)
-            sets, places = np.unique(every, axis=0, return_inverse=True)
-            arrays["mixed_sets"] = sets
-            arrays["mixed_places"] = places.reshape(count, in_force).astype(np.int32)
+            arrays |= self._seen_once
         if self.splits is not None:
             arrays["splits"] = self.splits
         return arrays | ({} if self.affine is None else self.affine.arrays())
+
+    @functools.cached_property
+    def _seen_once(self) -> dict[str, np.ndarray]:
+        """The arrays of `SEEN_ARRAYS`."""
+        count, in_force, words = self.mixed_labels.shape
+        every = self.mixed_labels.reshape(-1, words)
+        sets, places = np.unique(every, axis=0, return_inverse=True)
+        where = places.reshape(count, in_force).astype(np.int32)
+        return {"mixed_sets": sets, "mixed_places": where}
 
     def lookup_arguments(self) -> dict[str, Any]:
         """Return what lookup.c knows of the cells: numbers, and arrays, by name."""

@@ -20,6 +20,7 @@ from capsyn.cli.import_table import import_table
 from capsyn.cli.loop import simulate
 from capsyn.cli.options import (
     Backend,
+    Current,
     Dask,
     File,
     Json,
@@ -277,6 +278,7 @@ def query(
     file: File,
     state: Annotated[list[str], typer.Argument(metavar="X1 X2 ..", help="A state.")],
     outside: Outside = None,
+    current: Current = None,
     as_json: Json = False,
 ) -> None:
     """Look up the symbol of a state."""
@@ -289,8 +291,8 @@ def query(
             f"the state must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
         )
     values = [number(name, text) for name, text in zip(names, state)]
-    symbol = int(policy(values, outside))
-    control, own_name = policy.control(values, outside).tolist(), policy.symbol_name(symbol)
+    symbol = int(policy(values, outside, current=current))
+    control, own_name = policy.controls[symbol].tolist(), policy.symbol_name(symbol)
     data = {"state": values, "symbol": symbol, "name": own_name, "control": control}
     pairs = [
         f"{name} = {value:g} {unit}".rstrip()
@@ -311,6 +313,7 @@ def plot(
         typer.Option(metavar="NAME=VALUE", help="Another state's value; may be repeated."),
     ] = None,
     outlines: Annotated[bool, typer.Option(help="Outline the cells.")] = True,
+    current: Current = None,
 ) -> None:
     """Draw the cells of a policy in the plane of two states."""
     from capsyn.execution.files import check_writable
@@ -324,7 +327,7 @@ def plot(
     names = policy.domain.names
     axes = tuple(name.strip() for name in plane.split(",")) if plane else names[:2]
     values = {name: number(name, text) for name, text in assignments("--at", at or []).items()}
-    save_policy_plot(policy, output, axes, values, outlines)
+    save_policy_plot(policy, output, axes, values, outlines, current=current)
     typer.echo(f"wrote {output}")
 
 

@@ -31,6 +31,10 @@ Outside = Annotated[
         help="error, nearest, or a symbol's name or index [default: the problem's or policy's]."
     ),
 ]
+Current = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="The symbol in force [default: none yet, the default]."),
+]
 OutsideAtOnce = Annotated[
     bool | None,
     typer.Option(
