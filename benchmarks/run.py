@@ -11,7 +11,7 @@ from capsyn.version import __version__
 
 HERE = Path(__file__).parent
 QUESTIONS = (
-    "solve synthesis dimensions lookup compression sources closed_loop explorer command counts "
+    "solve synthesis dimensions lookup compression sources inverter closed_loop explorer command counts "
     "exports timing cluster"
 ).split()
 
