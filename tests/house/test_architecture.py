@@ -38,7 +38,8 @@ sources: delayed sequence_costs finite_control_set callables table text scots gr
 verification: bisection loop_derivative lyapunov tally agreement trials monte_carlo
     switching_curve sentences
 integrations: stepping evaluation gymnasium control
-compression: rows optimal induction freedom surface plane_tree oblique coarsening affine_tree
+compression: rows optimal induction freedom coarsening affine_tree
+compression.fitted: surface plane_tree oblique
 compression.features: growing space cell_fit controller_fit
 compression: proof judge compress curve complexity
 plots: figure policy trajectory automaton curve switching
@@ -49,7 +50,7 @@ exports.c: language styles.mirrors styles.diagram styles.stream styles.table sty
     readings.places readings.quantiser notes dwell timers header source packages sizes
     timing.programs timing.emulators timing.states timing.slowest target
 exports.structured_text: words lines pou cells block cuts functions steps memory hold source
-    siemens plcopen target
+    dialects.siemens dialects.plcopen target
 exports.verilog: words ports module tree memory bench source target
 exports.javascript: target
 exports.policy_json: target

@@ -20,12 +20,12 @@ from capsyn.exports.golden import Golden
 from capsyn.exports.plan import Files, Plan
 from capsyn.exports.sequence import Sequence, golden_sequence, run
 from capsyn.exports.structured_text.block import Block
+from capsyn.exports.structured_text.dialects.plcopen import project
+from capsyn.exports.structured_text.dialects.siemens import scl
 from capsyn.exports.structured_text.functions import functions
 from capsyn.exports.structured_text.lines import comment
 from capsyn.exports.structured_text.memory import row_function
-from capsyn.exports.structured_text.plcopen import project
 from capsyn.exports.structured_text.pou import text
-from capsyn.exports.structured_text.siemens import scl
 from capsyn.exports.structured_text.source import block_unit, next_units, notes
 from capsyn.exports.structured_text.steps import tables
 from capsyn.exports.target import Exported, Target

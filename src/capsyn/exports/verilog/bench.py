@@ -212,12 +212,8 @@ def _text(module: Module, count: int, bits: int, cycles: dict[str, int] | None =
     ]
     declared = "\n".join(signals)
     end, driver = "", CLOCKED if clocked else PLAIN
-    own = " #(.DWELL_CYCLES(64'd0))" * module.dwell
-    under_test = f"{module.core}{own} dut ("
     if cycles is not None:
         end, driver = "_sequence", SEQUENCES.replace("BITS", str(bits))
-        given = ",\n".join(f"        .{name}(64'd{value})" for name, value in cycles.items())
-        under_test = f"{module.name} #(\n{given}\n    ) dut (" if given else f"{module.name} dut ("
     sent = answer_bits + sum(module.widths) + symbol_bits * now
     place = f"[{answer_bits + symbol_bits - 1}:{answer_bits}]"
     put = f"\n            in_force = vector{place};\n            #1;" * now
@@ -229,7 +225,7 @@ module {module.name}{end}_tb;
     reg [{bits - 1}:0] vector;
 {declared}
     integer sent, seen, wrong;
-    {under_test}
+    {_under_test(module, cycles)} dut (
 {connected}
     );
     task check;
@@ -255,3 +251,11 @@ module {module.name}{end}_tb;
 {driver}
 {FRAME}
 endmodule""".splitlines()
+
+
+def _under_test(module: Module, cycles: dict[str, int] | None) -> str:
+    """Return what is tested, with its parameters."""
+    if cycles is None:
+        return module.core + " #(.DWELL_CYCLES(64'd0))" * module.dwell
+    given = ",\n".join(f"        .{name}(64'd{value})" for name, value in cycles.items())
+    return f"{module.name} #(\n{given}\n    )" if given else module.name

@@ -1,0 +1,1 @@
+"""How a tool takes units: as external sources of TIA Portal, or as PLCopen XML."""
