@@ -391,6 +391,8 @@ class CellTree:
 
     def _check_affine(self, first: int, label_count: int) -> None:
         assert self.affine is not None
+        if first > label_count and not self.priced:
+            raise PolicyFormatError("affine leaves beside rows of transitions have no prices")
         self.affine.check(self.counts, first, label_count)
         leaves = -1 - self.entries[self.entries < 0].astype(np.int64)
         numbers = leaves[leaves >= first] - first
