@@ -126,7 +126,7 @@ def test_no_forbidden_transition_and_no_broken_hold(holds):
 
 
 def test_the_block_holds_as_simulations_do():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     switching = capsyn.Switching(price="1%", hold={"5": 0.02, "-5": 0.05})
     policy = capsyn.synthesize(problem.replace(switching=switching))
     run = capsyn.simulate(policy, x0=[0.5, 0.3], duration=4.0, rate=100.0)

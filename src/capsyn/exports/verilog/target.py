@@ -75,7 +75,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     if plan.policy.cells.priced:
         raise ProblemError(
             "target verilog writes trees alone, and affine leaves with prices on switching have "
-            "none: take leaves constant"
+            "none: compress in mode linear, or take constant leaves"
         )
     ports = options.ports(plan)
     clock = math.ceil(finite_number("clock_hz", options.clock_hz, above=0.0))
