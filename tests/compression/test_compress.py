@@ -11,8 +11,8 @@ import pytest
 import capsyn
 from capsyn import Alphabet, Box, DecisionTree, Policy, compress, problems
 from capsyn.cells.cell_tree import CellTree
-from capsyn.compression import oblique
 from capsyn.compression.coarsening import cut_off
+from capsyn.compression.fitted import oblique
 from capsyn.compression.freedom import VOTES, cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
 from capsyn.compression.judge import JUDGING

@@ -14,8 +14,8 @@ from capsyn.compression import compress as compression
 from capsyn.compression.features import controller_fit
 from capsyn.compression.features.growing import Pairs, best_split
 from capsyn.compression.features.space import Space
+from capsyn.compression.fitted.plane_tree import Node
 from capsyn.compression.freedom import allowed_masks
-from capsyn.compression.plane_tree import Node
 from capsyn.compression.proof import prove
 from capsyn.errors import CapsynWarning, ProblemError
 from support.features import BY_NUMPY, FEATURES, all_steps, exact, pendulum, value_of, walked

@@ -4,10 +4,10 @@ import pytest
 from capsyn import Box
 from capsyn.cells.masks import or_else
 from capsyn.cells.split_tree import LEAF
-from capsyn.compression import oblique
-from capsyn.compression.oblique import Fit, fine_lattice, fit_tree
-from capsyn.compression.plane_tree import best_shift, separating_plane
-from capsyn.compression.surface import draw_samples, find_surface, nearest_plane
+from capsyn.compression.fitted import oblique
+from capsyn.compression.fitted.oblique import Fit, fine_lattice, fit_tree
+from capsyn.compression.fitted.plane_tree import best_shift, separating_plane
+from capsyn.compression.fitted.surface import draw_samples, find_surface, nearest_plane
 from capsyn.errors import ProblemError
 from capsyn.modelling.grid import MAX_COUNT
 from capsyn.statistics import clopper_pearson

@@ -16,8 +16,8 @@ from capsyn.cells.packing import packed_bytes
 from capsyn.cells.row_table import row_sets
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.complexity import complexity
+from capsyn.compression.fitted.oblique import fit_tree
 from capsyn.compression.judge import Judge
-from capsyn.compression.oblique import fit_tree
 from capsyn.compression.proof import prove
 from capsyn.compression.rows import policy_bytes, rows_at
 from capsyn.controllers.ssac import policy_controller
@@ -58,8 +58,8 @@ def quick(monkeypatch):
     """Fits of mode linear to few samples, of one search."""
     monkeypatch.setattr("capsyn.compression.compress.fit_tree", partial(fit_tree, samples=20_000))
     monkeypatch.setattr("capsyn.compression.judge.PILOT", 20_000)
-    monkeypatch.setattr("capsyn.compression.oblique.AIMS", (1.0,))
-    monkeypatch.setattr("capsyn.compression.oblique.ATTEMPTS", 3)
+    monkeypatch.setattr("capsyn.compression.fitted.oblique.AIMS", (1.0,))
+    monkeypatch.setattr("capsyn.compression.fitted.oblique.ATTEMPTS", 3)
 
 
 def rows_of(policy, points):

@@ -20,10 +20,10 @@ from capsyn.compression.affine_tree import MAX_NODES, affine_tree
 from capsyn.compression.coarsening import cut_off
 from capsyn.compression.features.cell_fit import MOST_CELLS, fit_cells
 from capsyn.compression.features.space import LEAST_MARGIN, Functions, Space, check_functions
+from capsyn.compression.fitted.oblique import Fit, fine_lattice, fit_tree
 from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
 from capsyn.compression.induction import Prices, induce
 from capsyn.compression.judge import Judge
-from capsyn.compression.oblique import Fit, fine_lattice, fit_tree
 from capsyn.compression.proof import prove
 from capsyn.compression.rows import tree_of_rows
 from capsyn.errors import ProblemError, warn

@@ -1,4 +1,4 @@
-"""Trees whose leaves are rows, which label follows each label in force, and policies as rows."""
+"""Policies as rows, which label follows each label in force, and trees whose leaves are rows."""
 
 from __future__ import annotations
 

@@ -10,9 +10,9 @@ from capsyn.cells.feature_tree import FeatureTree, lattice_chunks
 from capsyn.cells.masks import members
 from capsyn.compression.features.growing import Pairs, across, best_split
 from capsyn.compression.features.space import Space
+from capsyn.compression.fitted.plane_tree import Node
 from capsyn.compression.freedom import allowed_masks
 from capsyn.compression.induction import apart
-from capsyn.compression.plane_tree import Node
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.random_streams import stream
 

@@ -15,9 +15,9 @@ from capsyn.cells.masks import Label, empty
 from capsyn.cells.split_tree import SplitTree
 from capsyn.compression.features.growing import Pairs, across, best_split
 from capsyn.compression.features.space import Space
-from capsyn.compression.oblique import Fit, to_lattice
-from capsyn.compression.plane_tree import MAX_DEPTH, Node, best_label, prune, refine
-from capsyn.compression.surface import Samples, draw_samples
+from capsyn.compression.fitted.oblique import Fit, to_lattice
+from capsyn.compression.fitted.plane_tree import MAX_DEPTH, Node, best_label, prune, refine
+from capsyn.compression.fitted.surface import Samples, draw_samples
 from capsyn.policies.guarantee import CONFIDENCE
 from capsyn.random_streams import stream
 from capsyn.statistics import clopper_pearson
@@ -44,8 +44,8 @@ def fit_controller(
 ) -> Fit:
     """Return a small tree with features that is right on a wanted share of the volume.
 
-    The arguments are those of `capsyn.compression.oblique.fit_tree`. A tree that needs no feature
-    has none.
+    The arguments are those of `capsyn.compression.fitted.oblique.fit_tree`. A tree that needs no
+    feature has none.
     """
     domain = space.domain
 

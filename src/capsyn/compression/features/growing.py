@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.compression.surface import Plane
+from capsyn.compression.fitted.surface import Plane
 
 
 @dataclass(frozen=True, eq=False)

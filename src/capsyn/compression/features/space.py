@@ -16,8 +16,8 @@ import numpy as np
 from capsyn.cells.feature_tree import Features, FeatureTree, lattice_chunks
 from capsyn.cells.split_tree import LEAF, depth_first
 from capsyn.compression.features.growing import across
-from capsyn.compression.oblique import integer_plane
-from capsyn.compression.plane_tree import Node
+from capsyn.compression.fitted.oblique import integer_plane
+from capsyn.compression.fitted.plane_tree import Node
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
 from capsyn.programs.builder import selected, with_sums

@@ -1,8 +1,8 @@
 """Small trees with oblique splits that agree with a controller on most of the domain.
 
 Trees are grown finer than the target needs, and pruned link by link with all splits fitted in
-between, see `capsyn.compression.plane_tree`. The smallest that meets the target is rounded to
-integers on a fine lattice. Trees are fitted to one set of random states, chosen by a second one,
+between, see `capsyn.compression.fitted.plane_tree`. The smallest that meets the target is rounded
+to integers on a fine lattice. Trees are fitted to one set of random states, chosen by a second one,
 and judged on a third.
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 
 from capsyn.cells.masks import Label
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
-from capsyn.compression.plane_tree import Link, Node, grow, prune, refine
-from capsyn.compression.surface import Plane, Samples, Surface, draw_samples, find_surface
+from capsyn.compression.fitted.plane_tree import Link, Node, grow, prune, refine
+from capsyn.compression.fitted.surface import Plane, Samples, Surface, draw_samples, find_surface
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
 from capsyn.modelling.grid import MAX_COUNT

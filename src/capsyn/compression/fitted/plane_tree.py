@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsyn.compression.surface import Plane, Samples, Surface, best_plane, distances
+from capsyn.compression.fitted.surface import Plane, Samples, Surface, best_plane, distances
 
 MAX_DEPTH = 64
 """Most splits above a leaf of a grown tree."""

@@ -1,0 +1,1 @@
+"""Trees of oblique splits that are fitted to a controller."""
