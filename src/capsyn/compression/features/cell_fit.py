@@ -92,7 +92,7 @@ class _Grid:
                 pairs = self._far(rows, own)
             split = best_split(pairs, penalty)
             assert split is not None, "unlike cells differ along an axis"
-            split = split[0], _between(split[1], self.x[rows, split[0]])
+            split = split[0], _beside(split[1], self.x[rows, split[0]])
             node.plane = across(*split, self.x.shape[1])
             beyond = self.x[rows, split[0]] >= split[1]
             for part, beside in zip((rows[~beyond], rows[beyond]), pairs.beside(*split)):
@@ -115,12 +115,12 @@ class _Grid:
         return Pairs(self.x[one], self.x[other], np.ones(FAR, dtype=bool))
 
 
-def _between(threshold: float, values: np.ndarray) -> float:
-    """Return a threshold that none of the values is at: on a lattice it might fall to either side.
+def _beside(threshold: float, values: np.ndarray) -> float:
+    """Return a threshold a little off the values, where it is at one; it parts them alike.
 
-    Pairs do not show all values of their cells.
+    Pairs do not show all values of their cells, and rounded to the lattice one may change sides.
     """
-    if not (np.abs(values - threshold) < SAME).any():
+    near = values[np.abs(values - threshold) < SAME]
+    if not near.size:
         return threshold
-    beyond = values > threshold - SAME
-    return float((values[~beyond].max() + values[beyond].min()) / 2)
+    return threshold - SAME if (near >= threshold).any() else threshold + SAME
