@@ -13,7 +13,7 @@ from support.processes.command_line import capsyn, error_of
 @pytest.fixture(scope="module")
 def pendulum(tmp_path_factory):
     path = tmp_path_factory.mktemp("compression") / "pendulum.cap"
-    synthesize(problems.get("cart-pendulum"), max_level=2).save(path)
+    synthesize(problems.plain("cart-pendulum"), max_level=2).save(path)
     return path
 
 
@@ -212,7 +212,7 @@ def test_a_proof_is_made_again(pendulum, tmp_path):
     line = error_of("info", tmp_path / "linear.cap", "--proof", pendulum)
     assert "must be a decision tree of mode exact or freedom" in line
     other = tmp_path / "other.cap"
-    synthesize(problems.get("cart-pendulum"), max_level=1).save(other)
+    synthesize(problems.plain("cart-pendulum"), max_level=1).save(other)
     assert "was made from another" in error_of("info", tmp_path / "exact.cap", "--proof", other)
 
 

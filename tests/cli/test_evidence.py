@@ -39,8 +39,8 @@ number = 3
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("evidence")
-    synthesize(problems.get("cart-pendulum"), max_level=2).save(folder / "pendulum.cap")
-    synthesize(problems.get("double-tank-a"), max_level=3).save(folder / "tank.cap")
+    synthesize(problems.plain("cart-pendulum"), max_level=2).save(folder / "pendulum.cap")
+    synthesize(problems.plain("double-tank-a"), max_level=3).save(folder / "tank.cap")
     (folder / "f.py").write_text(FUNCTIONS)
     return folder
 
@@ -145,7 +145,7 @@ def test_simulate_online_and_another_plant(run, folder):
         ("--online ssac", online_controller(policy), {}),
         ("--online sac", online_controller(policy, "sac"), {}),
         ("--online ssac --background", online_controller(policy, default=policy), {}),
-        ("--model cart-pendulum-4", policy, {"model": problems.get("cart-pendulum-4")}),
+        ("--model cart-pendulum-4", policy, {"model": problems.plain("cart-pendulum-4")}),
         (
             "--model f.py:plant --parameter gain=0.5",
             policy,

@@ -21,8 +21,8 @@ from support.closed_loops import (
 )
 from support.references import action as reference_action
 
-PENDULUM = problems.get("cart-pendulum")
-TANK = problems.get("double-tank-b")
+PENDULUM = problems.plain("cart-pendulum")
+TANK = problems.plain("double-tank-b")
 TWO_INPUTS = Problem(
     name="two inputs",
     dynamics=lambda x, u: [x[1] + 0.3 * u[1] * ca.cos(x[0]), ca.sin(x[0]) + u[0] * (1 + x[1] ** 2)],
@@ -238,7 +238,7 @@ def test_the_symbol_of_a_background_policy_is_told_the_default_is_minus_one(back
 @pytest.mark.parametrize("name", ["cart-pendulum", "cart-pendulum-4", "double-tank-a"])
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_symbol_at_once_is_that_of_a_policy(name, on_no_descent, backend):
-    problem = with_settings(problems.get(name), on_no_descent=on_no_descent)
+    problem = with_settings(problems.plain(name), on_no_descent=on_no_descent)
     controller = online_controller(problem, backend=backend)
     ties = np.stack(np.meshgrid(*(np.linspace(0, 1, 17),) * 2), axis=-1).reshape(-1, 2)
     ties = problem.domain.lower + ties * problem.domain.widths

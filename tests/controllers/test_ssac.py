@@ -38,11 +38,11 @@ def controller(problem: Problem, backend: str = "c", **changes) -> BatchControll
 
 
 CASES = {
-    "cart-pendulum": problems.get("cart-pendulum"),
-    "cart-pendulum-4, pushed": problems.get("cart-pendulum-4").replace(default=1.5),
-    "double-tank-a": problems.get("double-tank-a"),
-    "double-tank-b, open": problems.get("double-tank-b").replace(default=[0.5, 0.2, 1.0]),
-    "cart-pole": problems.get("cart-pole"),
+    "cart-pendulum": problems.plain("cart-pendulum"),
+    "cart-pendulum-4, pushed": problems.plain("cart-pendulum-4").replace(default=1.5),
+    "double-tank-a": problems.plain("double-tank-a"),
+    "double-tank-b, open": problems.plain("double-tank-b").replace(default=[0.5, 0.2, 1.0]),
+    "cart-pole": problems.plain("cart-pole"),
 }
 
 
@@ -101,7 +101,7 @@ def test_the_adjoint_is_the_gradient_of_the_cost(problem):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_adjoint_of_the_pendulum_with_full_actuation(backend):
-    pendulum = problems.get("cart-pendulum")
+    pendulum = problems.plain("cart-pendulum")
     full = pendulum.replace(
         dynamics=lambda x, u: [
             x[1] + u[0],
@@ -130,7 +130,7 @@ def check_adjoint(problem: Problem, backend: str) -> None:
 
 
 def test_pendulum_gradients_are_those_of_the_energy_law():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     batch = controller(problem)
     states = problem.domain.sample(100_000, seed=4)
     theta, omega = states.T
@@ -149,7 +149,7 @@ def test_pendulum_gradients_are_those_of_the_energy_law():
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_tank_a_gradients_are_exact(backend):
-    problem = problems.get("double-tank-a")
+    problem = problems.plain("double-tank-a")
     states = problem.domain.sample(5000, seed=5)
     offset = states - [0.8, 0.2]
     rates = [
@@ -203,7 +203,7 @@ def test_linear_quadratic_problems_match_matrix_exponentials(n):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_results_do_not_depend_on_batch_order_size_or_position(backend):
-    problem = problems.get("double-tank-b").replace(default=[0.5, 0.2, 1.0])
+    problem = problems.plain("double-tank-b").replace(default=[0.5, 0.2, 1.0])
     batch = controller(problem, backend, steps=5)
     states = problem.domain.sample(2500, seed=7)  # more than a block of the NumPy backend
     whole = batch.solve(states)
@@ -296,7 +296,7 @@ def test_masks_hold_the_symbols_that_some_perturbation_makes_best(rule, options,
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a", "cart-pole"])
 @pytest.mark.parametrize("on_no_descent", ["best", "default"])
 def test_masks_contain_the_symbol(name, on_no_descent):
-    problem = problems.get(name)
+    problem = problems.plain(name)
     batch = controller(problem, on_no_descent=on_no_descent, steps=8)
     states = np.vstack([problem.domain.sample(4000, seed=9), problem.domain.lower])
     symbols, masks = batch.symbols(states), batch.masks(states)[:, 0]
@@ -307,7 +307,7 @@ def test_masks_contain_the_symbol(name, on_no_descent):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_symbols_tie_on_the_lines_where_they_make_no_difference(backend):
-    two = problems.get("cart-pendulum")
+    two = problems.plain("cart-pendulum")
     angles, rates = np.linspace(0, 2 * np.pi, 41), np.linspace(-5, 5, 40)
     at_rest = np.column_stack([angles, np.zeros(41)])
     level = np.array([[turn * np.pi, rate] for turn in (0.5, 1.5) for rate in rates])
@@ -315,18 +315,18 @@ def test_symbols_tie_on_the_lines_where_they_make_no_difference(backend):
     batch = controller(two, backend)
     assert (batch.masks(np.vstack([at_rest, level]))[:, 0] == 0b11).all()
     np.testing.assert_array_equal(batch.masks(near)[:, 0], [0b01, 0b10, 0b10, 0b01])
-    four = controller(problems.get("cart-pendulum-4"), backend).masks(np.vstack([at_rest, level]))[
+    four = controller(problems.plain("cart-pendulum-4"), backend).masks(np.vstack([at_rest, level]))[
         :, 0
     ]
     assert set(four) == {0b0110, 0b1111}  # where the cost is small, effort rules out -5 and 5
-    tank = problems.get("double-tank-a")
+    tank = problems.plain("double-tank-a")
     empty = np.column_stack([np.linspace(0.05, 0.95, 30), np.zeros(30)])  # V3 is the lowest bit
     masks = controller(tank, backend).masks(empty)[:, 0]
     assert ((masks & np.uint64(0b01010101)) << np.uint64(1) == masks & np.uint64(0b10101010)).all()
 
 
 def test_the_steepest_rule_and_an_absolute_sensitivity_choose_as_defined():
-    problem = problems.get("cart-pendulum-4")
+    problem = problems.plain("cart-pendulum-4")
     states = problem.domain.sample(3000, seed=10)
     efforts = 0.3 * problem.alphabet.values[:, 0] ** 2
     choices = {}
@@ -348,7 +348,7 @@ def test_the_steepest_rule_and_an_absolute_sensitivity_choose_as_defined():
 
 
 def test_a_control_weight_matrix_charges_each_input_and_their_product():
-    problem = problems.get("double-tank-a")
+    problem = problems.plain("double-tank-a")
     weight = np.array([[3.0, 0.5, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 0.0]])
     states = problem.domain.sample(1000, seed=11)
     batch = controller(problem, control_weight=weight)
@@ -363,7 +363,7 @@ def test_a_control_weight_matrix_charges_each_input_and_their_product():
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_default_replaces_symbols_without_descent(backend):
-    problem = problems.get("cart-pole").replace(alphabet=[2.0, 5.0])  # pushes one way only
+    problem = problems.plain("cart-pole").replace(alphabet=[2.0, 5.0])  # pushes one way only
     states = problem.domain.sample(2000, seed=12)
     best = controller(problem, backend)
     careful = controller(problem, backend, on_no_descent="default")
@@ -427,7 +427,7 @@ def test_one_infinite_symbol_or_cost_takes_the_label_of_the_whole_state(backend,
 
 
 def test_single_precision_agrees_and_is_labelled():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     states = problem.domain.sample(5000, seed=13)
     double = controller(problem, steps=24).solve(states)
     for backend in BACKENDS:
@@ -452,7 +452,7 @@ def doubling_error(batch: BatchController, problem: Problem, steps: int) -> floa
 
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-9])
 def test_the_fewest_steps_that_meet_the_tolerance_are_chosen(tolerance):
-    problem = problems.get("cart-pendulum").replace(horizon=0.6)
+    problem = problems.plain("cart-pendulum").replace(horizon=0.6)
     batch = controller(problem, tolerance=tolerance)
     steps = batch.settings.steps
     assert steps in STEP_LADDER[1:]
@@ -518,7 +518,7 @@ def test_a_horizon_that_no_steps_resolve_is_said():
 
 
 def test_steps_are_chosen_with_a_warning_where_more_do_not_help():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     with pytest.warns(
         CapsynWarning, match="step-doubling check reached .* not the tolerance 1e-06"
     ):
@@ -554,12 +554,12 @@ def test_states_that_never_have_a_result_do_not_count_in_the_choice_of_steps():
 
 def test_the_backend_is_checked():
     with pytest.raises(ProblemError, match="`backend` must be one of 'auto', 'c', 'numpy'"):
-        controller(problems.get("cart-pole"), "fortran")
+        controller(problems.plain("cart-pole"), "fortran")
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("shape", [(5, 3), (5, 5)])
 def test_states_of_another_size_are_refused(backend, shape):
-    batch = controller(problems.get("cart-pole"), backend)
+    batch = controller(problems.plain("cart-pole"), backend)
     with pytest.raises(ValueError, match="must have shape"):
         batch.solve(np.zeros(shape))

@@ -26,7 +26,7 @@ from capsyn.execution.checkpoint import Checkpoint
 from capsyn.subdivision import limits as limits_of_runs
 
 HERE = Path(__file__).parents[1] / "support" / "processes"
-PROBLEM = problems.get("cart-pendulum")
+PROBLEM = problems.plain("cart-pendulum")
 
 
 def file_of(policy, directory):
@@ -189,7 +189,7 @@ def test_settled_values_are_those_of_what_is_kept(tmp_path):
         ),
         ({"problem": PROBLEM.replace(horizon=0.5)}, "run: `horizon` is 1.2 there, 0.5 here"),
         (
-            {"problem": problems.get("cart-pendulum-4")},
+            {"problem": problems.plain("cart-pendulum-4")},
             "run: `name` is 'cart-pendulum' there, 'cart-pendulum-4' here",
         ),
         (

@@ -23,7 +23,7 @@ from support.processes.dask import processes, start_scheduler, start_worker
 
 distributed = pytest.importorskip("distributed", reason="needs the extra 'distributed'")
 
-PROBLEM = problems.get("cart-pendulum-4")
+PROBLEM = problems.plain("cart-pendulum-4")
 NO_COMPILER = {"CC": "no-such-compiler"}
 
 
@@ -85,8 +85,8 @@ def test_the_same_bytes_as_without_a_cluster(
 ):
     seen = []
     options = {"max_level": level, "leaves": leaves, "refine": refine, "backend": backend}
-    local = capsyn.synthesize(problems.get(name), **options)
-    remote = capsyn.synthesize(problems.get(name), executor=client, progress=seen.append, **options)
+    local = capsyn.synthesize(problems.plain(name), **options)
+    remote = capsyn.synthesize(problems.plain(name), executor=client, progress=seen.append, **options)
     assert file_of(remote, tmp_path) == file_of(local, tmp_path)
     assert seen[-1].total == remote.statistics["solves"]
 
@@ -280,11 +280,11 @@ def test_what_is_no_client_is_refused(monkeypatch, address):
 
 @pytest.fixture(scope="module")
 def policy():
-    return capsyn.synthesize(problems.get("cart-pendulum"), max_level=3)
+    return capsyn.synthesize(problems.plain("cart-pendulum"), max_level=3)
 
 
 def monte_carlo(executor, policy=None, **options):
-    policy = policy or capsyn.synthesize(problems.get("cart-pendulum"), max_level=2)
+    policy = policy or capsyn.synthesize(problems.plain("cart-pendulum"), max_level=2)
     return capsyn.monte_carlo(
         policy, **{"trials": 500, "duration": 4.0, "executor": executor, **options}
     )
@@ -342,7 +342,7 @@ def test_monte_carlo_sends_no_functions(client, policy):
         capsyn.monte_carlo(
             lambda time, states: np.zeros((len(states), 1)),
             target=policy.target,
-            model=problems.get("cart-pendulum"),
+            model=problems.plain("cart-pendulum"),
             rate=100.0,
             executor=client,
         )

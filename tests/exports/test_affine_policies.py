@@ -121,7 +121,7 @@ def test_certificates_tell_what_lookups_take(grid, some_axes, tmp_path):
 
 
 def test_commands(tmp_path):
-    policy = synthesize(problems.get("spacecraft"), leaves="affine", max_level=0)
+    policy = synthesize(problems.plain("spacecraft"), leaves="affine", max_level=0)
     path = tmp_path / "spacecraft.cap"
     policy.save(path)
     out, _ = capsyn("export", path, "--to", "c,python", "-o", tmp_path)

@@ -19,7 +19,7 @@ def closed_loop(model, policy, dt, **options):
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a"])
 def test_a_sampled_loop_is_a_simulation(name):
-    problem = problems.get(name)
+    problem = problems.plain(name)
     policy = synthesize(problem, max_level=2, outside="nearest", min_dwell=0.0)
     dt, samples = 0.01, 200
     x0 = problem.domain.sample(1, 5)[0]
@@ -53,7 +53,7 @@ def test_a_policy_that_remembers_has_states(outside):
 
 
 def test_a_plant_in_continuous_time():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     times = np.linspace(0, 1, 101)
     found = control.input_output_response(
         plant_system(problem), times, np.full((1, 101), 5.0), [3.0, 0.0],
@@ -65,7 +65,7 @@ def test_a_plant_in_continuous_time():
 
 @pytest.mark.parametrize("compiler", [None, "no-such-compiler"])
 def test_names_and_the_rule_outside(compiler, monkeypatch):
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     policy = synthesize(problem, max_level=1, outside="error")
     if compiler:
         monkeypatch.setenv("CC", compiler)
@@ -80,7 +80,7 @@ def test_names_and_the_rule_outside(compiler, monkeypatch):
 
 
 def test_bad_arguments_are_named():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     for call, words in (
         (lambda: policy_system(problem), "`policy` must be a capsyn.Policy"),
         (lambda: plant_system(problem, -1), "`dt` must be a finite number >= 0"),

@@ -60,11 +60,11 @@ def sign_policy(values=(0, 1), **options):
 def test_every_problem_passes_the_checker(name):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(environment(problems.get(name)), skip_render_check=True)
+        check_env(environment(problems.plain(name)), skip_render_check=True)
 
 
 def test_an_environment_moves_as_a_simulation_does():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     env = environment(problem, rate=100.0, duration=0.5)
     policy = synthesize(problem, max_level=2)
     run = simulate(policy, [3.0, 0.2], 0.5, 100.0, substeps=env._substeps)
@@ -104,7 +104,7 @@ def test_a_policy_that_remembers_acts_as_in_a_simulation(delay):
 
 
 def test_observations_stay_in_the_space_and_leaving_may_end():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     env = environment(problem, rate=10.0)
     for start in ([1.57, 5.0], [1.57, 7.0], [-9.0, -5.0]):
         observed, info = env.reset(options={"state": start})
@@ -119,7 +119,7 @@ def test_observations_stay_in_the_space_and_leaving_may_end():
 
 
 def test_episodes_may_end_in_the_target():
-    problem = problems.get("double-tank-b")
+    problem = problems.plain("double-tank-b")
     assert problem.target is not None
     env = environment(problem, rate=100.0, stop_at_target=True)
     env.reset(options={"state": problem.target.center})
@@ -127,8 +127,8 @@ def test_episodes_may_end_in_the_target():
 
 
 def test_seeds_give_the_same_episodes():
-    env = environment(problems.get("double-tank-a"), rate=20.0, duration=0.5)
-    policy = synthesize(problems.get("double-tank-a"), max_level=1, outside="nearest")
+    env = environment(problems.plain("double-tank-a"), rate=20.0, duration=0.5)
+    policy = synthesize(problems.plain("double-tank-a"), max_level=1, outside="nearest")
     one, two = evaluate(policy, env, 5, seed=3), evaluate(policy, env, 8, seed=3)
     assert np.array_equal(one.returns, two.returns[:5])
     assert len(set(two.returns)) == 8
@@ -218,7 +218,7 @@ def test_what_does_not_fit_is_named(actions, options, words):
 def test_other_bad_arguments_are_named():
     discrete = gymnasium.spaces.Discrete(2)
     wide = Counter(discrete, gymnasium.spaces.Box(-1.0, 1.0, (3,)))
-    problem = problems.get("cart-pole")
+    problem = problems.plain("cart-pole")
     for call, words in (
         (lambda: evaluate(3, Counter(discrete)), "`policy` must be a capsyn.Policy"),
         (lambda: evaluate(sign_policy(), 3), "`env` must be a gymnasium.Env; got 3"),

@@ -185,7 +185,7 @@ def test_what_touches_the_domain_is_taken(target):
 
 
 def test_the_target_of_a_problem_is_a_set_or_a_program():
-    tank, pendulum = problems.get("double-tank-a"), problems.get("cart-pendulum")
+    tank, pendulum = problems.plain("double-tank-a"), problems.plain("cart-pendulum")
     assert transcribe_target(tank) is tank.target
     assert transcribe_target(tank.replace(target=None)) is None
     program = transcribe_target(pendulum)

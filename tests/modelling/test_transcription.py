@@ -248,7 +248,7 @@ def test_the_loops_over_lanes_of_a_kernel_stay_vectorised(name, tmp_path):
         slow = ca.remainder(x[0], 0.7) + ca.floor(x[1]) + ca.expm1(x[0]) + x[1] ** 3.3
         return [ca.if_else(x[0] > x[1], fast, slow), ca.fmin(x[0], ca.copysign(x[1], u[0]))]
 
-    problem = problems.get(name) if name in problems.names() else small_problem(rare)
+    problem = problems.plain(name) if name in problems.names() else small_problem(rare)
     default = np.full(problem.alphabet.m, 0.4)
     source = kernel_source(bind_default(transcribe(problem), default))
     assert scalar_loops(source, tmp_path) == []

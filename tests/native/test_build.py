@@ -116,7 +116,7 @@ def test_a_file_that_is_no_program_is_an_error(tmp_path, monkeypatch):
 
 
 def pendulum_solver(backend: str):
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     return make_solver(bind_default(transcribe(problem), problem.default), "double", backend)
 
 
@@ -147,7 +147,7 @@ def test_a_compiler_without_the_usual_flags_gets_plain_ones(tmp_path, monkeypatc
     )
     monkeypatch.setenv("CC", str(old))
     runs = counted(monkeypatch)
-    states = problems.get("cart-pendulum").domain.sample(100)
+    states = problems.plain("cart-pendulum").domain.sample(100)
     solver, backend = pendulum_solver("c")
     assert backend == "c" and len(runs) == 2
     assert "-march=native" in runs[0] and "-march=native" not in runs[1]
@@ -177,7 +177,7 @@ def test_without_a_compiler_numpy_solves_with_one_warning(no_compiler):
 def test_a_synthesis_without_a_compiler_warns_once_and_gives_the_same_policy(
     no_compiler, monkeypatch
 ):
-    problem = problems.get("double-tank-a").replace(max_level=1)
+    problem = problems.plain("double-tank-a").replace(max_level=1)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         policy = synthesize(problem)
@@ -357,7 +357,7 @@ def test_a_full_disk_under_the_cache_does_not_stop_the_build(cache, monkeypatch)
 
 
 def test_kernels_may_be_called_from_threads_and_with_one_lane():
-    problem = problems.get("cart-pole")
+    problem = problems.plain("cart-pole")
     model = bind_default(transcribe(problem), problem.default)
     kernel = SsacKernel.build(model, "double", 1e-9)
     states = problem.domain.sample(4 * 333, seed=1)

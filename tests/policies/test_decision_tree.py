@@ -31,7 +31,7 @@ from support.trees import states_at_faces
 NAN, INF = float("nan"), float("inf")
 HUGE = 1.7976931348623157e308
 ONE_BOX = "^a tree with oblique splits has no boxes; compress in mode exact or freedom$"
-PENDULUM = problems.get("cart-pendulum")
+PENDULUM = problems.plain("cart-pendulum")
 
 
 @pytest.fixture(scope="module")

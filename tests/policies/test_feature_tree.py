@@ -84,7 +84,7 @@ def test_monte_carlo_is_that_of_the_policy():
 
 
 def test_an_online_controller_takes_it_for_its_default():
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     made = [online_controller(problem, default=p) for p in (exact(), pendulum())]
     for state in ([0.6, 0.4], [2.0, -1.0]):
         one, other = (controller.actions(np.array([state])) for controller in made)

@@ -80,7 +80,7 @@ def file(tmp_path):
 @pytest.fixture(scope="module")
 def real():
     """A small policy as `synthesize` makes it."""
-    return capsyn.synthesize(problems.get("double-tank-a"), partitions=3, max_level=1)
+    return capsyn.synthesize(problems.plain("double-tank-a"), partitions=3, max_level=1)
 
 
 @pytest.mark.parametrize("name", SOME)

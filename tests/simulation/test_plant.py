@@ -28,7 +28,7 @@ def one(plant, x, u, duration, substeps, push=None, p=NO_P):
 
 
 def test_the_plant_is_the_model_of_the_controller_or_another():
-    tank = problems.get("double-tank-a")
+    tank = problems.plain("double-tank-a")
     other = tank.replace(
         dynamics=lambda x, u: [x[1] + u[0], u[1] * u[2]], running_cost=lambda x: 7 * x[0]
     )
@@ -82,7 +82,7 @@ REFUSED = [
     ),
     (
         relay(),
-        {"model": problems.get("cart-pendulum")},
+        {"model": problems.plain("cart-pendulum")},
         "`model` must have 1 state(s) and 1 input(s) like the controller; got 2 and 1",
     ),
 ]
@@ -106,7 +106,7 @@ def test_a_function_that_is_no_plant_is_named(function):
 
 
 def test_the_integration_is_of_fourth_order():
-    problem = problems.get("cart-pendulum").replace(running_cost=lambda x: ca.sin(x[0]))
+    problem = problems.plain("cart-pendulum").replace(running_cost=lambda x: ca.sin(x[0]))
     plant = plant_of(online_controller(problem, backend="numpy"))
     push = np.array([0.1, -0.3])
     wanted, cost = integrate(problem, np.array([1, 2.0]), [(0, np.array([5.0]))], 0, 0.8, push)
@@ -137,7 +137,7 @@ def test_trials_have_durations_and_pushes_of_their_own():
 
 @pytest.mark.parametrize("period", [0.01, 0.1, 0.5])
 def test_the_steps_are_the_fewest_that_are_exact_enough(period):
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     plant = plant_of(online_controller(problem, backend="numpy"))
     controls = np.array([[5.0], [-5.0], [0.0]])
     substeps = choose_substeps(plant, controls, NO_P, period)
@@ -220,7 +220,7 @@ def test_a_model_that_takes_more_parameters_is_told_so():
         return [p[0] * x[1], p[1] * u[0]]
 
     with pytest.raises(ProblemError) as caught:
-        plant_of(online_controller(problems.get("cart-pendulum")), plant, ("gain",))
+        plant_of(online_controller(problems.plain("cart-pendulum")), plant, ("gain",))
     text = str(caught.value)
     assert "an index is out of range; it may take more parameters (`parameters`, --para" in text
     assert "\n" not in text

@@ -130,7 +130,7 @@ def test_gaps_are_true_or_false():
 
 @pytest.mark.parametrize("outside", ["error", "nearest", 1])
 def test_closed_loops_end_in_a_gap_or_take_the_safe_symbol(outside):
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     box, counts = problem.domain, (40, 40)
     step = box.widths / counts
     masks = np.ones(counts, dtype=np.uint64)

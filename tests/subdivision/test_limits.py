@@ -149,7 +149,7 @@ def test_no_point_is_solved_twice_in_blocks():
 
 
 def test_blocks_of_a_problem_give_the_same_file_within_the_limit(tmp_path):
-    problem, digests, peaks = problems.get("cart-pole"), [], []
+    problem, digests, peaks = problems.plain("cart-pole"), [], []
     options = [{}, {"memory_limit": "200MB"}, {"max_memory": "40MB"}]
     for option in options:
         tracemalloc.start()

@@ -243,7 +243,7 @@ def test_bytes_do_not_depend_on_threads(name, options, tmp_path):
     files = []
     for threads in (1, 3):
         policy = synthesize(
-            problems.get(name), leaves="affine", max_level=2, threads=threads, **options
+            problems.plain(name), leaves="affine", max_level=2, threads=threads, **options
         )
         policy.save(tmp_path / f"{threads}.cap")
         files.append((tmp_path / f"{threads}.cap").read_bytes())
@@ -253,7 +253,7 @@ def test_bytes_do_not_depend_on_threads(name, options, tmp_path):
 
 def test_rounds_do_not_matter_without_a_budget(monkeypatch, tmp_path):
     def bytes_of(name):
-        policy = synthesize(problems.get("cart-pole"), leaves="affine", max_level=2)
+        policy = synthesize(problems.plain("cart-pole"), leaves="affine", max_level=2)
         policy.save(tmp_path / name)
         return (tmp_path / name).read_bytes()
 
@@ -275,7 +275,7 @@ def test_rounds_do_not_matter_without_a_budget(monkeypatch, tmp_path):
     ],
 )
 def test_agreement_with_the_controller(name, options, solves, leaves, share):
-    policy = synthesize(problems.get(name), leaves="affine", **options)
+    policy = synthesize(problems.plain(name), leaves="affine", **options)
     assert policy.statistics["solves"] <= solves and policy.statistics["cells"] <= leaves
     found = agreement(policy, states=50_000)
     assert found.share >= share
@@ -292,7 +292,7 @@ def test_agreement_with_the_controller(name, options, solves, leaves, share):
 ])  # fmt: skip
 @pytest.mark.parametrize("name", ["cart-pendulum-4", "double-tank-a", "cart-pole"])
 def test_smooth_scores_order_symbols_as_the_controller_does(name, settings):
-    policy = synthesize(problems.get(name).replace(settings=settings), max_level=0)
+    policy = synthesize(problems.plain(name).replace(settings=settings), max_level=0)
     controller = policy_controller(policy)
     states = policy.domain.sample(20_000, 3)
     masks, scores = controller.scored(states)
@@ -303,7 +303,7 @@ def test_smooth_scores_order_symbols_as_the_controller_does(name, settings):
 
 
 def test_no_descent_may_be_the_default_in_affine_leaves():
-    problem = problems.get("double-tank-a")
+    problem = problems.plain("double-tank-a")
     settings = dataclasses.replace(problem.settings, on_no_descent="default")
     policy = synthesize(problem.replace(settings=settings), leaves="affine", max_level=3)
     assert agreement(policy, states=20_000).share > 0.99

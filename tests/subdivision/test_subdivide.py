@@ -353,7 +353,7 @@ def test_max_solves_stops_at_a_whole_level(ties):
 def test_a_wrong_leaf_error_is_told_before_memory():
     for function in (
         lambda **k: subdivide(halves, unit_box(), 2, **k),
-        lambda **k: synthesize(problems.get("cart-pendulum"), **k),
+        lambda **k: synthesize(problems.plain("cart-pendulum"), **k),
     ):
         for wrong in (2, -1, "x", np.nan):
             with pytest.raises(ProblemError, match="^`leaf_error` must be "):

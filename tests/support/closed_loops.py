@@ -96,7 +96,7 @@ def linear_problem(n: int = 3, seed: int = 0) -> Problem:
 
 def tank_interior() -> Problem:
     """Return the double tank with a domain in which nothing is switched."""
-    return problems.get("double-tank-a").replace(
+    return problems.plain("double-tank-a").replace(
         domain=Box([0.6, 0.1], [0.9, 0.3], names=["x1", "x2"]),
         outside="nearest",
         settings=SsacSettings(steps=10),
@@ -105,7 +105,7 @@ def tank_interior() -> Problem:
 
 def smooth_problems() -> dict[str, Problem]:
     """Return problems whose dynamics are smooth where they are simulated."""
-    pendulum = problems.get("cart-pendulum").replace(
+    pendulum = problems.plain("cart-pendulum").replace(
         running_cost=lambda x: ca.cos(x[0]) + x[1] ** 2
     )
     return {"linear": linear_problem(), "pendulum": pendulum, "tank": tank_interior()}

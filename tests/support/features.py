@@ -31,7 +31,7 @@ def value_of(name, states):
 
 @functools.cache
 def pendulum():
-    return synthesize(problems.get("cart-pendulum"))
+    return synthesize(problems.plain("cart-pendulum"))
 
 
 @functools.cache

@@ -13,8 +13,8 @@ from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.subdivision.cell_points import CellPoints
 from support.policy_files import assert_equal, rewrite
 
-PENDULUM = problems.get("cart-pendulum").replace(switching=None, max_level=2)
-TANK = problems.get("double-tank-a").replace(switching=None, max_level=2)
+PENDULUM = problems.plain("cart-pendulum").replace(switching=None, max_level=2)
+TANK = problems.plain("double-tank-a").replace(switching=None, max_level=2)
 
 
 def priced(problem, price, **changes):

@@ -56,12 +56,12 @@ def own(**changes):
 
 @pytest.fixture(scope="module")
 def pendulum():
-    return synthesize(problems.get("cart-pendulum"))
+    return synthesize(problems.plain("cart-pendulum"))
 
 
 @pytest.fixture(scope="module")
 def cart_pole():
-    return synthesize(problems.get("cart-pole"))
+    return synthesize(problems.plain("cart-pole"))
 
 
 # The paper's systems
@@ -109,14 +109,14 @@ def test_pendulum_cells_above_the_finest_level_are_right_by_area(pendulum):
 
 def test_cart_pole_solves_and_agreement(cart_pole):
     assert 46_000 <= cart_pole.statistics["solves"] <= 47_000
-    problem = problems.get("cart-pole")
+    problem = problems.plain("cart-pole")
     states = problem.domain.sample(20_000, 3)
     assert (cart_pole(states) == controller_of(problem).symbols(states)).mean() >= 0.98
 
 
 @pytest.mark.parametrize("name", ["double-tank-a", "double-tank-b"])
 def test_tanks_never_take_the_default(name):
-    policy = synthesize(problems.get(name))
+    policy = synthesize(problems.plain(name))
     labels = policy(policy.domain.sample(50_000, 1))
     assert np.unique(labels).tolist() == list(range(len(policy.alphabet)))
     assert policy.volume_shares[-1] == 0.0 and (policy.volume_shares[:-1] > 0.002).all()
@@ -124,7 +124,7 @@ def test_tanks_never_take_the_default(name):
 
 @pytest.mark.parametrize("name", ["cart-pendulum", "double-tank-a", "cart-pole"])
 def test_sample_is_sane(name):
-    sample = synthesize(problems.get(name), max_level=0).statistics["sample"]
+    sample = synthesize(problems.plain(name), max_level=0).statistics["sample"]
     assert sample["states"] == module.SAMPLES
     assert sample["no_descent"] < 0.01 and sample["indifferent"] < 0.01
     assert sample["not_finite"] == 0.0
@@ -162,7 +162,7 @@ def file_of(path, problem, **options):
 
 
 def test_pendulum_file_is_the_same_for_threads_and_backends(tmp_path):
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     first = file_of(tmp_path / "first.cap", problem, threads=1, backend="c")
     for i, options in enumerate(
         [
@@ -178,11 +178,11 @@ def test_pendulum_file_is_the_same_for_threads_and_backends(tmp_path):
 def test_cart_pole_file_is_the_same_for_threads(tmp_path):
     options = {"max_level": 1, "test_points": "vertices+center+random:1"}
     files = [
-        file_of(tmp_path / f"{i}.cap", problems.get("cart-pole"), threads=i, **options)
+        file_of(tmp_path / f"{i}.cap", problems.plain("cart-pole"), threads=i, **options)
         for i in (1, 2, 3)
     ]
     assert files[0] == files[1] == files[2]
-    other = file_of(tmp_path / "other.cap", problems.get("cart-pole"), seed=1, **options)
+    other = file_of(tmp_path / "other.cap", problems.plain("cart-pole"), seed=1, **options)
     assert other != files[0]
 
 
@@ -205,7 +205,7 @@ def test_threads_are_those_asked_for(monkeypatch):
 
 
 def test_policy_carries_the_problem(pendulum, cart_pole):
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     assert pendulum.name == "cart-pendulum"
     assert pendulum.domain == problem.domain and pendulum.alphabet == problem.alphabet
     assert pendulum.default.tolist() == [0.0] and pendulum.horizon == 1.2
@@ -213,15 +213,15 @@ def test_policy_carries_the_problem(pendulum, cart_pole):
     assert pendulum.model == transcribe(problem)
     assert isinstance(pendulum.settings.steps, int) and problem.settings.steps is None
     assert pendulum.settings.gamma == -5.0 and pendulum.settings.control_weight == 0.3
-    assert cart_pole.settings == problems.get("cart-pole").settings
+    assert cart_pole.settings == problems.plain("cart-pole").settings
     assert set(pendulum.timings) == {"prepare", "label", "subdivide"}
-    assert synthesize(problems.get("double-tank-b"), max_level=0).target == Ball([0.4, 0.6], 0.05)
+    assert synthesize(problems.plain("double-tank-b"), max_level=0).target == Ball([0.4, 0.6], 0.05)
 
 
 def test_overrides_reach_the_policy():
     settings = SsacSettings(rule="steepest", steps=7, control_weight=0.5)
     policy = synthesize(
-        problems.get("cart-pendulum"),
+        problems.plain("cart-pendulum"),
         partitions=(4, 5),
         refinement=(2, 3),
         max_level=2,
@@ -238,17 +238,17 @@ def test_overrides_reach_the_policy():
     assert policy.min_dwell == 0.25
     assert policy.statistics["test_points"] == "vertices+random:2"
     assert policy.statistics["seed"] == 9
-    zero = synthesize(problems.get("cart-pole"), max_level=0, min_dwell=0.0, outside="nearest")
+    zero = synthesize(problems.plain("cart-pole"), max_level=0, min_dwell=0.0, outside="nearest")
     assert zero.cells.max_level == 0 and len(zero.cells.entries) == 4**4
 
 
 def test_settings_change_the_policy(pendulum):
     steepest = synthesize(
-        problems.get("cart-pendulum"), settings=SsacSettings(rule="steepest", control_weight=0.3)
+        problems.plain("cart-pendulum"), settings=SsacSettings(rule="steepest", control_weight=0.3)
     )
     states = pendulum.domain.sample(5000, 2)
     assert (steepest(states) == law(states)).mean() > 0.99  # two symbols of equal effort
-    four = problems.get("cart-pendulum-4")
+    four = problems.plain("cart-pendulum-4")
     coarse = {"max_level": 2}
     schedule = synthesize(four, **coarse)
     steepest = synthesize(four, settings=SsacSettings(rule="steepest"), **coarse)
@@ -256,7 +256,7 @@ def test_settings_change_the_policy(pendulum):
 
 
 def test_max_solves_gives_a_coarser_policy(pendulum):
-    policy = synthesize(problems.get("cart-pendulum"), max_solves=1500)
+    policy = synthesize(problems.plain("cart-pendulum"), max_solves=1500)
     assert policy.statistics["stopped_by_max_solves"] and policy.statistics["solves"] <= 1500
     policy.cells.check(3)
     states = pendulum.domain.sample(20_000, 4)
@@ -283,7 +283,7 @@ def test_max_solves_gives_a_coarser_policy(pendulum):
 def test_bad_option_is_found_before_any_work(monkeypatch, name, options):
     monkeypatch.setattr(module, "transcribe", lambda problem: pytest.fail("work was started"))
     with pytest.raises(ProblemError, match=f"^`{name}` ") as caught:
-        synthesize(problems.get("cart-pendulum"), **options)
+        synthesize(problems.plain("cart-pendulum"), **options)
     assert "\n" not in str(caught.value)
 
 
@@ -428,7 +428,7 @@ def test_interrupt_is_prompt_and_leaves_no_file(tmp_path, threads):
         if report.level == 1:
             raise KeyboardInterrupt
 
-    problem = problems.get("cart-pole")
+    problem = problems.plain("cart-pole")
     synthesize(problem, max_level=0)  # the kernel is there
     started = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
@@ -441,6 +441,6 @@ def test_interrupt_is_prompt_and_leaves_no_file(tmp_path, threads):
 
 def test_progress_reports_every_level():
     reports = []
-    policy = synthesize(problems.get("double-tank-a"), max_level=2, progress=reports.append)
+    policy = synthesize(problems.plain("double-tank-a"), max_level=2, progress=reports.append)
     assert {(r.level, r.max_level) for r in reports} == {(k, 2) for k in range(3)}
     assert reports[-1].total == policy.statistics["solves"]

@@ -435,7 +435,11 @@ REFUSED = [
         "`parameters k` must have low <= high",
     ),
     (relay(model=None, target=Ball([0], 1)), {}, "`model` must be a Problem, or a Policy with a m"),
-    (READY, {"model": problems.plain("cart-pole")}, "`model` must have 1 state(s) and 1 input(s) li"),
+    (
+        READY,
+        {"model": problems.plain("cart-pole")},
+        "`model` must have 1 state(s) and 1 input(s) li",
+    ),
     (READY, {"backend": "gpu"}, "`backend` must be one of"),
     (READY, {"threads": 0}, "`threads` must be a whole number >= 1"),
     (READY, {"outside": "far"}, '`outside` must be "error", "nearest" or a symbol'),

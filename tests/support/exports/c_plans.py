@@ -69,7 +69,7 @@ def files(plan, golden, **options):
 
 @functools.cache
 def policy(name):
-    return capsyn.synthesize(problems.get(name), **POLICIES[name])
+    return capsyn.synthesize(problems.plain(name), **POLICIES[name])
 
 
 @functools.cache

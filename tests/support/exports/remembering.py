@@ -92,7 +92,7 @@ def random_prices(grid=3, some_axes=False):
 @functools.cache
 def pendulum():
     """Return the pendulum with a price of 1 %, and one symbol that is held."""
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     switching = Switching(price="1%", hold={"5": 0.02})
     return synthesize(problem.replace(switching=switching))
 

@@ -26,7 +26,7 @@ def written(directory):
 def main():
     directory, kills, seed = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     checkpoint.INTERVAL = 0.01
-    problem = problems.get("cart-pendulum")
+    problem = problems.plain("cart-pendulum")
     problem = problem.replace(settings=dataclasses.replace(problem.settings, steps=100))
     rng = np.random.default_rng(seed)
 
