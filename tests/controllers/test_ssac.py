@@ -315,9 +315,9 @@ def test_symbols_tie_on_the_lines_where_they_make_no_difference(backend):
     batch = controller(two, backend)
     assert (batch.masks(np.vstack([at_rest, level]))[:, 0] == 0b11).all()
     np.testing.assert_array_equal(batch.masks(near)[:, 0], [0b01, 0b10, 0b10, 0b01])
-    four = controller(problems.plain("cart-pendulum-4"), backend).masks(np.vstack([at_rest, level]))[
-        :, 0
-    ]
+    four = controller(problems.plain("cart-pendulum-4"), backend).masks(
+        np.vstack([at_rest, level])
+    )[:, 0]
     assert set(four) == {0b0110, 0b1111}  # where the cost is small, effort rules out -5 and 5
     tank = problems.plain("double-tank-a")
     empty = np.column_stack([np.linspace(0.05, 0.95, 30), np.zeros(30)])  # V3 is the lowest bit

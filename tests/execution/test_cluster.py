@@ -86,7 +86,9 @@ def test_the_same_bytes_as_without_a_cluster(
     seen = []
     options = {"max_level": level, "leaves": leaves, "refine": refine, "backend": backend}
     local = capsyn.synthesize(problems.plain(name), **options)
-    remote = capsyn.synthesize(problems.plain(name), executor=client, progress=seen.append, **options)
+    remote = capsyn.synthesize(
+        problems.plain(name), executor=client, progress=seen.append, **options
+    )
     assert file_of(remote, tmp_path) == file_of(local, tmp_path)
     assert seen[-1].total == remote.statistics["solves"]
 

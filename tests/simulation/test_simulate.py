@@ -348,7 +348,11 @@ REFUSED = [
         {},
         "`model` must be a Problem, or a Policy with a model, for a controller",
     ),
-    (relay(), {"model": problems.plain("cart-pendulum")}, "`model` must have 1 state(s) and 1 input"),
+    (
+        relay(),
+        {"model": problems.plain("cart-pendulum")},
+        "`model` must have 1 state(s) and 1 input",
+    ),
     (
         lambda t, x: x[0],
         {"model": relay_problem()},

@@ -190,7 +190,7 @@ class Automaton:
         )
 
     def bounds(self, label: int, source: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the `Region.bounds` of a `region`, (K, n) and (K, n) [state units]."""
+        """Return the `Region.bounds`, (K, n) each [state units], by `label` and `source`."""
         return self.region(label, source).bounds(self.domain, self.counts)
 
     def sliding_faces(self) -> list[SlidingFace]:

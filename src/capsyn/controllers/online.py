@@ -185,7 +185,7 @@ class OnlineController:
     ) -> Command:
         """Return the command over a sample: default control, action, default control.
 
-        `measured` are the states (B, n) at `time`, whatever is in force; `simulate` calls this.
+        `measured` are the states (B, n) at `time`, whatever is `in_force`; `simulate` calls this.
         """
         planned = self.actions(measured, time)
         start = np.where(planned.duration > 0, planned.start, np.inf)

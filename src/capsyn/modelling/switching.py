@@ -127,7 +127,7 @@ class Switching:
             )
 
     def forbids(self, alphabet: Alphabet) -> np.ndarray:
-        """Return which transitions are forbidden, (N + 1, N + 1): from each symbol to each."""
+        """Return which transitions of an `alphabet` are forbidden, (N + 1, N + 1) from each to each."""
         places = {name: k for k, name in enumerate((*alphabet.names, DEFAULT))}
         table = np.zeros((len(places), len(places)), dtype=bool)
         for before, after in self.forbidden:
@@ -135,10 +135,10 @@ class Switching:
         return table
 
     def prices(self, alphabet: Alphabet, default: np.ndarray) -> np.ndarray:
-        """Return the prices (N + 1, N + 1) from each symbol to each [cost / time unit].
+        """Return the prices (N + 1, N + 1) from each symbol of an `alphabet` to each.
 
-        Those of forbidden transitions are infinite. `default` (m,) is the default control. The
-        price is no share.
+        They are in [cost / time unit], those of forbidden transitions infinite. `default` (m,) is
+        the default control. The price is no share.
         """
         assert not self.has_share
         count = len(alphabet)
@@ -158,9 +158,9 @@ class Switching:
         return table
 
     def holds(self, alphabet: Alphabet, default: np.ndarray) -> np.ndarray:
-        """Return how long each symbol is held once entered, (N + 1,) [time unit].
+        """Return how long symbols of an `alphabet` are held once entered, (N + 1,) [time unit].
 
-        The default control is held as the first symbol of the same control, where it has no time of
+        The `default` control is held as the first symbol of the same control, where it has no time of
         its own.
         """
         count = len(alphabet)
@@ -179,7 +179,7 @@ class Switching:
         return times
 
     def input_holds(self, alphabet: Alphabet) -> np.ndarray:
-        """Return how long each input is held once it has changed, (m,) [time unit]."""
+        """Return how long inputs of an `alphabet` are held once changed, (m,) [time unit]."""
         if not isinstance(self.hold, dict):
             return np.zeros(alphabet.m)
         return np.array([self.hold.get(name, 0.0) for name in alphabet.inputs])

@@ -28,9 +28,14 @@ def names() -> list[str]:
 
 
 def plain(name: str) -> Problem:
-    """Return a built-in problem whose policy does not depend on the symbol in force, as the paper's.
+    """Return a built-in problem without its `Switching`, as the paper has them.
 
-    It is `get` without a `Switching`, and with its errors.
+    Its policy does not depend on the symbol in force.
+
+    Raises
+    ------
+    ProblemError
+        There is none of this name; the message suggests the nearest.
     """
     return get(name).replace(switching=None)
 

@@ -48,18 +48,38 @@ HINT_SOLVES = 200_000
 
 @dataclass(frozen=True)
 class SwitchingPoint:
-    """A price and a least time, and what closed loops do with them."""
+    """A price and a least time, and what closed loops do with them.
 
-    price: str  # as it was given, a number or a share
-    value: float  # what it came to, of several the largest [cost / time unit]
-    hold: float  # least time of all symbols, of several the longest [time unit]
-    rows: int  # of the transition function
+    Parameters
+    ----------
+    price : str
+        As it was given, a number or a share.
+    value : float
+        What it came to, of several the largest [cost / time unit].
+    hold : float
+        Least time of all symbols, of several the longest [time unit].
+    rows, cells, solves : int
+        Of the policy: rows of its transition function, leaves, and solves.
+    switches : float
+        Per time unit, over all trials.
+    cost : float
+        Mean over the trials of what the running cost gathers, or else the terminal cost.
+    success : float, optional
+        Share of the trials that are in the target at the end; None without a target.
+    recommended : bool
+        Whether it has the fewest switches among those that cost and lose little more than the best.
+    """
+
+    price: str
+    value: float
+    hold: float
+    rows: int
     cells: int
     solves: int
-    switches: float  # per time unit, over all trials
-    cost: float  # mean over the trials: what the running cost gathers, or else the terminal cost
-    success: float | None  # share of the trials that are in the target at the end; None without one
-    recommended: bool = False  # fewest switches among those that cost and lose little more
+    switches: float
+    cost: float
+    success: float | None
+    recommended: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Return the point as plain data."""
@@ -133,7 +153,14 @@ def switching_point(
     backend: str = "auto",
     threads: int | None = None,
 ) -> SwitchingPoint:
-    """Return what closed loops of a policy do, as it is; see `switching_curve` for the arguments.
+    """Return what closed loops of a policy do, as it is.
+
+    Parameters
+    ----------
+    policy : Policy
+        Any policy that carries its model.
+    trials, duration, rate, seed, backend, threads
+        As in `switching_curve`.
 
     Raises
     ------
