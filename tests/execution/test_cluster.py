@@ -354,7 +354,8 @@ def test_the_commands(address, tmp_path, policy):
     whole = file_of(policy, tmp_path)
     for name in (address, "local:1"):
         path = tmp_path / "remote.cap"
-        run = command("synth", "cart-pendulum", "--max-level", "3", "-o", path, "--dask", name)
+        plain = ["--max-level", "3", "--switch-price", "none"]
+        run = command("synth", "cart-pendulum", *plain, "-o", path, "--dask", name)
         assert run.returncode == 0 and not run.stderr, run.stderr
         assert path.read_bytes() == whole
     verify = ["verify", str(path), "--dask", address]

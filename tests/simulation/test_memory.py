@@ -13,6 +13,7 @@ from capsyn import (
     SsacSettings,
     Switching,
     monte_carlo,
+    online_controller,
     simulate,
     synthesize,
 )
@@ -159,3 +160,15 @@ def test_trials_say_their_least_times():
     conditions = monte_carlo(policy, 5, duration=50).conditions
     assert conditions["min_dwell"] == 0.0
     assert conditions["holds"] == {"off": 5.0, "heat": 10.0, "cool": 10.0}
+
+
+def test_online_controllers_keep_least_times_and_forbidden_transitions():
+    hold = house().switching.hold
+    controller = online_controller(house(switching=Switching(price="1%", hold=hold)))
+    runs = runs_of(simulate(controller, [25.0], 100, noise=0.5).symbols.tolist())
+    least = {-1: 1, 0: 10, 1: 20, 2: 20}
+    assert all(length >= least[key] for key, length in runs) and len(runs) > 4
+    assert (1, 2) in set(itertools.pairwise(key for key, _ in runs))
+    one_way = Switching(hold=hold, forbidden=[("heat", "cool")])
+    found = simulate(online_controller(house(switching=one_way)), [25.0], 100, noise=0.5)
+    assert (1, 2) not in set(itertools.pairwise(found.symbols.tolist()))

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import inspect
+import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -141,13 +142,18 @@ class SwitchingOptions:
         if self.hold is not None:
             changes["hold"] = _one_or_named("--hold", self.hold, number)
         if self.forbid:
-            pairs = [part.split(":") for text in self.forbid for part in text.split(",")]
+            pairs = [part.split(":") for text in self.forbid for part in _parts(text)]
             if any(len(pair) != 2 for pair in pairs):
                 raise ProblemError(f"--forbid must be FROM:TO; got '{' '.join(self.forbid)}'")
             changes["forbidden"] = pairs
         if not changes:
             return switching
         return dataclasses.replace(switching or Switching(), **changes)
+
+
+def _parts(text: str) -> list[str]:
+    """Return the parts of a list, whose commas are not those in brackets, as of ``(0, 1)``."""
+    return re.split(r",(?![^()]*\))", text)
 
 
 def price(name: str, text: str) -> Any:
@@ -159,7 +165,7 @@ def _one_or_named(name: str, text: str, meaning: Callable[[str, str], Any]) -> A
     """Return what a text means, or of ``NAME=TEXT,..`` what each does, by name."""
     if "=" not in text:
         return meaning(name, text)
-    parts = assignments(name, text.split(","))
+    parts = assignments(name, _parts(text))
     return {key: meaning(name, value) for key, value in parts.items()}
 
 

@@ -293,8 +293,8 @@ def online_controller(
 ) -> OnlineController:
     """Return sSAC or SAC in receding horizon for a problem, or for the model of a policy.
 
-    It plans without prices on switching and without the problem's delay; least times and forbidden
-    transitions of its symbols are kept in closed loops.
+    It plans without prices on switching and without the problem's delay. Closed loops keep least
+    times and forbidden transitions of its symbols: where it wants another, that in force stays.
 
     Parameters
     ----------
@@ -364,8 +364,15 @@ def online_controller(
         kernel,
         NumpyActions(formulation, chooser, sac),
         source.time_unit,
-        SwitchRules.of(source) if method == "ssac" and source.switching is not None else None,
+        _rules(source) if method == "ssac" and source.switching is not None else None,
     )
+
+
+def _rules(source: Problem | Policy) -> SwitchRules:
+    """Return what changes of symbols wait for; no price is paid, so that of a share is any."""
+    assert source.switching is not None
+    priced = dataclasses.replace(source, switching=source.switching.with_spread(1.0))
+    return SwitchRules.of(priced)
 
 
 def _kernel(

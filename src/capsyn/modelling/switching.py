@@ -127,7 +127,7 @@ class Switching:
             )
 
     def forbids(self, alphabet: Alphabet) -> np.ndarray:
-        """Return which transitions of an `alphabet` are forbidden, (N + 1, N + 1) from each to each."""
+        """Return which transitions of an `alphabet` are forbidden, (N + 1, N + 1), from to."""
         places = {name: k for k, name in enumerate((*alphabet.names, DEFAULT))}
         table = np.zeros((len(places), len(places)), dtype=bool)
         for before, after in self.forbidden:
@@ -160,8 +160,8 @@ class Switching:
     def holds(self, alphabet: Alphabet, default: np.ndarray) -> np.ndarray:
         """Return how long symbols of an `alphabet` are held once entered, (N + 1,) [time unit].
 
-        The `default` control is held as the first symbol of the same control, where it has no time of
-        its own.
+        The `default` control is held as the first symbol of the same control, where it has no time
+        of its own.
         """
         count = len(alphabet)
         times = np.zeros(count + 1)
