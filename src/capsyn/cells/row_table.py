@@ -77,7 +77,7 @@ class RowTable:
             return labels[..., 0]
         numbers = labels[..., 0].copy()
         other = (labels != labels[..., :1]).any(axis=-1)
-        rows, inverse = np.unique(labels[other].astype(np.int32), axis=0, return_inverse=True)
+        rows, inverse = _distinct(labels[other].astype(np.int32), self._labels)
         known = np.empty(len(rows), dtype=np.int32)
         for k, row in enumerate(rows):
             key = row.tobytes()
@@ -85,7 +85,7 @@ class RowTable:
                 self._numbers[key] = self._labels + len(self._rows)
                 self._rows.append(row)
             known[k] = self._numbers[key]
-        numbers[other] = known[inverse.ravel()]
+        numbers[other] = known[inverse]
         return numbers
 
     def settle(self, leaves: np.ndarray) -> np.ndarray:
@@ -151,6 +151,16 @@ def _united(sets: np.ndarray, table: np.ndarray) -> np.ndarray:
     _, label = np.nonzero(held)
     counts = held.sum(axis=1)
     return np.asarray(np.bitwise_or.reduceat(table[label], np.cumsum(counts) - counts, axis=0))
+
+
+def _distinct(rows: np.ndarray, base: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distinct rows (D, J) of rows (M, J) of numbers below a base, and which each is."""
+    if base ** rows.shape[1] >= 2**62:
+        distinct, inverse = np.unique(rows, axis=0, return_inverse=True)
+        return distinct, inverse.ravel()
+    keys = rows @ (base ** np.arange(rows.shape[1], dtype=np.int64)[::-1])  # sorts much faster
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    return rows[first], inverse.ravel()
 
 
 def whole(common: np.ndarray) -> np.ndarray:

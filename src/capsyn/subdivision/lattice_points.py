@@ -218,7 +218,7 @@ class LatticePoints:
         started = time.perf_counter()
         masks = np.empty((len(keys), *self.shape), dtype=self.dtype)
         scores: dict[int, np.ndarray] = {}
-        size = min(CHUNK, max(256, -(-len(keys) // 16)))
+        size = min(CHUNK, max(1024, -(-len(keys) // 16)))
         parts = [slice(i, i + size) for i in range(0, len(keys), size)]
         missing = np.zeros(len(keys), dtype=bool)
 

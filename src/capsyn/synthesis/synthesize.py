@@ -190,8 +190,8 @@ def _synthesized(problem: Problem, plan: SubdivisionPlan, run: _Run) -> Policy:
         )  # fmt: skip
         policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
-    policy = dataclasses.replace(policy, timings=timings, switching=switching)
-    return _described(policy, problem, controller, plan.seed)
+    more = {"timings": timings, "switching": switching}
+    return _described(policy, problem, controller, plan.seed, **more)
 
 
 def _overridden(problem: Problem, **changes: Any) -> Problem:
@@ -215,8 +215,10 @@ def _asked(problem: Problem, switching: Switching | None, plan: SubdivisionPlan)
     }
 
 
-def _described(policy: Policy, problem: Problem, controller: BatchController, seed: int) -> Policy:
-    """Return the policy of a problem with all that it carries beside its cells."""
+def _described(
+    policy: Policy, problem: Problem, controller: BatchController, seed: int, **more: Any
+) -> Policy:
+    """Return the policy of a problem with all that it carries beside its cells, and `more`."""
     statistics = policy.statistics
     if statistics["not_finite_points"]:
         warn(
@@ -239,6 +241,7 @@ def _described(policy: Policy, problem: Problem, controller: BatchController, se
         settings=controller.settings,
         model=controller.formulation.model,
         statistics=statistics | {"sample": sample},
+        **more,
     )
 
 
