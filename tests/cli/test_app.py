@@ -42,8 +42,8 @@ def test_list_names_every_problem():
 def test_synth_writes_a_policy_and_says_nothing_on_stderr_when_piped(tmp_path):
     out, err = capsyn("synth", "cart-pendulum", cwd=tmp_path, run=run_apart)
     assert err == ""
-    assert "9,482" in out and "wrote cart-pendulum.cap" in out
-    assert Policy.load(tmp_path / "cart-pendulum.cap").cells.leaf_count == 4350
+    assert "9,092" in out and "wrote cart-pendulum.cap" in out
+    assert Policy.load(tmp_path / "cart-pendulum.cap").cells.leaf_count == 4158
 
 
 def test_synth_takes_overrides(tmp_path):
@@ -142,7 +142,7 @@ def test_info_says_the_same_as_synth(pendulum, tmp_path):
     out, _ = capsyn("synth", "cart-pendulum", "-o", "p.cap", cwd=tmp_path)
     assert out.startswith(capsyn("info", pendulum, "--quick")[0])
     data = json.loads(capsyn("info", pendulum, "--json")[0])
-    assert data["cells"] == 4350 and data["hints"] == []
+    assert data["cells"] == 4158 and data["hints"] == []
     np.testing.assert_allclose([s["volume_share"] for s in data["symbols"]], [0.5, 0.5], atol=1e-3)
 
 
@@ -176,7 +176,7 @@ def test_a_compiler_that_builds_nothing_is_no_compiler(tmp_path):
         "synth", "cart-pendulum", "-o", "p.cap", cwd=tmp_path, run=run_apart, **environment
     )
     assert err.startswith("warning: solving with NumPy") and err.count("\n") == 1
-    assert Policy.load(tmp_path / "p.cap").cells.leaf_count == 4350
+    assert Policy.load(tmp_path / "p.cap").cells.leaf_count == 4158
 
 
 def test_a_safe_symbol_is_taken_by_name_before_index(tmp_path, pendulum):
@@ -190,7 +190,7 @@ def test_links_are_followed_and_pipes_refused(tmp_path):
     (tmp_path / "link.cap").symlink_to("real.cap")
     capsyn("synth", "cart-pendulum", "-o", "link.cap", cwd=tmp_path)
     assert (tmp_path / "link.cap").is_symlink()
-    assert Policy.load(tmp_path / "real.cap").cells.leaf_count == 4350
+    assert Policy.load(tmp_path / "real.cap").cells.leaf_count == 4158
     os.mkfifo(tmp_path / "pipe.png")
     for arguments in (["synth", "cart-pendulum"], ["plot", "link.cap"]):
         assert "a device or a pipe" in error_of(*arguments, "-o", "pipe.png", cwd=tmp_path)
@@ -207,7 +207,7 @@ def test_without_a_compiler_there_is_one_warning(tmp_path):
     own = {"cwd": tmp_path, "run": run_apart, "CC": "no-such-compiler"}
     out, err = capsyn("synth", "cart-pendulum", "-o", "p.cap", **own)
     assert err.startswith("warning: ") and err.count("\n") == 1 and "no-such-compiler" in err
-    assert "9,482" in out
+    assert "9,092" in out
     _, err = capsyn("synth", "cart-pendulum", "--backend", "c", code=2, **own)
     assert err.startswith("error: no C compiler found") and err.count("\n") == 1
 

@@ -22,6 +22,9 @@ from capsyn.cells.masks import (
     word_count,
 )
 
+KEPT = 4
+"""In a mixed cell the symbol in force stays, where switching has a price, for more than one in so
+many of the votes that another has: else a loop that slides between two such cells would chatter."""
 ROOM = 2**26
 """Bytes that sets of rows may take at once beside the result, roughly."""
 
@@ -31,11 +34,13 @@ class RowTable:
 
     Sets of symbols (..., J, W) that could be best have one for each symbol in force: J is N + 1,
     the default's last, or 1 where that does not matter. Of symbols that could be best that in force
-    is chosen, else the first of `order`, which names each symbol and the default once.
+    is chosen, else the first of `order`, which names each symbol and the default once. `dear` is
+    whether switching has a price.
     """
 
-    def __init__(self, order: Sequence[int], in_force: int = 1) -> None:
+    def __init__(self, order: Sequence[int], in_force: int = 1, dear: bool = False) -> None:
         self._order, self._labels, self._in_force = order, len(order), in_force
+        self._dear = dear
         self._numbers: dict[bytes, int] = {}
         self._rows: list[np.ndarray] = []
 
@@ -61,14 +66,16 @@ class RowTable:
     def voted(self, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the rows (M,) and the labels seen (M, J, W) of mixed cells; see `most_voted`.
 
-        `sets` (P, M, J, W) are those of their test points.
+        `sets` (P, M, J, W) are those of their test points. Of labels with as many votes that in
+        force is chosen; where switching has a price, even with fewer, see `KEPT`.
         """
         labels, votes, seen = most_voted(sets, self._order)
         if self._in_force == 1:
             return labels[..., 0], seen
         own = np.broadcast_to(np.arange(self._in_force, dtype=np.int32), labels.shape)
         kept = np.count_nonzero(holds(sets, own), axis=0) * holds(seen, own)
-        labels = np.where((kept == votes) & (votes > 0), own, labels)  # of equals that in force
+        stays = KEPT * kept > votes if self._dear else (kept == votes) & (votes > 0)
+        labels = np.where(stays, own, labels)
         return self.numbers(labels), seen
 
     def numbers(self, labels: np.ndarray) -> np.ndarray:

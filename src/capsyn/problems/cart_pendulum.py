@@ -40,7 +40,7 @@ def has_upright_energy(x: Any) -> Any:
 
 
 def cart_pendulum(
-    values: tuple[float, ...] = (5.0, -5.0), name: str = "cart-pendulum", price: str = "1.5%"
+    values: tuple[float, ...] = (5.0, -5.0), name: str = "cart-pendulum", price: str = "1%"
 ) -> Problem:
     """Return the problem of Fig. 3: two accelerations, tracking the upright energy, eq. (12).
 
@@ -70,4 +70,4 @@ def cart_pendulum(
 
 def cart_pendulum_4() -> Problem:
     """Return the problem of Fig. 4a: four accelerations."""
-    return cart_pendulum((-5.0, -2.0, 2.0, 5.0), "cart-pendulum-4", "1%")
+    return cart_pendulum((-5.0, -2.0, 2.0, 5.0), "cart-pendulum-4", "0.3%")

@@ -74,7 +74,7 @@ def double_tank_a() -> Problem:
         goal=(0.8, 0.2),
         tolerance=0.1,
         settings=SsacSettings(gamma=-10.0),
-        price="2%",
+        price="0.3%",
         description="levels of two tanks by three on/off valves",
     )
 
@@ -88,6 +88,6 @@ def double_tank_b() -> Problem:
         goal=(0.4, 0.6),
         tolerance=0.05,
         settings=SsacSettings(rule="steepest"),
-        price="5%",
+        price="4%",
         description="levels of two tanks by two on/off valves, the one between them ajar",
     )

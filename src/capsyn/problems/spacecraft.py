@@ -8,7 +8,6 @@ from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.settings import SsacSettings
-from capsyn.modelling.switching import Switching
 
 INERTIA = (1.0, 1.3, 0.8)  # kg m^2, about the principal axes
 TORQUE = 0.4  # N m
@@ -76,7 +75,6 @@ def spacecraft() -> Problem:
         target=Ball([0.0] * 6, 0.05),
         outside="nearest",
         settings=SsacSettings(rule="steepest", control_weight=0.1, steps=16),
-        switching=Switching(price="0.3%"),
         partitions=3,
         max_level=1,
         description="detumbling and pointing by six thrusters, one at a time; use affine leaves",

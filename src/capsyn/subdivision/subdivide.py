@@ -245,7 +245,8 @@ def carry_out(
             plan.limits.max_solves if plan.in_rounds else None,
             labelling.in_force,
         )
-        rows = RowTable(order, labelling.in_force)
+        dear = labelling.prices is not None and labelling.prices.unit > 0
+        rows = RowTable(order, labelling.in_force, dear)
         plain = not returns.endswith("scores")
         task = SubdivisionTask(plan, rows, points, plain, labelling.prices)
         work = RoundSubdivision(task) if plan.in_rounds else ConstantSubdivision(task)

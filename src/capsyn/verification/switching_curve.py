@@ -40,7 +40,7 @@ LOST = 0.005
 """Share of the trials that it may lose."""
 CHATTER = 0.05
 """Share of the samples at which a policy that does not chatter may switch."""
-HINT_TRIALS, HINT_SAMPLES, HINT_PRICES = 32, 3000, (0.0, "0.3%", "1%", "3%")
+HINT_TRIALS, HINT_SAMPLES, HINT_PRICES = 32, 3000, (0.0, "0.1%", "0.3%", "1%")
 """Loops, and prices, that the hint looks at."""
 HINT_SOLVES = 200_000
 """Most solves of a policy that is made anew for the hint."""
