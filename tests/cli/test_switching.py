@@ -26,6 +26,19 @@ def test_synth_takes_prices_times_and_forbidden_transitions(tmp_path):
     assert capsyn("query", path, 0.2, 0.2, "--current", low)[0].startswith("symbol")
     out, _ = capsyn("info", path, "--quick")
     assert "3 per second" in out and f"{low} to {high}" in out
+    synth(
+        path,
+        "--hold",
+        "V1=2",
+        "--hold",
+        "V3=1",
+        "--forbid",
+        f"{low}:{high}",
+        "--forbid",
+        f"{high}:{low}",
+    )
+    switching = Policy.load(path).switching
+    assert switching.hold == {"V1": 2.0, "V3": 1.0} and len(switching.forbidden) == 2
     synth(path, "--switch-price", "none")
     assert Policy.load(path).switching is None and not Policy.load(path).remembers
 
@@ -74,3 +87,27 @@ def test_the_curve(tmp_path):
     capsyn("compress", path, "-o", tmp_path / "t.cap")
     _, err = capsyn("switching", tmp_path / "t.cap", "--curve", "-o", picture, code=2)
     assert "`policy` must be one of cells" in err
+
+
+HOUSE = """
+import capsyn
+problem = capsyn.Problem(
+    name="house", dynamics=lambda x, u: [u[0] - 0.1 * x[0]], domain=capsyn.Box([-1], [1]),
+    alphabet=capsyn.Alphabet([0, 1, -1], names=["off", "heat", "cool"]), default=0, horizon=1.0,
+    running_cost=lambda x: x[0]**2, partitions=4, max_level=1,
+    switching=capsyn.Switching(hold={"heat": 10, "cool": 9}, forbidden=[("heat", "cool")]),
+)
+"""
+
+
+def test_options_stand_beside_what_the_problem_says(tmp_path):
+    (tmp_path / "house.py").write_text(HOUSE)
+    for options, hold, forbidden in (
+        (["--hold", "off=5"], {"heat": 10, "cool": 9, "off": 5}, 1),
+        (["--hold", "heat=3", "--forbid", "cool:heat"], {"heat": 3, "cool": 9}, 2),
+        (["--hold", "4"], 4.0, 1),
+        (["--hold", "none", "--forbid", "none"], 0.0, 0),
+    ):
+        capsyn("synth", "house.py", "-o", "h.cap", *options, cwd=tmp_path)
+        switching = Policy.load(tmp_path / "h.cap").switching
+        assert switching.hold == hold and len(switching.forbidden) == forbidden

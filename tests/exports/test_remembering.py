@@ -28,8 +28,10 @@ from support.exports.remembering import (
     pendulum,
     random_prices,
     random_rows,
+    random_rules,
 )
 from support.processes.command_line import capsyn, error_of
+from support.references.switching import InForce, kinds_of
 
 OPTIONS = {
     "rows": {"hold_off": 0.3, "safe": "off"},
@@ -101,6 +103,35 @@ def test_the_reference_is_the_closed_loop():
         assert len(np.unique(loop.symbols)) > 1
 
 
+@pytest.mark.parametrize("seed", range(24))
+def test_the_reference_is_the_rule_as_it_is_told(seed):
+    """In a plain statement of it, on random rules, with symbols of equal controls."""
+    rng, period, steps = np.random.default_rng([15, seed]), 0.25, 400
+    policy = random_rules(rng)
+    options = {"hold_off": 0.75 * (seed % 3), "outside_at_once": seed % 2 == 0}
+    readings = np.where(rng.random((4, steps)) < 0.05, np.nan, 1.2 * rng.random((4, steps)) - 0.1)
+    plan = Plan.of(policy, **options)
+    made = run(plan, readings[:, :, None], period)
+    controls, holds = policy.controls.tolist(), policy.switching.hold
+    names = [*policy.alphabet.names, "default"]
+    pairs = [[names.index(name) for name in pair] for pair in policy.switching.forbidden]
+    like = controls.index(controls[-1])  # what the default control is, of the symbols
+    pairs += [[j, plan.default] for j, k in pairs if k == like and j < plan.default]
+    times = [holds.get(name, 0.0) for name in names]
+    times[-1] = times[like]
+    kinds = kinds_of(controls, policy.rules.prices.tolist())
+    inputs = [holds.get(name, 0.0) for name in policy.alphabet.inputs]
+    rows = policy.transitions[-1 - policy.cells.entries]
+    for reading, labels in zip(readings, made.labels):
+        rule = InForce(controls, kinds, times, inputs, pairs, 0, options["hold_off"])
+        for k, x in enumerate(reading):
+            inside = 0 <= x <= 1
+            wanted = rows[min(int(x * len(rows)), len(rows) - 1), rule.now] if inside else 0
+            at_once = bool(np.isnan(x)) or (not inside and options["outside_at_once"])
+            assert rule.step(int(wanted), at_once, k * period) == labels[k], (k, x)
+    assert len(np.unique(made.labels)) > 2
+
+
 def test_golden_vectors_go_through_all_symbols_in_force(tmp_path):
     for policy in (random_rows(), random_prices()):
         plan = Plan.of(policy)
@@ -128,13 +159,13 @@ def test_golden_vectors_go_through_all_symbols_in_force(tmp_path):
 def test_plans_take_one_time_for_all_others():
     plan = Plan.of(random_rows(), dwell=0.25)
     assert set(plan.policy.rules.holds) == {0.25} and not plan.policy.rules.input_holds.any()
-    assert plan.remembers and plan.forbidden == Plan.of(random_rows()).forbidden != []
+    assert plan.has_state and plan.forbidden == Plan.of(random_rows()).forbidden != []
     assert (
         plan.sha256 == Plan.of(random_rows()).sha256 and plan.tree.guarantee.source == plan.sha256
     )
-    assert not Plan.of(only_times(), dwell=0.25).remembers
+    assert not Plan.of(only_times(), dwell=0.25).has_state
     assert not Plan.of(random_rows(), dwell=0).waits
-    assert Plan.of(small(), hold_off=1.0).remembers and not Plan.of(small()).remembers
+    assert Plan.of(small(), hold_off=1.0).has_state and not Plan.of(small()).has_state
 
 
 def test_headers_say_what_is_remembered():

@@ -49,7 +49,7 @@ def test_a_policy_that_remembers_has_states(outside):
         np.testing.assert_allclose(found.outputs[:2].T, run.states, rtol=1e-9, atol=1e-9)
         np.testing.assert_array_equal(found.outputs[2:, :-1].T, run.controls)
         switches.append(run.switches)
-    assert switches[0] == 10 and run.outside > 0
+    assert switches[0] > 5 and run.outside > 0
 
 
 def test_a_plant_in_continuous_time():

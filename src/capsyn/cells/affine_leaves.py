@@ -13,7 +13,7 @@ from capsyn.validation import keep_read_only
 LARGEST_SUM = 2**30 - 1
 """Most that a row may come to anywhere on the lattice; differences of rows fit 32 bits."""
 LARGEST_SLOPE = 2**15 - 1
-MOST_RATIO = 1023
+MOST_RATIO = 2**15 - 1
 """Largest whole number that stands for a price, relative to the others."""
 ROW_ARRAYS = {
     "row_starts": np.int32,
@@ -49,7 +49,8 @@ class PriceRatios:
             exact = np.abs(multiples - np.rint(multiples)).max() < 1e-9
             whole = exact and multiples.max() <= MOST_RATIO
             unit = float(some.min() if whole else some.max() / MOST_RATIO)
-        ratios = np.where(finite, np.rint(known / unit), -1)
+        whole = np.maximum(np.rint(known / unit), known > 0)  # no price becomes none
+        ratios = np.where(finite, whole, -1)
         return PriceRatios(ratios.astype(np.int16), unit if some.size else 0.0)
 
 

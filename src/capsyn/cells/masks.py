@@ -105,14 +105,21 @@ def singles(symbols: np.ndarray, count: int) -> np.ndarray:
     return sets
 
 
-def or_else(sets: np.ndarray, symbol: int) -> np.ndarray:
-    """Return sets (..., W), those that are empty with a symbol."""
+def or_else(sets: np.ndarray, symbol: int, stays: np.ndarray | None = None) -> np.ndarray:
+    """Return sets (..., W), those that are empty with a symbol.
+
+    Where `stays` (J,), of sets (..., J, W), with the one in force instead: none may follow.
+    """
     none = empty(sets)
     if not none.any():
         return sets
     word, bit = _bit(sets, symbol)
     sets = sets.copy()
     sets[none, word] = bit
+    for own in np.flatnonzero(stays) if stays is not None else ():
+        word, bit = _bit(sets, int(own))
+        sets[none[..., own], own] = 0
+        sets[none[..., own], own, word] = bit
     return sets
 
 

@@ -189,7 +189,7 @@ def synth(
     from capsyn.verification.switching_curve import chatter_hint
 
     chosen, path = _chosen_problem(problem, changes)
-    chosen = chosen.replace(switching=switching.of(chosen.switching))
+    chosen = chosen.replace(switching=switching.of(chosen))
     with (
         executor(dask) as client,
         progress_bars() as progress,
@@ -212,7 +212,7 @@ def synth(
         )
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
-    if (hint := chatter_hint(policy)) is not None:
+    if (hint := chatter_hint(policy, subdivision.threads)) is not None:
         data["hints"] = [*data["hints"], hint]
     end = f"wrote {path} in {sum(policy.timings.values()):.2f} s"
     show(as_json, data, lambda: print_report(data), end)

@@ -277,10 +277,11 @@ class CurveOptions:
         "Prices to try, as 0,0.3%,1%,3% [default: 0 to 10%].", metavar="P[,P..]"
     )
     holds: str | None = option(
-        "Least times of all symbols to try [time unit; default: 0].", metavar="T[,T..]"
+        "Least times of all symbols to try [time unit; default: the policy's own].",
+        metavar="T[,T..]",
     )
     trials: int = option("Closed loops from random states, each.", default=200)
-    duration: float = option("Their time [time unit].", default=20.0)
+    duration: float | None = option("Their time [time unit; default: 20 horizons].")
     rate: float | None = option("Samples per time unit [default: by the policy's settings].")
     output: str | None = option(
         "A .png, .svg or .pdf file; the table gets its name with .csv.", "--output", "-o",
@@ -307,6 +308,7 @@ def switching(file: File, options: CurveOptions, as_json: Json = False) -> None:
             raise ProblemError(f"--{name} needs --curve")
     with working("simulating"):
         row = switching_point(Policy.load(file), **loop).to_json()
+    del row["recommended"]  # nothing to compare with
     show(as_json, row, lambda: print_table([row]), None)
 
 
@@ -326,7 +328,7 @@ def _switching_curve(file: str, options: CurveOptions, loop: dict[str, Any], as_
     prices = PRICES
     if options.prices is not None:
         prices = tuple(price("--prices", text) for text in options.prices.split(","))
-    holds = [0.0] if options.holds is None else number_list("--holds", options.holds)
+    holds = None if options.holds is None else number_list("--holds", options.holds)
     with working("trying prices") as say:
         points = switching_curve(policy, prices, holds, **loop, progress=say)
     save_switching_curve(points, table)

@@ -16,6 +16,7 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Ball, Box
 
 if TYPE_CHECKING:
+    from capsyn.modelling.problem import Problem
     from capsyn.modelling.switching import Switching
 
 Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
@@ -119,36 +120,64 @@ class SwitchingOptions:
         "unit of its change; none: forget the symbol in force [default: the problem's].",
         metavar="P|INPUT=P[,..]|none",
     )
-    hold: str | None = option(
-        "Least time of all symbols, or of some symbols or inputs [time unit].",
-        metavar="T|NAME=T[,..]",
+    hold: list[str] | None = option(
+        "Least time of all symbols, or of some symbols or inputs, beside the problem's own [time "
+        "unit]; none: no least times. May be repeated.",
+        metavar="T|NAME=T[,..]|none",
     )
     forbid: list[str] | None = option(
-        "Symbols between which there must be no switch; may be repeated.", metavar="FROM:TO[,..]"
+        "Symbols between which there must be no switch, beside the problem's own; none: allow all. "
+        "May be repeated.",
+        metavar="FROM:TO[,..]|none",
     )
     delay: float | None = option("Known input delay, which the policy compensates [time unit].")
 
-    def of(self, switching: Switching | None) -> Switching | None:
+    def of(self, problem: Problem) -> Switching | None:
         """Return the problem's `Switching`, changed, or a new one; None for none."""
         from capsyn.modelling.switching import Switching
 
         changes: dict[str, Any] = {}
         if self.switch_price == "none":
-            if self.hold is not None or self.forbid:
+            if self.hold or self.forbid:
                 raise ProblemError("--switch-price none takes no --hold and no --forbid")
             return None
+        own = problem.switching or Switching()
         if self.switch_price is not None:
             changes["price"] = _one_or_named("--switch-price", self.switch_price, price)
-        if self.hold is not None:
-            changes["hold"] = _one_or_named("--hold", self.hold, number)
+        if self.hold:
+            changes["hold"] = _holds(self.hold, own.hold, problem.alphabet.names)
         if self.forbid:
-            pairs = [part.split(":") for text in self.forbid for part in _parts(text)]
-            if any(len(pair) != 2 for pair in pairs):
-                raise ProblemError(f"--forbid must be FROM:TO; got '{' '.join(self.forbid)}'")
-            changes["forbidden"] = pairs
+            changes["forbidden"] = _pairs(self.forbid, own.forbidden)
         if not changes:
-            return switching
-        return dataclasses.replace(switching or Switching(), **changes)
+            return problem.switching
+        return dataclasses.replace(own, **changes)
+
+
+def _holds(texts: list[str], own: Any, names: Sequence[str]) -> Any:
+    """Return the least times that texts mean, by name beside those of the problem."""
+    if texts == ["none"]:
+        return 0.0
+    meant = [_one_or_named("--hold", text, number) for text in texts]
+    if not all(isinstance(times, dict) for times in meant):
+        if len(meant) > 1:
+            raise ProblemError(f"--hold must be one time, or NAME=T; got '{' '.join(texts)}'")
+        return meant[0]
+    if not isinstance(own, dict):  # one time for all, or one for each
+        each = own if isinstance(own, tuple) else [own] * len(names)
+        own = {name: time for name, time in zip(names, each) if time}
+    for times in meant:
+        own = own | times
+    return own
+
+
+def _pairs(texts: list[str], own: Sequence[tuple[str, str]]) -> list[Any]:
+    """Return the forbidden transitions that texts mean, beside those of the problem."""
+    if texts == ["none"]:
+        return []
+    pairs = [part.split(":") for text in texts for part in _parts(text)]
+    if any(len(pair) != 2 for pair in pairs):
+        raise ProblemError(f"--forbid must be FROM:TO; got '{' '.join(texts)}'")
+    return [*own, *pairs]
 
 
 def _parts(text: str) -> list[str]:

@@ -293,8 +293,7 @@ def online_controller(
 ) -> OnlineController:
     """Return sSAC or SAC in receding horizon for a problem, or for the model of a policy.
 
-    It plans without prices on switching and without the problem's delay. Closed loops keep least
-    times and forbidden transitions of its symbols: where it wants another, that in force stays.
+    It plans without prices and without delay; loops keep least times of its symbols.
 
     Parameters
     ----------
@@ -344,6 +343,8 @@ def online_controller(
     if not isinstance(settings, SsacSettings):
         raise ProblemError(f"`settings` must be a capsyn.SsacSettings; got {describe(settings)}")
     settings.efforts(source.alphabet.values)
+    if source.switching is not None and source.switching.forbidden:
+        raise ProblemError("`source` must have no forbidden transitions for an online controller")
     alphabet, (constant, background) = source.alphabet, _defaults(source, default)
     sac = sac_program(model, alphabet, settings, limits) if method == "sac" else None
     formulation = Formulation(model, source.domain, alphabet.values, constant, horizon, settings)
@@ -364,15 +365,8 @@ def online_controller(
         kernel,
         NumpyActions(formulation, chooser, sac),
         source.time_unit,
-        _rules(source) if method == "ssac" and source.switching is not None else None,
+        SwitchRules.of(source) if method == "ssac" and source.switching is not None else None,
     )
-
-
-def _rules(source: Problem | Policy) -> SwitchRules:
-    """Return what changes of symbols wait for; no price is paid, so that of a share is any."""
-    assert source.switching is not None
-    priced = dataclasses.replace(source, switching=source.switching.with_spread(1.0))
-    return SwitchRules.of(priced)
 
 
 def _kernel(

@@ -109,8 +109,21 @@ class BatchController:
         Not with a delay: what decides is then another state for each label in force.
         """
         solution = self.solve(states)
-        find = self.possible if self.in_force == 1 else self.next_possible
-        return find(solution), self.smooth_scores(solution)
+        scores = self.smooth_scores(solution)
+        if self.in_force == 1:
+            return self.possible(solution), scores
+        own, count = self._own_default, len(self.efforts)
+        if own is not None and scores.shape[2] > count:  # see `_score_bounds`
+            plain = self._symbol_scores(solution)[:, :, own]
+            scores[:, :, own] = np.maximum(plain, scores[:, :, count])
+            scores = scores[:, :, :count]
+        return self.next_possible(solution), scores
+
+    @property
+    def _own_default(self) -> int | None:
+        """The first symbol whose control is the default's; None where there is none."""
+        same = (self.formulation.values == self.formulation.default).all(axis=1)
+        return int(np.argmax(same)) if same.any() else None
 
     def _after_delay(self, states: np.ndarray) -> np.ndarray:
         """Return `masks` (B, J, W) for where states (B, n) will be when a decision takes effect.
@@ -142,7 +155,7 @@ class BatchController:
 
         They are those of a tie; infinite for labels that are no candidates, and where there is no
         finite result. The default competes by what it would have to save: the best score less the
-        mode insertion gradient of its symbol.
+        mode insertion gradient of its symbol; where a symbol has its control, that one does.
         """
         margin, gradients = TIE * solution.scales, solution.gradients
         with np.errstate(all="ignore"):
@@ -160,20 +173,22 @@ class BatchController:
             lost = ~(np.isfinite(high) & np.isfinite(solution.scales)).all(axis=1)
             idle_low = idle_high = np.full((len(low), 1), np.inf)
             if self.settings.on_no_descent == "default":
-                own = (self.formulation.values == self.formulation.default).all(axis=1)
-                low[:, own], high[:, own] = np.inf, np.inf
                 could = low <= high.min(axis=1, keepdims=True)
                 rises = np.where(could, gradients + margin, -np.inf).max(axis=1, keepdims=True)
                 falls = np.where(could, gradients - margin, np.inf).min(axis=1, keepdims=True)
                 idle_low = low.min(axis=1, keepdims=True) - rises
                 idle_high = high.min(axis=1, keepdims=True) - falls
+                if (own := self._own_default) is not None:  # competes in the default's place, too
+                    low[:, own] = np.minimum(low[:, own], idle_low[:, 0])
+                    high[:, own] = np.minimum(high[:, own], idle_high[:, 0])
+                    idle_low = idle_high = np.full((len(low), 1), np.inf)
         low, high = np.hstack([low, idle_low]), np.hstack([high, idle_high])
         low[lost], high[lost] = np.inf, np.inf
         return low, high
 
     def spread(self, solution: Solution) -> float:
         """Return the median, over solved states, of the worst score less the best [cost / time]."""
-        scores = self.smooth_scores(solution)[:, 0, : len(self.efforts)]
+        scores = self._symbol_scores(solution)[:, 0]
         ranges = np.ptp(scores, axis=1)
         ranges = ranges[np.isfinite(ranges)]
         return float(np.median(ranges)) if ranges.size else 0.0
@@ -190,29 +205,33 @@ class BatchController:
         has slopes where J0, and with it alpha_d, vanishes. With ``on_no_descent="default"`` the
         default's comes last, (B, V, N + 1): the best score plus that symbol's ``dJ_dlam``.
         """
+        scores = self._symbol_scores(solution)
+        if self.settings.on_no_descent == "default":
+            best = scores[:, :1].argmax(axis=2)[:, :, None]
+            slope = np.take_along_axis(solution.gradients[:, None], best, axis=2)
+            default = scores.max(axis=2, keepdims=True) + slope
+            # symbols that are the default itself must not tie with it
+            same = (solution.scales == 0)[:, None]
+            low, high = scores.min(axis=2, keepdims=True), scores.max(axis=2, keepdims=True)
+            with np.errstate(all="ignore"):
+                scores = np.where(same, 2 * low - high, scores)
+            scores = np.concatenate([scores, default], axis=2)
+        return scores
+
+    def _symbol_scores(self, solution: Solution) -> np.ndarray:
+        """Return `smooth_scores` of the symbols alone, (B, V, N)."""
         gradients = solution.gradients
         with np.errstate(all="ignore"):
             if self.settings.rule == "steepest":
-                scores = (-gradients - self.efforts)[:, None]
-            else:
-                wanted, extra = self._wanted(solution), self.efforts - self.efforts.min()
-                size = self._size(solution)
-                squares = (2 * wanted - gradients) * gradients - extra
-                first = np.where(size > 0, squares / size, -extra)
-                price = np.where(extra > 0, extra / (2 * np.abs(wanted)), 0.0)
-                finite = np.isfinite(price).all(axis=1, keepdims=True)
-                second = np.where(finite, -gradients - price, first)
-                scores = np.stack([first, second], axis=1)
-            if self.settings.on_no_descent == "default":
-                best = scores[:, :1].argmax(axis=2)[:, :, None]
-                slope = np.take_along_axis(gradients[:, None], best, axis=2)
-                default = scores.max(axis=2, keepdims=True) + slope
-                # symbols that are the default itself must not tie with it
-                same = (solution.scales == 0)[:, None]
-                low, high = scores.min(axis=2, keepdims=True), scores.max(axis=2, keepdims=True)
-                scores = np.where(same, 2 * low - high, scores)
-                scores = np.concatenate([scores, default], axis=2)
-        return scores
+                return np.asarray((-gradients - self.efforts)[:, None])
+            wanted, extra = self._wanted(solution), self.efforts - self.efforts.min()
+            size = self._size(solution)
+            squares = (2 * wanted - gradients) * gradients - extra
+            first = np.where(size > 0, squares / size, -extra)
+            price = np.where(extra > 0, extra / (2 * np.abs(wanted)), 0.0)
+            finite = np.isfinite(price).all(axis=1, keepdims=True)
+            second = np.where(finite, -gradients - price, first)
+            return np.stack([first, second], axis=1)
 
     def possible(self, solution: Solution) -> np.ndarray:
         """Return the masks (B, W) of solved states; see `masks`."""

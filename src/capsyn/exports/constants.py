@@ -40,7 +40,7 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
         (
             "AT_ONCE",
             plan.at_once,
-            f"Those whose symbol does not wait{'' if plan.remembers else ' for MIN_DWELL'}.",
+            f"Those whose symbol does not wait{'' if plan.has_state else ' for MIN_DWELL'}.",
         ),
     ]
 
@@ -48,7 +48,7 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
 def _times(plan: Plan) -> list[tuple[str, Any, str]]:
     """Return what changes of symbols wait for, likewise."""
     rules, unit = plan.policy.rules, plan.policy.time_unit
-    if not plan.remembers:
+    if not plan.has_state:
         return [("MIN_DWELL", plan.dwell, f"Least time between switches [{unit}].")]
     return [
         ("HOLDS", rules.holds.tolist(), f"How long each symbol is held once entered [{unit}]."),

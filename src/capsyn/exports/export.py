@@ -16,7 +16,7 @@ from capsyn.errors import ProblemError
 from capsyn.exports.certificate import certificate
 from capsyn.exports.feature_texts import features_of
 from capsyn.exports.golden import Golden, golden_vectors
-from capsyn.exports.plan import MOST_NODES, Files, Plan, remembers, tree_within
+from capsyn.exports.plan import MOST_NODES, Files, Plan, has_state, tree_within
 from capsyn.exports.sequence import golden_sequence
 from capsyn.exports.target import Target
 from capsyn.policies.policy import Policy
@@ -55,7 +55,7 @@ def all_targets(policy: Policy) -> tuple[str, ...]:
         small = tree_within(policy, MOST_NODES) is not None
         targets = {k: target for k, target in targets.items() if target.planes}
         targets = {k: target for k, target in targets.items() if small or target.cells}
-    if remembers(policy):
+    if has_state(policy):
         targets = {k: target for k, target in targets.items() if target.remembers}
     if features_of(policy.cells):
         targets = {k: target for k, target in targets.items() if target.features}
@@ -154,7 +154,7 @@ def export(
 def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) -> Files:
     """Return all files of one target, with vectors, costs and what is measured."""
     target = _load(name)
-    if plan.remembers and not target.remembers:
+    if plan.has_state and not target.remembers:
         able = ", ".join(x for x in TARGETS if _load(x).remembers)
         raise ProblemError(
             f"target {name} keeps one least time between decisions, and nothing else; "
@@ -170,7 +170,7 @@ def _files_of(name: str, plan: Plan, golden: Golden, options: dict[str, Any]) ->
         raise ProblemError(f"`name` must be another: the export has a {file} of its own")
     vectors, beside = (exported.golden or golden).to_csv(plan), exported.beside
     files = exported.files | {beside + GOLDEN: vectors}
-    if plan.remembers:
+    if plan.has_state:
         files[beside + SEQUENCE] = (exported.sequence or golden_sequence(plan)).to_csv(plan)
     exported = dataclasses.replace(exported, files=files)
     files = files | {beside + CERTIFICATE: _json(certificate(plan, exported, name, vars(chosen)))}

@@ -169,13 +169,13 @@ class Plan:
         return self.policy.domain.n
 
     @property
-    def remembers(self) -> bool:
+    def has_state(self) -> bool:
         """Whether a decision needs more between calls than one least time for all symbols.
 
         That is the symbol in force, where the next depends on it, and the times of symbols and
         inputs.
         """
-        return bool(remembers(self.policy) or self.hold_off)
+        return bool(has_state(self.policy) or self.hold_off)
 
     @property
     def transitions(self) -> np.ndarray:
@@ -310,7 +310,7 @@ class Plan:
         """Return what the header says of prices and least times."""
         policy, rules = self.policy, self.policy.rules
         unit, switching, lines = policy.time_unit, policy.switching, []
-        if not self.remembers:
+        if not self.has_state:
             return [f"Least time between switches: {self.dwell!r} {unit}"]
         if policy.remembers:
             lines.append(
@@ -332,7 +332,7 @@ class Plan:
         return lines
 
 
-def remembers(policy: Policy) -> bool:
+def has_state(policy: Policy) -> bool:
     """Return whether a policy has more to remember than one least time for all symbols."""
     rules = policy.rules
     several = len(set(rules.holds.tolist())) > 1 or rules.input_holds.any()

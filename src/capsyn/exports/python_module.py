@@ -174,7 +174,8 @@ class Controller:
     def _permitted(self, wanted, time):
         """Return what is taken where another symbol than that in force is wanted.
 
-        Inputs whose time is not over keep their values, if a symbol that may follow has these.
+        Inputs whose time is not over keep their values, if a symbol that may follow has these;
+        where no other is left to change, the symbol in force stays.
         """
         now = self.symbol
         if time - self.since < self.holds[now] * (1 - 1e-6):
@@ -183,6 +184,8 @@ class Controller:
         mixed = tuple(CONTROLS[now if k else wanted][i] for i, k in enumerate(kept))
         if mixed == CONTROLS[wanted]:
             return wanted
+        if mixed == CONTROLS[now]:
+            return now
         for symbol in range(DEFAULT):
             if CONTROLS[symbol] == mixed and (now, symbol) not in FORBIDDEN:
                 return symbol
@@ -277,7 +280,7 @@ def _code(plan: Plan) -> str:
     else:
         cells, walk = "", WALK + LABEL
     decision = NEXT + STEPS + walk if remembers else DECIDE + STEPS + walk + CONTROL
-    if not plan.remembers:
+    if not plan.has_state:
         return cells + QUANTISE + decision + CONTROLLER + HELD
     time = "time" if plan.waits else "time=0.0"
     controller = REMEMBERING.replace("TIME", time)

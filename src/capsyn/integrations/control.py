@@ -37,7 +37,7 @@ def policy_system(
     Parameters
     ----------
     policy : Policy
-        The policy; its out-of-domain rule holds, and its switching; its `min_dwell` does not.
+        The policy; its out-of-domain rule holds, and its switching, with least times.
     dt : float
         Sample time [time unit of the policy]; 0 for a system in continuous time, which only a
         static one can be. A loop that chatters needs samples: the steps of a solver in continuous

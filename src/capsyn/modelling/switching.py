@@ -37,7 +37,9 @@ class Switching:
     hold : number, N numbers or mapping
         Least times [time unit]: one for all symbols, one for each, or by names of symbols, of the
         default control as ``"default"``, or of inputs. A symbol is held so long once it is entered,
-        an input so long once it has changed; other inputs may change meanwhile.
+        an input so long once it has changed; other inputs may change meanwhile. Unlike with
+        ``min_dwell``, the short form of one time for all, the policy depends on the symbol in
+        force, which stays where it ties.
     forbidden : pairs of names
         Transitions that must not be taken, from and to, of symbols or ``"default"``, which stands
         for the start.
@@ -138,7 +140,8 @@ class Switching:
         """Return the prices (N + 1, N + 1) from each symbol of an `alphabet` to each.
 
         They are in [cost / time unit], those of forbidden transitions infinite. `default` (m,) is
-        the default control. The price is no share.
+        the default control; going to it costs what going to the first symbol of the same control
+        does. The price is no share.
         """
         assert not self.has_share
         count = len(alphabet)
@@ -155,6 +158,9 @@ class Switching:
         table[count] = 0.0
         np.fill_diagonal(table, 0.0)
         table[self.forbids(alphabet)] = np.inf
+        same = np.flatnonzero((alphabet.values == default).all(axis=1))
+        if len(same):  # going there is going to that symbol
+            table[:count, count] = table[:count, same[0]]
         return table
 
     def holds(self, alphabet: Alphabet, default: np.ndarray) -> np.ndarray:
@@ -226,8 +232,10 @@ class SwitchRules:
     kinds: np.ndarray  # (N + 1,) ints, equal where a change is no switch: the first of its kind
 
     @staticmethod
-    def of(owner: Any) -> SwitchRules:
+    def of(owner: Any, spread: float = 1.0) -> SwitchRules:
         """Return those of what has alphabet, default, least dwell, and perhaps a `Switching`.
+
+        Where its price is a share, yet, 100 % are `spread` [cost / time unit].
 
         Between labels of the same control is no switch, unless going from one to another costs
         something.
@@ -238,6 +246,7 @@ class SwitchRules:
         prices, inputs = np.zeros((count, count)), np.zeros(alphabet.m)
         holds = np.full(count, owner.min_dwell)
         if switching is not None:
+            switching = switching.with_spread(spread)
             prices, inputs = switching.prices(alphabet, default), switching.input_holds(alphabet)
             holds = np.maximum(holds, switching.holds(alphabet, default))
         return SwitchRules(controls, prices, holds, inputs, _kinds(controls, prices))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, check_outside
 from capsyn.modelling.switching import DEFAULT, check_switching
@@ -94,6 +95,11 @@ def _check_forbidden(policy: Any) -> None:
         taken = policy.transitions[used]
         if forbidden[np.arange(taken.shape[1]), taken].any():
             raise ProblemError("`transitions` must not take a forbidden transition; it does")
+    affine = getattr(policy.cells, "affine", None)
+    if affine is not None:
+        wanted = PriceRatios.of(policy.rules.prices).ratios
+        if affine.ratios is None or not np.array_equal(affine.ratios, wanted):
+            raise ProblemError("the prices of affine leaves must be those of `switching`")
 
 
 def labels_in_force(current: Any, shape: tuple[int, ...], alphabet: Alphabet) -> np.ndarray | None:

@@ -18,11 +18,12 @@ import numpy as np
 from capsyn.cells.affine_leaves import PRICE_ARRAYS, ROW_ARRAYS, AffineLeaves
 from capsyn.cells.cell_tree import CELL_ARRAYS, SEEN_ARRAYS, SPLIT_ARRAYS, CellTree
 from capsyn.cells.feature_tree import Features, FeatureTree
-from capsyn.cells.masks import WORD
+from capsyn.cells.masks import WORD, word_count
 from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.execution.answers import digest
 from capsyn.execution.files import atomic_write
+from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.grid import MAX_COUNT, Grid
@@ -295,17 +296,23 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         affine = AffineLeaves(first, *tables)
     domain.check_resolution(grid.counts)
     entries, mixed = arrays["entries"], arrays["mixed_cells"]
-    cells = CellTree(grid, entries, mixed, _seen(arrays), affine, arrays.get("splits"))
+    cells = CellTree(
+        grid, entries, mixed, _seen(arrays, len(alphabet) + 1), affine, arrays.get("splits")
+    )
     return fields | {"cells": cells}
 
 
-def _seen(arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """Return the sets of labels seen in mixed cells."""
+def _seen(arrays: dict[str, np.ndarray], labels: int) -> np.ndarray:
+    """Return the sets of so many labels seen in mixed cells, their sizes checked before."""
     if "mixed_sets" not in arrays:
         return arrays["mixed_labels"]
     sets, places = arrays["mixed_sets"], arrays["mixed_places"]
-    if (places < 0).any() or (places >= len(sets)).any() or places.shape[1] < 2:
+    fit = places.shape == (len(arrays["mixed_cells"]), labels)
+    if not fit or sets.shape[1] != word_count(labels):
+        raise PolicyFormatError("the sets of labels seen in mixed cells are of other sizes")
+    if (places < 0).any() or (places >= len(sets)).any():
         raise PolicyFormatError("the sets of labels seen in mixed cells are not there")
+    check_memory(float(places.size) * 8 * sets.shape[1], "its sets of labels")
     return sets[places]
 
 

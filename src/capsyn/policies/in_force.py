@@ -38,18 +38,28 @@ def reachable(policy: Any) -> np.ndarray:
     """Return the labels (K,) that may be in force, ascending, N for the default control.
 
     They are those that the policy gives at the start, when the default control is in force, or
-    later, in turn, and the safe symbol outside the domain. The default control is one of them only
-    where the policy gives it.
+    later, in turn, the safe symbol outside the domain, and what is taken while inputs are held. The
+    default control is one of them only where the policy gives it.
     """
     follows = followers(policy)
     found = follows[-1].copy()
     if policy.remembers and not isinstance(policy.outside, str):
         found[policy.outside] = True
     while True:
-        more = found | follows[found].any(axis=0)
+        more = found | follows[found].any(axis=0) | _mixed(policy, found)
         if (more == found).all():
             return np.flatnonzero(found)
         found = more
+
+
+def _mixed(policy: Any, found: np.ndarray) -> np.ndarray:
+    """Return which labels (N + 1,) may be taken while inputs are held, of values of `found`."""
+    controls, held = policy.controls, policy.rules.input_holds > 0
+    if not held.any():
+        return np.zeros_like(found)
+    same = (controls[:, None] == controls[found]).any(axis=1).all(axis=1)
+    same[-1] = False  # never the default
+    return np.asarray(same)
 
 
 def staying_rows(policy: Any, current: int | None = None) -> np.ndarray:

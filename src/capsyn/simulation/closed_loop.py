@@ -9,10 +9,10 @@ At every sample ``t = k period`` of a trial, in this order:
    nearest cell or the safe symbol, and the sample is counted.
 3. A symbol that differs from the one in force is taken only when that has been held for its least
    time, rounded up to whole samples. Where inputs have least times of their own, those that are yet
-   held keep their values and the others take theirs, if there is such a symbol that may follow;
-   else the symbol in force stays. That of a measured state that is not finite does not wait, nor
-   does that of one outside where the policy says so; it is held anew. Between symbols of the same
-   control is no switch, unless it has a price.
+   held keep their values and the others take theirs, if that changes any and there is such a symbol
+   that may follow; else the symbol in force stays. That of a measured state that is not finite does
+   not wait, nor does that of one outside where the policy says so; it is held anew. Between symbols
+   of the same control is no switch, unless it has a price.
 4. The plant gets the control after the input delay and holds it; before the first arrives, it
    gets the default control. Between samples the classical Runge-Kutta method is used, with a step
    boundary where the control changes.
@@ -83,7 +83,8 @@ class Holds:
         mixed = np.where(lock, own, other)
         for b in np.flatnonzero((mixed != other).any(axis=1)):
             same = (self.controls[:-1] == mixed[b]).all(axis=1) & ~self.forbidden[now[b], :-1]
-            taken[b] = np.argmax(same) if same.any() else now[b]
+            moves = same.any() and (mixed[b] != own[b]).any()
+            taken[b] = np.argmax(same) if moves else now[b]
         return taken
 
 

@@ -16,6 +16,7 @@ from capsyn.execution.cluster import check_client
 from capsyn.execution.memory import check_memory
 from capsyn.execution.processors import processors
 from capsyn.modelling.alphabet import Outside, check_outside
+from capsyn.modelling.switching import SwitchRules
 from capsyn.modelling.targets import Target, check_target, target_program
 from capsyn.modelling.transcription import target_condition
 from capsyn.policies.policy import Policy
@@ -123,26 +124,23 @@ def set_up(
 
 def _holds(controller: Any, dwell: float | None, rate: float, samples: int) -> Holds:
     """Return what changes wait for; a given least time holds for all symbols, and no input."""
-
-    def whole(times: np.ndarray) -> np.ndarray:
-        return np.ceil(np.minimum(times * rate - SLACK, samples)).astype(np.int64)
-
     own = described(controller)
     if own is None or own.rules is None:
-        times = np.array([(own.min_dwell if own else 0.0) if dwell is None else dwell])
-        none = np.zeros((1, 1), dtype=bool)
-        return Holds(whole(times), np.zeros(1, dtype=np.int64), none[0].astype(int), none, none)
+        time = (own.min_dwell if own else 0.0) if dwell is None else dwell
+        none = np.zeros((1, 1))
+        rules = SwitchRules(none, none, np.array([time]), none[0], none[0].astype(int))
+        return Holds.of(rules, 1 / rate)
     rules = own.rules
-    symbols, inputs = rules.holds, rules.input_holds
     if dwell is not None:
-        symbols, inputs = np.full_like(symbols, dwell), np.zeros_like(inputs)
-    longest = max(symbols.max(), inputs.max(initial=0.0))
+        holds, inputs = np.full_like(rules.holds, dwell), np.zeros_like(rules.input_holds)
+        rules = dataclasses.replace(rules, holds=holds, input_holds=inputs)
+    longest = max(rules.holds.max(), rules.input_holds.max(initial=0.0))
     if longest * rate > samples + SLACK:
         warn(
             f"the hold of {longest:g} {own.time_unit} is longer than the run of "
             f"{samples / rate:g} {own.time_unit}: what is entered stays"
         )
-    return Holds(whole(symbols), whole(inputs), rules.kinds, rules.forbidden, rules.controls)
+    return Holds.of(rules, 1 / rate)
 
 
 def described(controller: Any) -> Policy | OnlineController | None:

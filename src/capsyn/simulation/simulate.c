@@ -101,7 +101,7 @@ static int64_t permitted(const trial *t, const loop *l, const int64_t now, const
 {
     const double *own = l->controls + now * INPUTS, *other = l->controls + wanted * INPUTS;
     double u[INPUTS];
-    int locked = 0;
+    int locked = 0, moves = 0;
     if (t->held < l->holds[now] || l->forbidden[now * (l->symbols + 1) + wanted])
         return now;
     if (!l->inputs)
@@ -110,10 +110,11 @@ static int64_t permitted(const trial *t, const loop *l, const int64_t now, const
         const int lock = t->held_inputs[i] < l->inputs[i];
         locked |= lock && own[i] != other[i];
         u[i] = lock ? own[i] : other[i];
+        moves |= u[i] != own[i];
     }
     if (!locked)
         return wanted;
-    for (int64_t s = 0; s < l->symbols; ++s) {
+    for (int64_t s = 0; moves && s < l->symbols; ++s) {
         int same = !l->forbidden[now * (l->symbols + 1) + s];
         for (int i = 0; i < INPUTS; ++i)
             same &= l->controls[s * INPUTS + i] == u[i];

@@ -13,6 +13,8 @@ from capsyn.subdivision.split_axes import SplitAxes
 CENTER_WEIGHT = 0.5
 """Weight of the centre in a fit, all other fixed points having the rest: vertices alone see a
 square term x^2 as 1 throughout the cell, where its mean is 1/3."""
+BEYOND = 1.01
+"""How much more than any difference of rows in its cell a price need be."""
 TINY = 1e-300
 """Least size of scores."""
 NO_PRICES = np.zeros((1, 1), dtype=np.int16)
@@ -100,8 +102,9 @@ def fit_cells(
         if prices is not None:
             ratios = prices.ratios[:, : scores.shape[3]]
             unit = prices.unit / np.maximum(largest[:, variant], TINY)
-        most = max(1, int(ratios.max()))
-        rows = _rounded(levels, slopes, corners, size, counts, unit, most)
+        paid = ratios[ratios > 0]
+        span = (int(paid.min()), int(paid.max())) if paid.size else (1, 1)
+        rows = _rounded(levels, slopes, corners, size, counts, unit, span)
         fits = _judged(some, masks, offsets, places, corners, size, rows, ratios, axes)
         kept = fits if kept is None else kept.better(fits)
     assert kept is not None
@@ -229,12 +232,13 @@ def _rounded(
     size: np.ndarray,
     counts: tuple[int, ...],
     unit: np.ndarray,
-    largest: int,
+    span: tuple[int, int],
 ) -> _Rows:
     """Return rows as integers: constants (M, S), slopes (M, S, n), and their scales (M,).
 
-    Last come the prices (M,) of a ratio of 1, a `unit` (M,) in scores; what the `largest` ratio
-    comes to fits as sums do.
+    Last come the prices (M,) of a ratio of 1, a `unit` (M,) in scores, or less where the least
+    ratio of the `span` is more than rows differ by in the cell; what the largest comes to fits as
+    sums do.
 
     Only differences of rows count: their mean is taken off first. A row stands for the centres of
     the lattice steps.
@@ -250,6 +254,9 @@ def _rounded(
             (LARGEST_SUM - lattice.sum() - 2) / sums.max(axis=1),
             LARGEST_SLOPE / np.abs(per_step).max(axis=(1, 2)),
         )
+        reach = np.ptp(levels, axis=1) + 2 * np.abs(slopes).max(axis=1).sum(axis=1)
+        least, largest = span
+        unit = np.minimum(unit, BEYOND * reach / least)
         scale = np.minimum(scale, (LARGEST_SUM - largest) / (unit * largest))
     flat = ~((scale > 0) & np.isfinite(scale))  # scores that are all alike
     scale[flat], levels[flat], per_step[flat] = 1.0, 0.0, 0.0

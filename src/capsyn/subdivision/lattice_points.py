@@ -60,7 +60,8 @@ class LatticePoints:
     smallest unsigned type that holds N + 1 bits, or in words of 64. A point has a set for each of J
     symbols in force, of labels (B, J, W), or one, of labels (B, W). Where `scored`, the labelling
     function gives scores (B, V, S) in V variants beside its sets, and they are kept, too. With a
-    `goal`, progress is reported as all solves so far of so many.
+    `goal`, progress is reported as all solves so far of so many. A point without a finite answer
+    has the default, or, of the symbols in force that `stays` (J,) names, these.
 
     A key numbers the points of the lattice in C order. Where 63 bits are too few, the axes are cut
     into runs whose points they do number; the key is then the bytes of these numbers, the first
@@ -78,12 +79,13 @@ class LatticePoints:
         scored: bool = False,
         goal: int | None = None,
         in_force: int = 1,
+        stays: np.ndarray | None = None,
     ) -> None:
         self._label, self._domain, self._lattice = label, domain, lattice
         self._pool, self._progress, self._goal = pool, progress, goal
         self.dtype = word_type(n_symbols + 1)
         self.shape = in_force, word_count(n_symbols + 1)
-        self._default = n_symbols
+        self._default, self._stays = n_symbols, stays
         extents = [
             count if periodic else count + 1 for count, periodic in zip(lattice, domain.periodic)
         ]
@@ -242,7 +244,7 @@ class LatticePoints:
         self.seconds += time.perf_counter() - started
         if missing.any():
             masks[missing] = 0
-            masks = or_else(masks, self._default)
+            masks = or_else(masks, self._default, self._stays)
             self._count_missing(keys, missing, (level, quarter))
         self.indifferent += int(np.count_nonzero(several(masks).any(axis=1)))
         return masks, self._joined(scores, missing)

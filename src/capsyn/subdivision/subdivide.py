@@ -244,6 +244,7 @@ def carry_out(
             plan.affine,
             plan.limits.max_solves if plan.in_rounds else None,
             labelling.in_force,
+            None if labelling.prices is None else labelling.prices.ratios[:, -1] < 0,
         )
         dear = labelling.prices is not None and labelling.prices.unit > 0
         rows = RowTable(order, labelling.in_force, dear)

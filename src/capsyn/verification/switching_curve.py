@@ -42,8 +42,10 @@ CHATTER = 0.05
 """Share of the samples at which a policy that does not chatter may switch."""
 HINT_TRIALS, HINT_SAMPLES, HINT_PRICES = 32, 3000, (0.0, "0.1%", "0.3%", "1%")
 """Loops, and prices, that the hint looks at."""
-HINT_SOLVES = 200_000
-"""Most solves of a policy that is made anew for the hint."""
+HINT_SECONDS = 0.5
+"""Longest time that a policy took which is made anew for the hint [s]."""
+HORIZONS = 20
+"""Prediction horizons that a loop takes unless it is told otherwise."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +91,10 @@ class SwitchingPoint:
 def switching_curve(
     policy: Policy,
     prices: Sequence[Any] = PRICES,
-    holds: Sequence[float] = (0.0,),
+    holds: Sequence[float] | None = None,
     *,
     trials: int = 200,
-    duration: float = 20.0,
+    duration: float | None = None,
     rate: float | None = None,
     seed: int = 0,
     backend: str = "auto",
@@ -101,19 +103,21 @@ def switching_curve(
 ) -> tuple[SwitchingPoint, ...]:
     """Return what prices and least times do to a policy that sSAC made, in closed loop.
 
-    For each price the policy is made anew, by the settings that it carries; loops start from the
-    same random states of its domain.
+    For each price the policy is made anew, by the settings that it carries, and with its forbidden
+    transitions; loops start from the same random states of its domain.
 
     Parameters
     ----------
     policy : Policy
         A policy of cells that carries its model, as `capsyn.synthesize` makes them.
     prices : numbers >= 0 and shares such as ``"1%"``
-        One price for all switches each; see `capsyn.Switching`.
-    holds : floats
-        Least times [time unit], each tried with every price.
-    trials, duration, rate, seed, backend, threads
+        One price for all switches each, in place of its own; see `capsyn.Switching`.
+    holds : floats, optional
+        Least times of all symbols [time unit], each tried with every price. Default: its own.
+    trials, rate, seed, backend, threads
         As in `capsyn.monte_carlo`; trials go on to the end.
+    duration : float, optional
+        Of a trial [time unit]. Default: `HORIZONS` prediction horizons.
     progress : callable, optional
         Told in words what is next.
 
@@ -123,31 +127,44 @@ def switching_curve(
         A policy that cannot be made anew, or an argument that cannot be used.
     """
     base = _controller(policy, backend)
-    trials = whole_number("trials", trials, least=1)
-    tried = [
-        (p, Switching(price=p), finite_number("holds", h, least=0.0)) for h in holds for p in prices
-    ]
+    own = policy.switching or Switching(hold=policy.min_dwell)
+    times = [own.hold] if holds is None else [finite_number("holds", h, least=0.0) for h in holds]
+    tried = [(p, dataclasses.replace(own, price=p, hold=h)) for h in times for p in prices]
     if not tried:
         raise ProblemError("`prices` and `holds` must have one value each at least; got none")
-    options = LoopOptions(duration=duration, rate=rate, seed=seed, backend=backend, threads=threads)
-    states = policy.domain.sample(trials, [seed, 6])
+    states, options = _loops(policy, trials, duration, rate, seed, backend, threads)
     points: list[SwitchingPoint] = []
-    for price, switching, hold in tried:
+    for price, switching in tried:
+        told = price if isinstance(price, str) else f"{price:g}"
         if progress is not None:
-            progress(f"price {price}, hold {hold:g}")
-        made = repriced(policy, base, dataclasses.replace(switching, hold=hold))
-        points.append(
-            _point(made, price if isinstance(price, str) else f"{price:g}", states, options)
-        )
+            progress(f"price {told}, hold {switching.hold}")
+        points.append(_point(repriced(policy, base, switching, threads), told, states, options))
     best = _recommended(points)
     return tuple(dataclasses.replace(p, recommended=p is best) for p in points)
+
+
+def _loops(
+    policy: Policy,
+    trials: int,
+    duration: float | None,
+    rate: float | None,
+    seed: int,
+    backend: str,
+    threads: int | None,
+) -> tuple[np.ndarray, LoopOptions]:
+    """Return the states (B, n) that loops start from, and how they run."""
+    trials = whole_number("trials", trials, least=1)
+    if duration is None:
+        duration = HORIZONS * (policy.horizon or 1.0)
+    options = LoopOptions(duration, rate, seed=seed, backend=backend, threads=threads)
+    return policy.domain.sample(trials, [seed, 6]), options
 
 
 def switching_point(
     policy: Policy,
     *,
     trials: int = 200,
-    duration: float = 20.0,
+    duration: float | None = None,
     rate: float | None = None,
     seed: int = 0,
     backend: str = "auto",
@@ -167,11 +184,9 @@ def switching_point(
     ProblemError
         A policy without a model, or an argument that cannot be used.
     """
-    trials = whole_number("trials", trials, least=1)
-    options = LoopOptions(duration=duration, rate=rate, seed=seed, backend=backend, threads=threads)
     price = 0.0 if policy.switching is None else policy.switching.price
     told = f"{price:.6g}" if isinstance(price, float) else "several"
-    return _point(policy, told, policy.domain.sample(trials, [seed, 6]), options)
+    return _point(policy, told, *_loops(policy, trials, duration, rate, seed, backend, threads))
 
 
 def _point(policy: Policy, price: str, states: np.ndarray, options: LoopOptions) -> SwitchingPoint:
@@ -182,18 +197,19 @@ def _point(policy: Policy, price: str, states: np.ndarray, options: LoopOptions)
     return SwitchingPoint(
         price,
         value,
-        float(rules.holds.max()),
-        len(policy.transitions),
+        float(max(rules.holds.max(), rules.input_holds.max(initial=0.0))),
+        len(np.unique(policy.cells.constant_leaves(len(policy.transitions)))),
         policy.cells.leaf_count,
         policy.statistics.get("solves", 0),
         *_figures(policy, states, options),
     )
 
 
-def chatter_hint(policy: Policy) -> str | None:
+def chatter_hint(policy: Policy, threads: int | None = None) -> str | None:
     """Return a sentence for a policy without memory that chatters, with the recommended price.
 
-    It chatters when more than `CHATTER` of the samples of a short closed loop switch.
+    It chatters when more than `CHATTER` of the samples of a short closed loop switch. Where the
+    policy took longer than `HINT_SECONDS` to make no price is tried.
     """
     cells, settings, statistics = policy.cells, policy.settings, policy.statistics
     known = isinstance(cells, CellTree) and policy.model is not None and settings is not None
@@ -201,20 +217,20 @@ def chatter_hint(policy: Policy) -> str | None:
         return None
     assert settings is not None
     rate = 1 / settings.sample_time
-    loop: dict[str, Any] = {"trials": HINT_TRIALS, "duration": HINT_SAMPLES / rate, "rate": rate}
+    duration = HINT_SAMPLES / rate
     with warnings.catch_warnings():  # of a loop that nobody asked for
         warnings.simplefilter("ignore", CapsynWarning)
-        states = policy.domain.sample(HINT_TRIALS, [0, 6])
-        options = LoopOptions(duration=loop["duration"], rate=rate)
+        states, options = _loops(policy, HINT_TRIALS, duration, rate, 0, "auto", threads)
         switches, cost, _ = _figures(policy, states, options)
         if not switches > CHATTER * rate:
             return None
         unit = policy.time_unit
         told = f"it switches {switches:.3g} times a {NAMES[unit]} at {rate:g} samples"
-        if statistics["solves"] > HINT_SOLVES:
-            return f"{told}: a price may do with far fewer, as --switch-price 1%"
-        holds = (policy.min_dwell,)
-        points = switching_curve(policy, HINT_PRICES, holds, **loop)
+        if sum(policy.timings.values()) > HINT_SECONDS:
+            return f"{told}: `capsyn switching FILE --curve` shows what a price does with that"
+        points = switching_curve(
+            policy, HINT_PRICES, trials=HINT_TRIALS, duration=duration, rate=rate, threads=threads
+        )
         best = next(point for point in points if point.recommended)
     if best.value == 0.0 or best.switches > 0.9 * switches:
         return None
@@ -225,7 +241,9 @@ def chatter_hint(policy: Policy) -> str | None:
     )
 
 
-def repriced(policy: Policy, base: BatchController, switching: Switching) -> Policy:
+def repriced(
+    policy: Policy, base: BatchController, switching: Switching, threads: int | None = None
+) -> Policy:
     """Return a policy made anew with another `Switching`; `base` is its controller without one."""
     cells, statistics = cell_tree(policy), policy.statistics
     if switching.has_share:
@@ -249,7 +267,7 @@ def repriced(policy: Policy, base: BatchController, switching: Switching) -> Pol
     )
     label, returns = (controller.scored, "masks+scores") if affine else (controller.masks, "masks")
     ratios = PriceRatios.of(prices)
-    how = (returns, controller.preference, processors(None), None, controller.in_force, ratios)
+    how = (returns, controller.preference, processors(threads), None, controller.in_force, ratios)
     made = carry_out(plan, Labelling(label, *how), policy.domain, policy.alphabet)
     return dataclasses.replace(
         policy,

@@ -49,7 +49,7 @@ def test_every_kind_of_least_time(holds):
     policy = valves(holds)
     for at_once, hold_off, style in ((False, 0.0, "nested"), (True, 0.36, "table")):
         plan = planned(policy, outside_at_once=at_once, hold_off=hold_off)
-        assert plan.remembers and plan.waits == (holds != "none" or hold_off > 0)
+        assert plan.has_state and plan.waits == (holds != "none" or hold_off > 0)
         check(plan, style=style)
         labels = check_sequence(plan, style=style)
         assert len(np.unique(labels)) >= 7
@@ -70,7 +70,7 @@ def test_every_style_and_dialect(row):
 def test_least_times_alone():
     """The next symbol does not depend on the symbol in force, but there are several timers."""
     plan = planned(valves("inputs", constant=True))
-    assert plan.remembers and not plan.policy.remembers
+    assert plan.has_state and not plan.policy.remembers
     for style in ("nested", "table"):
         text = source(plan, style=style)
         assert b"now" not in text and b"transitions" not in text

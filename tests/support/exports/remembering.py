@@ -8,12 +8,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from capsyn import Alphabet, Box, Problem, Switching, problems, synthesize
+from capsyn import Alphabet, Box, Policy, Problem, Switching, problems, synthesize
+from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
 from capsyn.exports.sequence import golden_sequence
+from capsyn.modelling.grid import Grid
 from support.exports.policies import MICROPYTHON, by_node, made_by, module, read
 from support.features import exact
+from support.references.switching import InForce
 from support.trees import GRIDS, random_affine_tree, random_policy, random_tree
 
 
@@ -24,8 +27,9 @@ def random_transitions(labels, rows, forbidden, seed=0):
     stays = np.arange(labels)
     table = np.where((rng.random(table.shape) < 0.4) & (stays < labels - 1), stays, table)
     table = np.where(forbidden[stays, table], stays, table)
-    table = table[(table != table[:, :1]).any(axis=1)]
-    return np.vstack([np.repeat(stays[:, None], labels, axis=1), np.unique(table, axis=0)[:rows]])
+    table = np.unique(table[(table != table[:, :1]).any(axis=1)], axis=0)
+    some = np.sort(rng.permutation(len(table))[:rows])
+    return np.vstack([np.repeat(stays[:, None], labels, axis=1), table[some]])
 
 
 ALPHABET = Alphabet(
@@ -59,6 +63,43 @@ def random_rows(grid=3, some_axes=False):
         cells=cells,
         transitions=table,
         switching=SWITCHING,
+    )
+
+
+def random_rules(rng):
+    """Return a policy on [0, 1] with random times, prices and forbidden changes.
+
+    Its five symbols have four controls at most, that of the first always; symbol 0 is the safe one.
+    """
+    count = 5
+    names = [f"s{k}" for k in range(count)]
+    values = [[0, 0], *rng.integers(0, 2, (count - 1, 2)).tolist()]
+    alphabet = Alphabet(values, names=names, inputs=["a", "b"])
+    barred = np.argwhere(rng.random((count + 1, count)) < 0.2)
+    pairs = [(j, k) for j, k in barred.tolist() if j != k and k > 0 and (j, k) != (0, 1)]
+    price = rng.integers(0, 2, (count, count)) * (1 - np.eye(count)) * rng.integers(2)
+    switching = Switching(
+        price=price,
+        hold={name: 0.25 * int(rng.integers(6)) for name in (*names[1:], "a", "b")},
+        forbidden=[([*names, "default"][j], names[k]) for j, k in pairs],
+    )
+    default, first = rng.integers(0, 2, 2), count + 1
+    barred = np.isinf(switching.prices(alphabet, default))
+    table = random_transitions(first, 12, barred, int(rng.integers(1000)))
+    return Policy(
+        name="rules",
+        domain=Box([0], [1]),
+        alphabet=alphabet,
+        default=default,
+        cells=CellTree(
+            Grid((len(table) - first,), (2,), 0),
+            -1 - np.arange(first, len(table), dtype=np.int32),
+            np.zeros(0, dtype=np.int32),
+            np.zeros((0, first, 1), dtype=np.uint64),
+        ),
+        outside=0,
+        transitions=table,
+        switching=switching,
     )
 
 
@@ -259,43 +300,14 @@ class Held:
     """The symbol in force, as the texts under "dwell" say."""
 
     def __init__(self, data):
-        self.data, self.symbol = data, None
-        self.controls = [symbol["control"] for symbol in data["symbols"]]
+        self.data = data
+        controls = [symbol["control"] for symbol in data["symbols"]]
+        rules = (data[key] for key in ("kinds", "holds", "input_holds", "forbidden"))
+        self.rule = InForce(controls, *rules, data["outside"]["safe"], data["hold_off"])
 
     def step(self, reading, time):
-        data, controls = self.data, self.controls
-        first = self.symbol is None
-        now = data["default"] if first else self.symbol
-        wanted, status = read(data, reading, now)
-        if first:
-            self.begin = self.entered = time
-            self.changed = [time] * len(data["inputs"])
-        if not self._is_over(self.begin, data["hold_off"], time):
-            wanted = data["outside"]["safe"]
-        same = data["kinds"][wanted] == data["kinds"][now]
-        if first or same or status in data["at_once"]:
-            taken = wanted
-        elif not self._is_over(self.entered, data["holds"][now], time):
-            taken = now
-        else:
-            pairs = zip(self.changed, data["input_holds"], controls[now], controls[wanted])
-            mixed = [new if self._is_over(t, h, time) else old for t, h, old, new in pairs]
-            others = [
-                k
-                for k in range(data["default"])
-                if controls[k] == mixed and [now, k] not in data["forbidden"]
-            ]
-            taken = wanted if mixed == controls[wanted] else [*others, now][0]
-        if data["kinds"][taken] != data["kinds"][now]:
-            self.entered = time
-        for i, (old, new) in enumerate(zip(controls[now], controls[taken])):
-            self.changed[i] = self.changed[i] if old == new else time
-        self.symbol = taken
-        return taken, status
-
-    @staticmethod
-    def _is_over(since, hold, time):
-        return time - since >= hold * (1 - 1e-9)  # times are rounded
+        wanted, status = read(self.data, reading, self.rule.now)
+        return self.rule.step(wanted, status in self.data["at_once"], time), status
 
 
 RUNNERS = {

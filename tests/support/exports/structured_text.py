@@ -543,7 +543,7 @@ def check(plan, golden=None, **options):
     names = made.block.outputs[2:]
     controls = plan.policy.controls
     controls = controls.astype(np.float32 if real == "REAL" else float).tolist()
-    if plan.remembers:
+    if plan.has_state:
         return len(golden), next_symbols(made, plan, golden)
     cycle = [10**9] * plan.waits
     call = made.instance()

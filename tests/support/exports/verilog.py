@@ -41,7 +41,7 @@ def check(folder, plan, **options):
     name = next(iter(files))
     finite = int((golden.statuses != 2).sum())
     assert simulate(folder, files) == f"PASS: {finite} vectors\n"
-    if plan.remembers:
+    if plan.has_state:
         other = f"{name[:-2]}_tb.v"
         assert simulate(folder, files, other) == f"PASS: {RUNS * STEPS} vectors\n"
     assert run(folder, "verilator", "--lint-only", "-Wall", name) == ""

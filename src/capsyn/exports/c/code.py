@@ -81,12 +81,12 @@ class Code:
     @property
     def stateful(self) -> bool:
         """Whether there is a state between decisions."""
-        return self.plan.remembers or self.plan.dwell > 0
+        return self.plan.has_state or self.plan.dwell > 0
 
     @property
     def waits(self) -> bool:
         """Whether that state counts time."""
-        return self.plan.waits if self.plan.remembers else self.plan.dwell > 0
+        return self.plan.waits if self.plan.has_state else self.plan.dwell > 0
 
     @property
     def in_force(self) -> str:

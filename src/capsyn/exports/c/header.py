@@ -80,7 +80,7 @@ def _of_steps(code: Code) -> str:
 {told}
 int16_t {code.prefix}_symbol({code.in_force}const {code.integer} z[{plan.n}]);
 """
-    if plan.remembers:
+    if plan.has_state:
         text += timers.declarations(code)
     elif plan.dwell:
         text += dwell.declarations(code)
@@ -105,7 +105,7 @@ def _of_states(code: Code) -> str:
 {told}
 {code.decision};
 """
-    if plan.remembers:
+    if plan.has_state:
         told = f"in force from now on: what follows at {states}"
         if code.waits:
             told = f"in force at tick `now`: what follows at {states}, or what must be held"

@@ -23,7 +23,7 @@ def source(code: Code) -> str:
     """Return the source file."""
     decision, quantiser, hold = _decision(code), _quantiser(code), Part("")
     states = quantiser.text + _decide(code)
-    if code.plan.remembers:
+    if code.plan.has_state:
         hold = timers.functions(code)
         states += timers.step(code)
     elif code.plan.dwell:

@@ -121,12 +121,12 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
 
 def _vectors(code: Code, golden: Golden) -> tuple[Golden | None, Sequence | None]:
     """Return golden vectors and sequences where readings are other numbers than a plan's."""
-    plan, remembers = code.plan, code.plan.remembers
+    plan, has_state = code.plan, code.plan.has_state
     if code.axes:
-        sequence = sequence_counts(plan, code.axes, code.readings) if remembers else None
+        sequence = sequence_counts(plan, code.axes, code.readings) if has_state else None
         return golden_counts(plan, code.axes, code.readings), sequence
     if code.arithmetic == "float":
-        return decide_single(plan, golden.readings), sequence_single(plan) if remembers else None
+        return decide_single(plan, golden.readings), sequence_single(plan) if has_state else None
     return None, None
 
 

@@ -320,8 +320,9 @@ def _mixed(timers: Timers) -> Part:
 /* Return the symbol that is wanted where inputs are held, or the symbol in force. */
 static int16_t {p}_mixed(const {p}_state *state, int16_t wanted)
 {{
-    bool found = {p}_fits(state, wanted, wanted);
-    int16_t taken = found ? wanted : state->symbol;
+    const bool whole = {p}_fits(state, wanted, wanted);
+    bool found = whole || {p}_fits(state, wanted, state->symbol);
+    int16_t taken = whole ? wanted : state->symbol;
     int16_t other;
     for (other = 0; (other < {timers.code.plan.default}) && (!found); ++other) {{
         if ({allowed}{p}_fits(state, wanted, other)) {{

@@ -181,17 +181,20 @@ static int held(const policy *p, Real since, int hold) {
 }
 
 /* What is taken where another label than that in force is wanted. Inputs whose time is not over
- * keep their values, if a symbol that may follow has these. */
+ * keep their values, if a symbol that may follow has these; where no other is left to change, the
+ * label in force stays. */
 static int permitted(const policy *p, int wanted) {
     const int now = p->symbol;
     Real mixed[CONTROLS];
-    int i, k, whole = 1;
+    int i, k, whole = 1, stays = 1;
     if (held(p, p->since, HOLD[now])) return now;
     for (i = 0; i < CONTROLS; ++i) {
         mixed[i] = CONTROL[held(p, p->changes[i], INPUT_HOLD[i]) ? now : wanted][i];
         whole = whole && mixed[i] == CONTROL[wanted][i];
+        stays = stays && mixed[i] == CONTROL[now][i];
     }
     if (whole) return wanted;
+    if (stays) return now;
     for (k = 0; k < LABELS - 1; ++k) {
         for (i = 0; i < CONTROLS && CONTROL[k][i] == mixed[i]; ++i) {}
         if (i < CONTROLS) continue;

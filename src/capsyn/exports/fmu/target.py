@@ -89,7 +89,7 @@ def _guid(plan: Plan) -> str:
     """Return an identifier of what the unit does, made from the policy and the plan."""
     parts = [plan.sha256, plan.safe, plan.dwell, plan.at_once, plan.scale.tolist()]
     parts += [plan.offset.tolist(), __version__]
-    parts += [plan.policy.rules.holds.tolist(), plan.hold_off] if plan.remembers else []
+    parts += [plan.policy.rules.holds.tolist(), plan.hold_off] if plan.has_state else []
     digits = hashlib.sha256(repr(parts).encode()).hexdigest()
     return str(uuid.UUID(digits[:32]))
 
@@ -158,7 +158,7 @@ def _source(plan: Plan, guid: str) -> bytes:
         f"#define SAFE {plan.safe}",
         f"#define NEAREST {int(plan.nearest)}",
         f"#define GAP {plan.gap}",
-        *([] if plan.remembers else [f"#define DWELL {plan.dwell_s!r}"]),
+        *([] if plan.has_state else [f"#define DWELL {plan.dwell_s!r}"]),
         f"#define OUTSIDE_AT_ONCE {int(OUTSIDE in plan.at_once)}",
         "",
         _table("double", "LOWER[STATES]", domain.lower.tolist()),
@@ -168,13 +168,13 @@ def _source(plan: Plan, guid: str) -> bytes:
         _table("double", "OFFSET[STATES]", plan.offset.tolist()),
         _table("int32_t", "COUNTS[STATES]", plan.counts),
         _table("double", f"CONTROL[{plan.labels}][CONTROLS]", policy.controls.tolist()),
-        *(_memory(plan) if plan.remembers else []),
+        *(_memory(plan) if plan.has_state else []),
         *_arrays(plan),
         *_ranks(features),
         "",
     ]
     text = resources.files("capsyn.exports.fmu").joinpath("fmu.c").read_text(encoding="utf-8")
-    known = {"REMEMBERS": plan.remembers, "PRICES": plan.cells.priced}
+    known = {"REMEMBERS": plan.has_state, "PRICES": plan.cells.priced}
     return ("\n".join(lines) + "\n" + _resolved(text, known)).encode()
 
 

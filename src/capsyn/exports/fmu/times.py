@@ -35,7 +35,7 @@ def times_of(plan: Plan) -> Times:
     labels = [0] * plan.labels
     if len(set(held)) == 1:
         about = "How long each symbol is held once it is entered"
-        if not plan.remembers:
+        if not plan.has_state:
             about, held = "Least time between switches of the control", [plan.dwell]
         found.append(("min_dwell", about, held[0]))
     else:

@@ -157,7 +157,8 @@ export class Controller {
 
   /**
    * Return what is taken where another symbol than that in force is wanted. Inputs whose time is
-   * not over keep their values, if a symbol that may follow has these.
+   * not over keep their values, if a symbol that may follow has these; where no other is left to
+   * change, the symbol in force stays.
    */
   #permitted(wanted, time) {
     const now = this.symbol;
@@ -166,6 +167,7 @@ export class Controller {
       time - this.changes[i] < this.inputHolds[i] * (1 - 1e-6) ? CONTROLS[now][i] : value);
     const has = (symbol) => CONTROLS[symbol].every((value, i) => value === mixed[i]);
     if (has(wanted)) return wanted;
+    if (has(now)) return now;
     for (let symbol = 0; symbol < DEFAULT; symbol++) {
       if (has(symbol) && !FORBIDDEN.some(([j, k]) => j === now && k === symbol)) return symbol;
     }
@@ -268,7 +270,7 @@ def _code(plan: Plan) -> str:
     else:
         cells, walk = "", WALK + LABEL
     decision = NEXT + STEPS + walk if remembers else DECIDE + STEPS + walk + CONTROL
-    if not plan.remembers:
+    if not plan.has_state:
         return cells + QUANTISE + decision + CONTROLLER + HELD
     controller = REMEMBERING.replace("TIME", "time" if plan.waits else "time = 0")
     return cells + QUANTISE + decision + SAME_FOR_ALL * (not remembers) + controller + HELD

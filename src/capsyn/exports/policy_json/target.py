@@ -88,7 +88,8 @@ HOLDS = (
     "holds, it stays.",
     "Otherwise each input i keeps its value while the time since it changed is less than "
     "input_holds[i], and the other inputs take their values of the symbol that is wanted. If that "
-    "is its control, it is taken. If not, the first symbol below default is taken that has that "
+    "is its control, it is taken. If not, and that is the control of the symbol in force, the "
+    "symbol in force stays. Otherwise the first symbol below default is taken that has that "
     "control, and to which no transition from the symbol in force is in forbidden; if there is "
     "none, the symbol in force stays.",
     "With each switch the time of the symbol begins anew, and that of each input whose value "
@@ -145,7 +146,7 @@ def document(plan: Plan) -> dict[str, Any]:
         plan.offset.tolist(),
     )
     keys = ("name", "unit", "lower", "upper", "periodic", "steps", "scale", "offset")
-    features, version = features_of(cells), 3 if plan.remembers else 2
+    features, version = features_of(cells), 3 if plan.has_state else 2
     return {
         "$schema": SCHEMA if version == 2 else SCHEMA_3,
         "format": FORMAT,
@@ -166,14 +167,14 @@ def document(plan: Plan) -> dict[str, Any]:
         "outside": {"rule": "nearest" if plan.nearest else "safe", "safe": plan.safe}
         | ({"gap": plan.gap} if plan.policy.gaps else {}),
         **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
-        **(_memory(plan) if plan.remembers else {"min_dwell": plan.dwell}),
+        **(_memory(plan) if plan.has_state else {"min_dwell": plan.dwell}),
         "at_once": list(plan.at_once),
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "guarantee": plan.guarantee.to_json() | {"text": plan.guarantee.text},
         "quantiser": [*QUANTISER, *(RANKS if features else ())],
         "walk": list(_walk(plan)),
-        "dwell": list(HOLDS if plan.remembers else DWELL),
+        "dwell": list(HOLDS if plan.has_state else DWELL),
         cells.kind: _tree(cells) if isinstance(cells, SplitTree) else _cells(cells),
     }
 

@@ -71,7 +71,7 @@ class Block:
         kept = {*KEYWORDS, *FIXED, *LOCAL, *steps, *(f"faces{i}" for i in range(n))}
         kept |= {*cells_text.LOCAL, *cells_text.TABLES} if isinstance(tree, CellTree) else set()
         parts = ["wrap", "step", "tree"]
-        if plan.remembers:
+        if plan.has_state:
             kept |= {*REMEMBERED, *(f"rest{i}" for i in range(plan.policy.alphabet.m))}
             parts += ["row", "next"]
         (block,) = identifiers([wanted[:LONGEST_NAME]], kept, fold=True)

@@ -36,7 +36,7 @@ class Waits:
     def of(plan: Plan) -> Waits:
         """Return those of a plan; `ProblemError` where a time is no TIME."""
         rules, unit = plan.policy.rules, plan.policy.time_unit
-        hold = "hold" if plan.remembers and not plan.dwell else "dwell"
+        hold = "hold" if plan.has_state and not plan.dwell else "dwell"
         symbols = [least(hold, to_seconds(t, unit)) for t in rules.holds.tolist()]
         inputs = {
             i: least("hold", to_seconds(float(rules.input_holds[i]), unit))
@@ -109,10 +109,9 @@ def hold(block: Block, siemens: bool) -> list[str]:
     lines = _run_down(waits, siemens)
     if safe:
         lines += [f"IF off > {ZERO} THEN", *indented(safe), "END_IF;"]
-    alike = _alike(plan)
-    lines += alike
+    lines += _alike(plan)
     if waits.inputs:
-        lines += [*_mixed(plan, waits, now), *alike]
+        lines += _mixed(plan, waits, now)
     tests = ["wanted <> symbol"]
     if waits.remaining:
         free = " OR ".join([f"({waits.remaining} <= {ZERO})", *now])
@@ -225,11 +224,14 @@ def _mixed(plan: Plan, waits: Waits, now: list[str]) -> list[str]:
         search += [*condition("IF (", forbidden, ") THEN", "OR"), "    same := FALSE;", "END_IF;"]
     search += ["IF same THEN", "    wanted := DINT_TO_INT(other);", f"    other := {symbols};"]
     search += ["ELSE", "    other := other + 1;", "END_IF;"]
-    lines += ["IF NOT same THEN", "    wanted := symbol;", "    other := 0;"]
+    lines += ["IF NOT same THEN", "    wanted := symbol;", f"    other := {symbols};"]
+    differs = f"mixed[place] <> {_level('own', 'place')}"
+    lines += [f"    FOR place := 0 TO {columns - 1} DO", f"        IF {differs} THEN"]
+    lines += ["            other := 0;", "        END_IF;", "    END_FOR;"]
     lines += [f"    WHILE other < {symbols} DO", *indented(search, 2), "    END_WHILE;", "END_IF;"]
-    told = "Inputs that are yet held keep their values, the others change: the first such symbol."
+    told = "Inputs that are yet held keep their values, the others change: the first such symbol,"
     return [
-        *comment([told]),
+        *comment([f"{told} if any of them does change."]),
         _row("own", "symbol", columns),
         *condition("IF (", tests, ") THEN"),
         *indented(lines),

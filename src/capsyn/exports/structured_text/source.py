@@ -40,7 +40,7 @@ def next_units(block: Block) -> list[Pou]:
     block, which keeps nothing from call to call.
     """
     plan = block.plan
-    if not plan.remembers:
+    if not plan.has_state:
         return []
     name, now = block.calls["next"], "now" if plan.policy.remembers else ""
     inputs = [Variable("in_force", "INT", f"symbol in force; at first the default, {plan.default}")]

@@ -100,7 +100,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         vectors,
         plan=plan,
         chosen={"style": style},
-        sequence=_sequence(block, single) if plan.remembers else None,
+        sequence=_sequence(block, single) if plan.has_state else None,
     )
 
 

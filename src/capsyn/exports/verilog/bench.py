@@ -120,7 +120,7 @@ def bench(module: Module, golden: Golden) -> tuple[bytes, bytes, list[str], Gold
         most = np.array([port.most for port in ports]) * room
         beyond = int(((readings < least) | (readings > most)).any(axis=1).sum())
         about[0] += f" {beyond} beyond a port, saturated."
-    if module.remembers and now is None:
+    if module.has_state and now is None:
         now = np.full(len(columns), plan.default)
     words, bits = _words(module, columns, [(now, module.symbol_bits)], outside, labels)
     text = _text(module, len(words), bits)
@@ -195,7 +195,7 @@ def _text(module: Module, count: int, bits: int, cycles: dict[str, int] | None =
     """
     names = [f"in_{i}" for i in range(module.plan.n)]
     answer_bits, symbol_bits = module.symbol_bits + module.tells, module.symbol_bits
-    now = cycles is None and module.remembers
+    now = cycles is None and module.has_state
     clocked = module.clocked or cycles is not None
     clocks = ("clk", "rst", "valid_in", "valid_out") * clocked
     answers = ("in_force",) * now + ("symbol", "outside")[: 1 + module.tells]

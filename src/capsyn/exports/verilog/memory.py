@@ -237,14 +237,15 @@ def _asked(module: Module) -> list[str]:
         values = [hold_name(plan, k) if t else "64'd0" for k, t in enumerate(holds.tolist())]
         lines += _least(module, values)
         ways.append("held < least ? symbol_held :")
-    levels = Levels.of(plan)
+    levels, last = Levels.of(plan), "asked"
     if held_inputs(plan):
+        last = "mixed"
         lines += _mixed(module, levels)
-        ways.append("level_mixed != level_asked ? mixed :")
+        ways += ["level_mixed == level_asked ? asked :", "level_mixed == level_now ? symbol_held :"]
     lines.append(f"    wire [{top}:0] taken =")
     if ways:
         lines += broken(f"        {' || '.join(f'({test})' for test in free)} ? asked :")
-    lines += [*(f"        {way}" for way in ways), "        asked;"]
+    lines += [*(f"        {way}" for way in ways), f"        {last};"]
     if held := held_inputs(plan):
         lines.append(f"    wire [{levels.bits - 1}:0] level_taken = level(taken);")
         for place in levels.places[len(held) :]:

@@ -63,12 +63,12 @@ class Module:
     ) -> Module:
         """Return the module of a plan; for the arguments see the options of the target."""
         wanted = wanted_name(name, plan.policy.name)
-        fixed = {*FIXED, *(_remembered(plan) if plan.remembers else ())}
+        fixed = {*FIXED, *(_remembered(plan) if plan.has_state else ())}
         (module,) = identifiers([wanted[:LONGEST_NAME]], {*KEYWORDS, *fixed})
         states, end = plan.policy.domain.names, "" if ports else "_step"
         names = [text[:LONGEST_NAME] + end for text in states]
         own = {module, f"{module}_tb", *fixed, *filter(_is_inner, names)}
-        own |= {f"{module}_next", f"{module}_sequence_tb"} if plan.remembers else set()
+        own |= {f"{module}_next", f"{module}_sequence_tb"} if plan.has_state else set()
         inputs = identifiers(names, {*KEYWORDS, *own})
         changed = {state: port for state, name, port in zip(states, names, inputs) if port != name}
         depth, stages = max(1, plan.tree.depth), _stages(pipeline, max(1, plan.tree.depth))
@@ -98,14 +98,14 @@ class Module:
         return len(self.plan.transitions)
 
     @property
-    def remembers(self) -> bool:
+    def has_state(self) -> bool:
         """Whether it has a core, which tells what follows a symbol in force."""
-        return self.plan.remembers
+        return self.plan.has_state
 
     @property
     def core(self) -> str:
         """Name of the module that looks a state up."""
-        return f"{self.name}_next" if self.remembers else self.name
+        return f"{self.name}_next" if self.has_state else self.name
 
     @property
     def direct(self) -> bool:
@@ -130,7 +130,7 @@ class Module:
     @property
     def dwell(self) -> bool:
         """Whether it is one module with a minimum dwell time."""
-        return self.plan.dwell > 0 and not self.remembers
+        return self.plan.dwell > 0 and not self.has_state
 
     @property
     def tells(self) -> bool:

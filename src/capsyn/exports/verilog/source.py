@@ -58,7 +58,7 @@ def _about(module: Module) -> Iterator[str]:
             if domain.periodic[i]:
                 yield f"  beyond, whole turns of {port.turn} units are taken away"
         yield f"Share of random states whose symbol the rounding changes: {module.changed!r}"
-    if module.remembers:
+    if module.has_state:
         yield f"Symbol {plan.default} is in force at first; in_force is read when the answer comes."
     if not module.clocked:
         yield "A circuit without a clock or registers."
@@ -77,7 +77,7 @@ def _interface(module: Module) -> list[str]:
     if module.dwell:
         lines += ["#(", *clocks(module, {"DWELL_CYCLES": ("between switches", module.plan.dwell)})]
         lines.append(")")
-    return [*lines, *port_list(module, module.clocked, module.remembers)]
+    return [*lines, *port_list(module, module.clocked, module.has_state)]
 
 
 def _front(module: Module, i: int) -> list[str]:
@@ -147,7 +147,7 @@ def _end(module: Module) -> list[str]:
     safe = f"{module.symbol_bits}'d{plan.safe}"
     lines: list[str] = []
     wanted, outside = "decided", "outside_end"
-    if module.remembers:
+    if module.has_state:
         wanted, lines = followed(module)
     label = wanted
     if module.ports and not plan.nearest and not all(plan.policy.domain.periodic):

@@ -93,7 +93,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
         f"{module.name}.mem": vectors,
     }
     sequence = None
-    if module.remembers:
+    if module.has_state:
         test_bench, vectors, about, sequence = sequence_bench(module)
         files = {f"{module.name}.v": _joined(shell(module, about)), **files}
         files[f"{module.name}_sequence_tb.v"] = test_bench

@@ -24,6 +24,7 @@ export function makeHolds({ controls, memory, slack }, { rate, minDwell, outside
     const control = controls[wanted].map((value, i) =>
       (heldInputs[i] < inputHolds[i] ? controls[now][i] : value));
     if (same(control, controls[wanted])) return wanted;
+    if (same(control, controls[now])) return now;
     for (let label = 0; label < last; label++) {
       if (same(control, controls[label]) && !forbidden[now][label]) return label;
     }
