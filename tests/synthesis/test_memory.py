@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from capsyn import Alphabet, Box, Policy, Problem, SsacSettings, Switching, problems, synthesize
 from capsyn.cells.masks import holds, members
 from capsyn.controllers.ssac import policy_controller
-from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.errors import CapsynWarning, PolicyFormatError, ProblemError
 from capsyn.subdivision.cell_points import CellPoints
 from support.policy_files import assert_equal, rewrite
 
@@ -211,3 +211,69 @@ def test_a_synthesis_goes_on_and_does_not_depend_on_threads(tmp_path):
         synthesize(priced(PENDULUM, "2%"), checkpoint=tmp_path / "c")
     with pytest.raises(ProblemError, match="`leaves` must be constant for a problem with a delay"):
         synthesize(problem.replace(delay=0.1), leaves="affine")
+
+
+def room(**changes):
+    """Return a room whose default control, off, is a symbol, and wins where no other descends."""
+    fields = {
+        "name": "room",
+        "dynamics": lambda x, u: [u[0] - 0.3 * x[0], x[0] - 0.5 * x[1]],
+        "domain": Box([-1, -1], [1, 1]),
+        "alphabet": Alphabet([-1.0, 0.0, 1.0], names=["cool", "off", "heat"]),
+        "default": 0.0,
+        "horizon": 0.8,
+        "running_cost": lambda x: x[0] ** 2 + x[1] ** 2,
+        "settings": SsacSettings(
+            steps=6, rule="steepest", on_no_descent="default", control_weight=0.3
+        ),
+        "max_level": 2,
+    }
+    return Problem(**fields | changes)
+
+
+@pytest.mark.parametrize("rule", ["steepest", "schedule"])
+def test_the_default_competes_as_the_symbol_of_its_control(rule):
+    settings = dataclasses.replace(room().settings, rule=rule)
+    plain = synthesize(room(settings=settings))
+    states = plain.domain.sample(10_000, 1)
+    wanted = plain.control(states)[:, 0]
+    inside = ~np.isin(
+        plain.cells.find(plain.domain.locate(states, plain.cells.counts)), plain.cells.mixed_cells
+    )
+    kept = synthesize(room(settings=settings, switching=Switching(hold=0.1)))
+    assert (kept.control(states)[:, 0] == wanted)[inside].mean() > 0.999
+    affine = synthesize(room(settings=settings, switching=Switching()), leaves="affine")
+    assert (affine.control(states)[:, 0] == wanted)[inside].mean() > 0.97
+    assert set(kept(states)) <= {0, 1, 2}  # never the default's label
+    dear = synthesize(room(settings=settings, switching=Switching(price=1e9)))
+    for current in range(3):
+        assert (dear(states, current=current) == current).all()
+
+
+def test_the_default_pays_and_is_forbidden_as_the_symbol_of_its_control():
+    forbid = Switching(price=[[0, 1, 5], [2, 0, 3], [9, 4, 0]], forbidden=[("heat", "off")])
+    policy = synthesize(room(switching=forbid))
+    prices = policy.rules.prices
+    assert prices[:3, 3].tolist() == [1, 0, np.inf] and not prices[3].any()
+    assert policy.rules.kinds.tolist() == [0, 1, 2, 1]
+    states = policy.domain.sample(5000)
+    assert (policy.control(states, current="heat") != 0).all()
+
+
+def test_states_without_an_answer_keep_what_may_not_go_to_the_default():
+    wild = {
+        "dynamics": lambda x, u: [u[0] - 0.3 * x[0], x[0] / (x[1] - 0.5)],
+        "switching": Switching(forbidden=[("heat", "default")]),
+        "default": 0.1,
+        "domain": Box([-1, -1], [1, 1.5]),
+        "settings": SsacSettings(steps=1, rule="steepest"),
+        "partitions": [4, 150],
+        "max_level": 0,
+    }
+    with pytest.warns(CapsynWarning, match="gave no finite result"):
+        policy = synthesize(room(**wild))
+    assert policy.statistics["not_finite_points"] > 0
+    states = policy.domain.sample(20_000)
+    assert (policy(states, current="heat") >= 0).all() and (
+        policy(states, current="cool") < 3
+    ).all()

@@ -293,7 +293,7 @@ def online_controller(
 ) -> OnlineController:
     """Return sSAC or SAC in receding horizon for a problem, or for the model of a policy.
 
-    It plans without prices and without delay; loops keep least times of its symbols.
+    It plans without prices and delay; loops keep its least times.
 
     Parameters
     ----------
@@ -332,9 +332,8 @@ def online_controller(
     elif isinstance(source, Policy) and source.model is not None:
         model, target = source.model, source.target
     else:
-        raise ProblemError(
-            f"`source` must be a Problem or a Policy with a model; got {describe(source)}"
-        )
+        got = describe(source)
+        raise ProblemError(f"`source` must be a Problem or a Policy with a model; got {got}")
     horizon = source.horizon if horizon is None else finite_number("horizon", horizon, above=0.0)
     said = source.settings if settings is None and isinstance(source, Problem) else settings
     settings = source.settings if settings is None else settings

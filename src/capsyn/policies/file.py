@@ -44,6 +44,8 @@ VERSION = 9
 split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6, trees
 with features 7, more than 63 symbols, or some of equal control, 8, what depends on the symbol in
 force, has prices or least times of its own, or compensates a delay, 9."""
+CELL_ENTRIES = ("entries", "mixed_cells")
+"""The arrays of all cells, whatever is known of the mixed ones."""
 TRANSITIONS = {"transitions": np.uint16}
 """The rows of a transition function, (R - N - 1, N + 1), that are not constant, in order."""
 ALL_ARRAYS = {
@@ -61,7 +63,7 @@ ARRAYS = [
     for arrays in (
         TREE_ARRAYS,
         *(
-            {"entries", "mixed_cells", *seen, *rows, *splits}
+            {*CELL_ENTRIES, *seen, *rows, *splits}
             for seen in (("mixed_labels",), SEEN_ARRAYS)
             for rows in ((), ROW_ARRAYS, {**ROW_ARRAYS, **PRICE_ARRAYS})
             for splits in ((), SPLIT_ARRAYS)
@@ -295,11 +297,8 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         tables = [arrays[name] for name in (*ROW_ARRAYS, *PRICE_ARRAYS) if name in arrays]
         affine = AffineLeaves(first, *tables)
     domain.check_resolution(grid.counts)
-    entries, mixed = arrays["entries"], arrays["mixed_cells"]
-    cells = CellTree(
-        grid, entries, mixed, _seen(arrays, len(alphabet) + 1), affine, arrays.get("splits")
-    )
-    return fields | {"cells": cells}
+    seen, (entries, mixed) = _seen(arrays, len(alphabet) + 1), (arrays[k] for k in CELL_ENTRIES)
+    return fields | {"cells": CellTree(grid, entries, mixed, seen, affine, arrays.get("splits"))}
 
 
 def _seen(arrays: dict[str, np.ndarray], labels: int) -> np.ndarray:
