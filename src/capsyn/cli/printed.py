@@ -212,14 +212,20 @@ def print_report(data: dict[str, Any]) -> None:
         print_line("hint", hint)
 
 
+def _and_affine(data: dict[str, Any]) -> str:
+    leaves = data.get("affine_leaves", 0)
+    return f", as do {leaves:,} affine leaves" if leaves else ""
+
+
 def _print_memory(data: dict[str, Any], unit: str) -> None:
     """Print how the next symbol depends on the one in force, what changes cost and wait for."""
     if memory := data.get("memory"):
         print_line(
             "memory",
             f"{memory['rows']:,} rows of next symbols, {memory['varying_rows']:,} of which depend "
-            f"on the one in force, which stays only for that on {memory['staying_share']:.2%} of "
-            "the volume; shares of symbols are the mean over those in force",
+            f"on the one in force{_and_affine(data)}, which stays only for that on "
+            f"{memory['staying_share']:.2%} of the volume; shares of symbols are the mean over "
+            "those in force",
         )
     switching = data.get("switching", {})
     names = [symbol["name"] for symbol in data["symbols"]]

@@ -190,7 +190,8 @@ def _cell_hints(policy: Policy) -> Iterator[str]:
     if unused := unused_symbols(policy):
         steepest = policy.settings is not None and policy.settings.rule == "steepest"
         weights = "control_weight" if steepest else "gamma and control_weight"
-        yield f"never used: {', '.join(unused)}; drop them, or look at {weights}"
+        done = "entered" if policy.remembers else "used"
+        yield f"never {done}: {', '.join(unused)}; drop them, or look at {weights}"
     mixed = _mixed_share(policy)
     if mixed > 0.1 and not policy.has_planes:
         affine = ", or take affine leaves" if policy.domain.n > 2 else ""

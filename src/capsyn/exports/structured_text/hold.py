@@ -229,9 +229,9 @@ def _mixed(plan: Plan, waits: Waits, now: list[str]) -> list[str]:
     lines += [f"    FOR place := 0 TO {columns - 1} DO", f"        IF {differs} THEN"]
     lines += ["            other := 0;", "        END_IF;", "    END_FOR;"]
     lines += [f"    WHILE other < {symbols} DO", *indented(search, 2), "    END_WHILE;", "END_IF;"]
-    told = "Inputs that are yet held keep their values, the others change: the first such symbol,"
+    told = "Held inputs keep their values; if others change at all, the first such symbol is taken."
     return [
-        *comment([f"{told} if any of them does change."]),
+        *comment([told]),
         _row("own", "symbol", columns),
         *condition("IF (", tests, ") THEN"),
         *indented(lines),
