@@ -11,7 +11,7 @@ import numpy as np
 
 from capsyn.automata.face_rates import POSSIBLE, SLIDING, UNDECIDED
 from capsyn.automata.regions import Partitions, Region, connected_partitions, guards, regions
-from capsyn.automata.switching import SlidingFace, Switching, switching
+from capsyn.automata.switching import SlidingFace, Switching, known_switching
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
 from capsyn.policies.in_force import followers, reachable
@@ -128,7 +128,7 @@ class Automaton:
         else:
             areas = tuple(regions(policy.cells, partitions))
         names = (*policy.alphabet.names, policy.symbol_name(-1))
-        analysis = _analysis(policy)
+        analysis = known_switching(policy)
         return Automaton(
             name=policy.name,
             domain=policy.domain,
@@ -351,18 +351,8 @@ def edges_between(policy: Policy, vertices: Sequence[int]) -> tuple[Edge, ...]:
 
     The policy is as in `Automaton.of`; N is the default control.
     """
-    analysis = _analysis(policy)
+    analysis = known_switching(policy)
     return tuple(_edge(*pair, analysis) for pair in _pairs(policy, vertices))
-
-
-def _analysis(policy: Policy) -> Switching | None:
-    """Return which switches the vector field excludes; None where that says nothing.
-
-    That is so without a model, and where inputs have least times of their own: while some are held
-    the loop takes other symbols than the policy wants.
-    """
-    known = policy.model is not None and not policy.rules.input_holds.any()
-    return switching(policy) if known else None
 
 
 def _pairs(policy: Policy, vertices: Sequence[int]) -> list[tuple[int, int, int]]:

@@ -119,6 +119,16 @@ class SlidingFace:
     share: float  # of the face on which the loop slides, from samples
 
 
+def known_switching(policy: Policy) -> Switching | None:
+    """Return which switches the vector field excludes; None where that says nothing.
+
+    That is so without a model, and where inputs have least times of their own: while some are held
+    the loop takes other symbols than the policy wants.
+    """
+    known = policy.model is not None and not policy.rules.input_holds.any()
+    return switching(policy) if known else None
+
+
 def switching(policy: Policy) -> Switching:
     """Return what the closed loop of a policy with a model does on the faces between its symbols.
 

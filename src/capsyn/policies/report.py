@@ -190,7 +190,8 @@ def _cell_hints(policy: Policy) -> Iterator[str]:
     if unused := unused_symbols(policy):
         steepest = policy.settings is not None and policy.settings.rule == "steepest"
         weights = "control_weight" if steepest else "gamma and control_weight"
-        done = "entered" if policy.remembers else "used"
+        stays = [policy.volume_shares[policy.alphabet.names.index(name)] > 0 for name in unused]
+        done = "entered" if any(stays) else "used"
         yield f"never {done}: {', '.join(unused)}; drop them, or look at {weights}"
     mixed = _mixed_share(policy)
     if mixed > 0.1 and not policy.has_planes:
