@@ -86,7 +86,7 @@ def test_symbols_that_no_row_leads_to_are_unused(capsys):
         policy, switching=Switching(price=prices, hold=[0, 1, 2], forbidden=[("more", "off")])
     )
     assert report(policy)["unused_symbols"] == ["more"] and policy.volume_shares[2] > 0
-    assert hints(policy)[0].startswith("never used: more; ")
+    assert hints(policy)[0].startswith("never entered: more; ")
     lines = printed(capsys, policy)
     assert "price        1 to 2 per second, by pair" in lines
     assert "hold         off 0, on 1, more 2 s at least" in lines
