@@ -162,26 +162,19 @@ def _run_down(waits: Waits, siemens: bool) -> list[str]:
         ends[0] = "remaining"
         spare = [waits.longest - t for t in waits.symbols]
         usual = Counter(spare).most_common(1)[0][0]
-        lines += [f"remaining := {_less(usual)};", "CASE symbol OF"]
+        lines += [f"remaining := {time(usual)};", "CASE symbol OF"]
         for k, less in enumerate(spare):
             if less != usual:
-                lines += [f"    {k}:", f"        remaining := {_less(less)};"]
-        lines += [
-            "END_CASE;",
-            f"IF remaining < {ZERO} THEN",
-            f"    remaining := {ZERO};",
-            "END_IF;",
-        ]
+                lines += [f"    {k}:", f"        remaining := {time(less)};"]
+        lines += ["END_CASE;", "IF rest > remaining THEN"]  # TIME may have no sign
+        lines += ["    remaining := rest - remaining;", "ELSE"]
+        lines += [f"    remaining := {ZERO};", "END_IF;"]
     if not siemens:
         lines += comment(["Where TIME is finer, less than half a millisecond is rounding."])
         for name in ends:
             lines += [f"IF {name} < T#1ms THEN", f"    IF ({name} + {name}) < T#1ms THEN"]
             lines += [f"        {name} := {ZERO};", "    END_IF;", "END_IF;"]
     return lines
-
-
-def _less(milliseconds: int) -> str:
-    return f"rest - {time(milliseconds)}" if milliseconds else "rest"
 
 
 def _alike(plan: Plan) -> list[str]:
