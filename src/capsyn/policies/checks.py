@@ -89,7 +89,7 @@ def _check_forbidden(policy: Any) -> None:
         raise ProblemError(
             f"`switching` must have a price in numbers; got {describe(policy.switching.price)}"
         )
-    forbidden = policy.switching.forbids(policy.alphabet)
+    forbidden = policy.rules.forbidden
     if forbidden.any():
         used = np.unique(policy.cells.constant_leaves(len(policy.transitions)))
         taken = policy.transitions[used]

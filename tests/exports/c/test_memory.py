@@ -9,6 +9,7 @@ import pytest
 
 import capsyn
 from capsyn import problems
+from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.errors import ProblemError
 from capsyn.exports.c.memory import Memory, memory_of
 from capsyn.exports.c.sizes import sizes
@@ -18,6 +19,7 @@ from capsyn.exports.plan import Plan
 from capsyn.exports.sequence import golden_sequence
 from support.exports.c_machines import Library, avr, call, cortex_m3, need, write
 from support.exports.c_plans import COMPILERS, REMEMBERING, UNDEFINED, made, policy, remembering
+from support.exports.remembering import random_rules
 from support.features import exact
 from support.trees import random_affine_policy
 
@@ -42,11 +44,15 @@ def plan_of_prices(counts, some_axes):
     source = random_affine_policy(3, True, 1, some_axes)
     affine = source.cells.affine
     prices = np.random.default_rng(2).integers(0, 9, len(affine)).astype(np.int32)
-    ratios = np.array([[0, 1, 3], [-1, 0, 2], [1, 0, 0]], dtype=np.int16)
+    names = source.alphabet.names
+    switching = capsyn.Switching([[0, 1], [3, 0]], forbidden=[("default", names[0])])
+    ratios = PriceRatios.of(switching.prices(source.alphabet, source.default)).ratios
     affine = dataclasses.replace(affine, prices=prices, ratios=ratios)
     seen = np.repeat(source.cells.mixed_labels.reshape(-1, 1, 1), 3, axis=1)
-    cells = dataclasses.replace(source.cells, affine=affine, mixed_labels=seen)
-    source = dataclasses.replace(source, cells=cells, outside="nearest")
+    entries = np.where(source.cells.entries == -1, np.int32(-2), source.cells.entries)
+    tables = {"entries": entries, "affine": affine, "mixed_labels": seen}
+    cells = dataclasses.replace(source.cells, **tables)
+    source = dataclasses.replace(source, cells=cells, outside="nearest", switching=switching)
     return Plan.of(source, scale=source.domain.widths / 1000 if counts else None)
 
 
@@ -97,6 +103,10 @@ def test_the_start_and_what_does_not_wait(kind, tmp_path):
     source = dataclasses.replace(plan_of(kind).policy, outside=1, outside_at_once=True)
     check(Plan.of(source, hold_off=0.3), tmp_path / "default")
     check(Plan.of(source), tmp_path / "at once")
+
+
+def test_symbols_of_equal_controls_with_a_price_between(tmp_path):
+    check(Plan.of(random_rules()), tmp_path)
 
 
 @pytest.mark.parametrize("hold", [{"hold": (0.2, 0.5, 0.1, 0.2)}, {"hold": {"valve": 0.3}}, {}])

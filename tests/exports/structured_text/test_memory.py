@@ -11,6 +11,7 @@ from capsyn.errors import ProblemError
 from capsyn.exports.export import export
 from capsyn.exports.plan import Plan
 from capsyn.exports.sequence import step_period
+from support.exports.remembering import random_rules
 from support.exports.valves import HOLDS, assert_rules_kept, valves
 
 pytest.importorskip("tree_sitter", reason="tree-sitter is not installed")
@@ -76,6 +77,10 @@ def test_least_times_alone():
         assert b"now" not in text and b"transitions" not in text
         check(plan, style=style)
         check_sequence(plan, style=style)
+
+
+def test_symbols_of_equal_controls_with_a_price_between():
+    check_sequence(planned(random_rules()), style="table")
 
 
 def test_gaps_and_nearest():

@@ -15,6 +15,7 @@ from capsyn.exports.plan import Plan
 from capsyn.exports.sequence import golden_sequence
 from capsyn.exports.verilog import bench
 from capsyn.exports.verilog.target import TARGET as target
+from support.exports.remembering import random_rules
 from support.exports.valves import HOLDS, assert_rules_kept, valves
 from support.exports.verilog import check, run, simulate, tool
 
@@ -40,6 +41,10 @@ def test_least_times_alone_gaps_and_nearest(inputs, pipeline, tmp_path):
     ):
         plan = Plan.of(policy, hold_off=0.2, outside_at_once=True, safe=3)
         check(tmp_path, plan, inputs=inputs, pipeline=pipeline)
+
+
+def test_symbols_of_equal_controls_with_a_price_between(tmp_path):
+    check(tmp_path, Plan.of(random_rules()), inputs="lattice")
 
 
 def test_no_forbidden_transition_and_no_broken_hold(tmp_path, monkeypatch):

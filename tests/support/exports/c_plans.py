@@ -209,7 +209,7 @@ def remembering(grid=3, seed=0, hold=0.0, forbidden=(), symbols=4, own_rows=9):
     names = ["off", "valve on", "fan on", "both"] if symbols == 4 else None
     alphabet = capsyn.Alphabet(values, names, ["fan", "valve"][: np.shape(values)[1]])
     switching = capsyn.Switching(hold=hold, forbidden=forbidden)
-    allowed = ~switching.forbids(alphabet)
+    allowed = np.isfinite(switching.prices(alphabet, np.zeros(alphabet.m)))
     choices = [np.flatnonzero(row[:symbols]) for row in allowed]
     rows = {tuple(int(rng.choice(some)) for some in choices) for _ in range(own_rows)}
     keeps = [[j if rng.random() < 0.5 and j < symbols else best for j in range(symbols + 1)]

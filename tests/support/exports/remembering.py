@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from capsyn import Alphabet, Box, Policy, Problem, Switching, problems, synthesize
+from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.golden import golden_vectors
 from capsyn.exports.plan import Plan
@@ -66,11 +67,12 @@ def random_rows(grid=3, some_axes=False):
     )
 
 
-def random_rules(rng):
+def random_rules(seed=15):
     """Return a policy on [0, 1] with random times, prices and forbidden changes.
 
     Its five symbols have four controls at most, that of the first always; symbol 0 is the safe one.
     """
+    rng = np.random.default_rng([15, seed])
     count = 5
     names = [f"s{k}" for k in range(count)]
     values = [[0, 0], *rng.integers(0, 2, (count - 1, 2)).tolist()]
@@ -113,20 +115,18 @@ def random_prices(grid=3, some_axes=False):
     """Return a policy of affine leaves with random prices, and a forbidden change."""
     cells = random_affine_tree(*GRIDS[grid], 4, seed=grid, some_axes=some_axes)
     affine, rng = cells.affine, np.random.default_rng([12, grid])
-    ratios = rng.integers(0, 9, (4, 4))
-    np.fill_diagonal(ratios, 0)
-    ratios[0, 1] = -1
+    alphabet, matrix = Alphabet([-1, 1, 2]), rng.integers(1, 9, (3, 3)) * (1 - np.eye(3))
+    switching = Switching(matrix, forbidden=[("-1", "1")], hold={"1": 0.4})
+    ratios = PriceRatios.of(switching.prices(alphabet, np.zeros(1))).ratios
     prices = rng.integers(0, 60, len(affine))
-    affine = dataclasses.replace(
-        affine, prices=prices.astype(np.int32), ratios=ratios.astype(np.int16)
-    )
+    affine = dataclasses.replace(affine, prices=prices.astype(np.int32), ratios=ratios)
     entries = np.where(cells.entries == -2, np.int32(-1), cells.entries)  # 1 never follows 0
     none = np.zeros(0, dtype=np.int32), np.zeros((0, 4, 1), dtype=np.uint64)
     return dataclasses.replace(
         random_policy(grid, True, grid),
-        alphabet=Alphabet([-1, 1, 2]),
+        alphabet=alphabet,
         cells=type(cells)(cells.grid, entries, *none, affine, cells.splits),
-        switching=Switching(forbidden=[("-1", "1")], hold={"1": 0.4}),
+        switching=switching,
     )
 
 
@@ -195,6 +195,7 @@ def with_features():
 
 POLICIES = {
     "rows": random_rows,
+    "like symbols": random_rules,
     "one axis": lambda: random_rows(1),
     "four axes": lambda: random_rows(7, True),
     "prices": random_prices,

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from capsyn import Alphabet, Policy, Switching
+from capsyn.cells.affine_leaves import PriceRatios
 from support.trees import GRIDS, random_affine_policy, random_policy, random_tree
 
 NAMES = ["0 0", "0 1", "1 0", "1 1", "2 0", "2 1", "idle"]
@@ -17,7 +18,7 @@ HOLDS = {
     "pump": {"pump": 0.08},
 }
 """Kinds of least times [s]."""
-FORBIDDEN = [("0 0", "2 1"), ("1 0", "2 1"), ("1 1", "0 0"), ("1 1", "idle")]
+FORBIDDEN = [("0 0", "2 1"), ("1 0", "2 1"), ("1 1", "0 1"), ("1 1", "idle")]
 
 
 def table(labels, rows, forbidden, seed):
@@ -38,18 +39,20 @@ def valves(holds="inputs", grid=3, seed=0, priced=False, constant=False, hold=No
     the symbol in force does not matter.
     """
     base = random_affine_policy(grid, True, seed) if priced else random_policy(grid, True, seed)
-    forbidden = () if priced or constant else FORBIDDEN
-    price = {"pump": 1.0} if priced else 0.0
+    forbidden, price = () if constant else FORBIDDEN, 0.0
+    if priced:
+        forbidden, price = _random_prices(seed)
     switching = Switching(
         price=price, hold=HOLDS[holds] if hold is None else hold, forbidden=forbidden
     )
     alphabet = Alphabet(VALUES, names=NAMES, inputs=["pump", "valve"])
     labels = len(NAMES) + 1
-    transitions = table(labels, 0 if constant else 9, switching.forbids(alphabet), seed)
+    prices = switching.prices(alphabet, np.zeros(2))
+    transitions = table(labels, 0 if constant else 9, np.isinf(prices), seed)
     partitions, refinement, max_level = GRIDS[grid]
     cells = base.cells
     if priced:
-        cells = _priced(cells, labels, len(transitions), seed)
+        cells = _priced(cells, PriceRatios.of(prices).ratios, len(transitions), seed)
     else:  # rows in which nothing forbidden follows
         first = 0 if constant else labels
         count = len(transitions) - first
@@ -64,18 +67,27 @@ def valves(holds="inputs", grid=3, seed=0, priced=False, constant=False, hold=No
     )  # fmt: skip
 
 
-def _priced(cells, labels, rows, seed):
-    """Return affine cells with prices; of some leaves all other symbols are forbidden at times."""
+def _random_prices(seed):
+    """Return forbidden transitions, none to the first or the fifth symbol, and a matrix of prices.
+
+    Of some leaves all other symbols are forbidden at times.
+    """
+    rng = np.random.default_rng([4, seed])
+    barred = rng.random((len(NAMES), len(NAMES))) < 0.25
+    np.fill_diagonal(barred, False)
+    barred[:, [0, 4]] = False
+    pairs = [(NAMES[j], NAMES[k]) for j, k in np.argwhere(barred)]
+    return pairs, rng.integers(0, 9, barred.shape) * (1 - np.eye(len(NAMES)))
+
+
+def _priced(cells, ratios, rows, seed):
+    """Return affine cells with prices, in whose other leaves nothing forbidden follows."""
     rng = np.random.default_rng([3, seed])
-    affine = cells.affine
-    ratios = rng.integers(0, 9, (labels, labels))
-    ratios[rng.random(ratios.shape) < 0.2] = -1
-    np.fill_diagonal(ratios, 0)
-    ratios[-1] = 0
+    affine, labels = cells.affine, len(ratios)
     moved = cells.entries < -affine.first
     constant = (cells.entries < 0) & ~moved
     entries = np.where(moved, cells.entries + affine.first - rows, cells.entries)
-    entries[constant] = -1 - rng.integers(rows, size=int(constant.sum()))
+    entries[constant] = -1 - rng.integers(labels, rows, size=int(constant.sum()))
     prices = rng.integers(0, 30, len(affine)).astype(np.int32)
     symbols = [np.sort(rng.permutation(labels)[:k]) for k in np.diff(affine.starts)]
     affine = dataclasses.replace(
@@ -83,7 +95,7 @@ def _priced(cells, labels, rows, seed):
         first=rows,
         symbols=np.concatenate(symbols).astype(np.int32),
         prices=prices,
-        ratios=ratios.astype(np.int16),
+        ratios=ratios,
     )
     return dataclasses.replace(cells, entries=entries.astype(np.int32), affine=affine)
 
