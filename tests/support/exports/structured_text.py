@@ -398,7 +398,14 @@ class Unit:
         refuse(kind in REALS and sign == "mod", f"{kind} MOD")
         if kind in REALS:
             return Value(kind, lambda values: operation(a(values), b(values)))
-        return Value(kind, lambda values: _in_range(kind, operation(a(values), b(values))))
+
+        def whole(values: Any) -> int:
+            result = _in_range(kind, operation(a(values), b(values)))
+            if kind == "TIME" and result < min(0, a(values)):  # some PLCs have it without a sign
+                raise OverflowError(f"{result} ns is no TIME")
+            return result
+
+        return Value(kind, whole)
 
     def _call(self, node: Any) -> Value:
         called, arguments = _named(node)
