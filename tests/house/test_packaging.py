@@ -131,7 +131,7 @@ def test_what_is_imported_is_declared():
 def test_without_a_compiler_there_is_one_warning_and_the_same_policy(clean, tmp_path):
     out, err = run(clean, "capsyn", "synth", "cart-pendulum", cwd=tmp_path)
     assert err.count("\n") == 1 and err.startswith("warning: solving with NumPy: no C compiler")
-    assert "4,314" in out
+    assert "9,092" in out
     compiled = tmp_path / "compiled.cap"
     command = [sys.executable, "-m", "capsyn", "synth", "cart-pendulum", "-o", compiled]
     subprocess.run(command, check=True, capture_output=True)
