@@ -70,10 +70,15 @@ class Switching:
         return any(isinstance(price, str) for price in prices)
 
     def with_spread(self, spread: float) -> Switching:
-        """Return it with shares as numbers, `spread` being what 100 % are [cost / time unit]."""
+        """Return it with shares as numbers, `spread` being what 100 % are [cost / time unit].
+
+        They are rounded to nine digits, so that backends agree on them.
+        """
 
         def number(price: Any) -> Any:
-            return float(price[:-1]) / 100 * spread if isinstance(price, str) else price
+            if not isinstance(price, str):
+                return price
+            return float(f"{float(price[:-1]) / 100 * spread:.9g}")
 
         if isinstance(self.price, dict):
             return dataclasses.replace(self, price={k: number(p) for k, p in self.price.items()})
