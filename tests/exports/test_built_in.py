@@ -33,10 +33,12 @@ def held(name):
     problem = problems.get(name)
     own, names = problem.switching or Switching(), problem.alphabet.names
     time = problem.settings.sample_time
+    acts = (problem.alphabet.values != problem.default).any(axis=1)  # not the safe symbol's control
+    last = [symbol for symbol, other in zip(names, acts) if other][-1]
     switching = Switching(
         price=own.price or "1%",
         hold={symbol: 4 * (k % 3 + 1) * time for k, symbol in enumerate(names)},
-        forbidden=[(names[0], names[1])] if len(names) > 2 else (),
+        forbidden=[(names[0], last)] if len(names) > 2 else (),
     )
     return problem.replace(switching=switching, min_dwell=0.0)
 
