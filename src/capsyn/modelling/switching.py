@@ -106,7 +106,8 @@ class Switching:
                 _known("hold", name, known, "symbols and inputs")
                 if name in alphabet.names and name in alphabet.inputs:
                     raise ProblemError(
-                        f"`hold` must name a symbol or an input; '{name}' is the name of both"
+                        f"`hold` must name a symbol or an input; '{name}' is the name of both: "
+                        "give the symbol another"
                     )
         for pair in self.forbidden:
             for name in pair:
