@@ -83,8 +83,8 @@ def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
 
 
 def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
-    from capsyn.compression.curve import save_curve, size_curve
-    from capsyn.execution.files import check_writable
+    from capsyn.compression.curve import size_curve
+    from capsyn.execution.files import check_writable, save_points
     from capsyn.plots.curve import save_curve_plot
     from capsyn.plots.figure import check_format
     from capsyn.policies.policy import Policy
@@ -111,7 +111,7 @@ def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
             "backend": options.backend,
         }
         points = size_curve(policy, **judged, progress=say)
-    save_curve(points, table)
+    save_points(points, table)
     save_curve_plot(points, policy.name, picture)
     rows = [point.to_json() for point in points]
     data = {"points": rows, "table": table, "picture": picture}

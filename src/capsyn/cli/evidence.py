@@ -313,11 +313,11 @@ def switching(file: File, options: CurveOptions, as_json: Json = False) -> None:
 
 
 def _switching_curve(file: str, options: CurveOptions, loop: dict[str, Any], as_json: bool) -> None:
-    from capsyn.execution.files import check_writable
+    from capsyn.execution.files import check_writable, save_points
     from capsyn.plots.figure import check_format
     from capsyn.plots.switching import save_switching_plot
     from capsyn.policies.policy import Policy
-    from capsyn.verification.switching_curve import PRICES, save_switching_curve, switching_curve
+    from capsyn.verification.switching_curve import PRICES, switching_curve
 
     picture = f"{Path(file).stem}-switching.png" if options.output is None else options.output
     check_format(picture)
@@ -331,7 +331,7 @@ def _switching_curve(file: str, options: CurveOptions, loop: dict[str, Any], as_
     holds = None if options.holds is None else number_list("--holds", options.holds)
     with working("trying prices") as say:
         points = switching_curve(policy, prices, holds, **loop, progress=say)
-    save_switching_curve(points, table)
+    save_points(points, table)
     save_switching_plot(points, policy.name, policy.time_unit, picture)
     rows = [point.to_json() for point in points]
     shown = [row | {"recommended": "*" if row["recommended"] else ""} for row in rows]

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from capsyn.compression.coarsening import cut_off
@@ -15,7 +12,6 @@ from capsyn.compression.compress import MAX_STATES, exact_tree, free_trees, line
 from capsyn.compression.judge import Judge
 from capsyn.compression.rows import policy_bytes
 from capsyn.errors import ProblemError
-from capsyn.execution.files import atomic_write
 from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.validation import BACKENDS, one_of, whole_number
 
@@ -70,18 +66,6 @@ def size_curve(
         dataclasses.replace(point, smallest=not any(_beats(other, point) for other in points))
         for point in points
     )
-
-
-def save_curve(points: Sequence[CurvePoint], path: str | os.PathLike[str]) -> None:
-    """Write points as CSV, one line each."""
-
-    def write(temporary: Path) -> None:
-        with open(temporary, "w", newline="", encoding="utf-8") as file:
-            rows = csv.DictWriter(file, [f.name for f in dataclasses.fields(CurvePoint)])
-            rows.writeheader()
-            rows.writerows(point.to_json() for point in points)
-
-    atomic_write(path, write)
 
 
 def _beats(one: CurvePoint, other: CurvePoint) -> bool:

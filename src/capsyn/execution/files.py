@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import csv
+import dataclasses
 import os
 import secrets
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from capsyn.errors import ProblemError
 
@@ -59,3 +62,15 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     except OSError as error:
         reason = error.strerror or error
         raise ProblemError(f"cannot write the output '{path}': {reason}") from None
+
+
+def save_points(points: Sequence[Any], path: str | os.PathLike[str]) -> None:
+    """Write dataclasses of one kind as CSV, one line each, after a line with their fields."""
+
+    def write(temporary: Path) -> None:
+        with open(temporary, "w", newline="", encoding="utf-8") as file:
+            rows = csv.DictWriter(file, [field.name for field in dataclasses.fields(points[0])])
+            rows.writeheader()
+            rows.writerows(dataclasses.asdict(point) for point in points)
+
+    atomic_write(path, write)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +14,6 @@ from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.ssac import BatchController, policy_controller
 from capsyn.errors import CapsynWarning, ProblemError
-from capsyn.execution.files import atomic_write
 from capsyn.execution.processors import processors
 from capsyn.modelling.switching import Switching
 from capsyn.modelling.time_unit import NAMES
@@ -335,15 +331,3 @@ def _recommended(points: Sequence[SwitchingPoint]) -> SwitchingPoint:
         if point.cost <= DEARER * least and (point.success or 0.0) >= most - LOST
     ]
     return min(good or points, key=lambda point: point.switches)
-
-
-def save_switching_curve(points: Sequence[SwitchingPoint], path: str | os.PathLike[str]) -> None:
-    """Write points as CSV, one line each."""
-
-    def write(temporary: Path) -> None:
-        with open(temporary, "w", newline="", encoding="utf-8") as file:
-            rows = csv.DictWriter(file, [f.name for f in dataclasses.fields(SwitchingPoint)])
-            rows.writeheader()
-            rows.writerows(point.to_json() for point in points)
-
-    atomic_write(path, write)
