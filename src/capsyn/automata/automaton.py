@@ -120,10 +120,10 @@ class Automaton:
                 f"has {policy.cells.planes_are}"
             )
         vertices = tuple(reachable(policy).tolist())
-        partitions = connected_partitions(policy.cells, policy.domain.periodic)
+        partitions = connected_partitions(policy.cells, policy.space.periodic)
         if policy.remembers:
             areas = tuple(
-                guards(policy.cells, policy.domain.periodic, policy.transitions, vertices)
+                guards(policy.cells, policy.space.periodic, policy.transitions, vertices)
             )
         else:
             areas = tuple(regions(policy.cells, partitions))
@@ -131,7 +131,7 @@ class Automaton:
         analysis = known_switching(policy)
         return Automaton(
             name=policy.name,
-            domain=policy.domain,
+            domain=policy.space,
             counts=tuple(policy.cells.counts),
             symbols=len(policy.alphabet),
             vertices=vertices,

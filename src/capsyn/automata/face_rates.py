@@ -47,7 +47,7 @@ class AxisFaces:
         labels: np.ndarray,
     ) -> None:
         self.axis, self.low, self.high, self.sides = axis, low, high, sides
-        widths = policy.domain.widths
+        widths = policy.space.widths
         self.controls = policy.controls[labels]
         self.others = [i for i in range(len(widths)) if i != axis]
         self.areas = np.prod((high - low)[self.others] / widths[self.others, None], axis=0)

@@ -142,7 +142,7 @@ def switching(policy: Policy) -> Switching:
         raise ProblemError(
             f"`policy` must have a model to follow; '{policy.name}' was made without one"
         )
-    cells, domain, number = policy.cells, policy.domain, len(policy.alphabet) + 1
+    cells, domain, number = policy.cells, policy.space, len(policy.alphabet) + 1
     boxes, rows = cells.boxes(), Rows.of(policy)
     row_at = np.zeros(boxes.places.max() + 1, dtype=np.int64)
     row_at[boxes.places] = boxes.labels
@@ -193,7 +193,7 @@ def switching(policy: Policy) -> Switching:
 
 def _looked_at(policy: Policy, faces: Faces, labels: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return areas (F,), statuses (F, 3), shares and flows (F, 4) of faces with labels (F, 2)."""
-    domain, counts = policy.domain, policy.cells.counts
+    domain, counts = policy.space, policy.cells.counts
     low, high = domain.points(faces.lower, counts), domain.points(faces.upper, counts)
     shares, flows = np.empty((len(faces), 4)), np.empty((len(faces), 4))
     areas, statuses = np.empty(len(faces)), np.empty((len(faces), 3), dtype=np.int8)
@@ -338,7 +338,7 @@ def _from_outside(policy: Policy, rows: Rows, boxes: Boxes) -> np.ndarray:
     table = np.zeros((rows.next.shape[1],) * 2, dtype=bool)
     if policy.remembers and not isinstance(policy.outside, str):
         outer = (boxes.lower == 0) | (boxes.upper == policy.cells.counts)
-        numbers = np.unique(boxes.labels[(outer & ~np.array(policy.domain.periodic)).any(axis=1)])
+        numbers = np.unique(boxes.labels[(outer & ~np.array(policy.space.periodic)).any(axis=1)])
         for _, before, after in rows.hops(numbers, np.full(len(numbers), policy.outside)):
             table[before, after] = True
     return table
@@ -346,7 +346,7 @@ def _from_outside(policy: Policy, rows: Rows, boxes: Boxes) -> np.ndarray:
 
 def _exits(policy: Policy, rows: Rows, axis: int, boxes: Boxes) -> np.ndarray:
     """Return the rates (N + 1,) at which states leave the domain on one axis by symbol."""
-    domain, counts = policy.domain, policy.cells.counts
+    domain, counts = policy.space, policy.cells.counts
     rates = np.zeros(len(policy.alphabet) + 1)
     if domain.periodic[axis]:
         return rates

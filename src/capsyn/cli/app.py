@@ -285,7 +285,7 @@ def query(
     from capsyn.policies.policy import Policy
 
     policy = Policy.load(file)
-    names = policy.domain.names
+    names = policy.space.names
     if len(state) != len(names):
         raise ProblemError(
             f"the state must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
@@ -324,7 +324,7 @@ def plot(
     check_format(output)
     check_writable(output)
     policy = Policy.load(file)
-    names = policy.domain.names
+    names = policy.space.names
     axes = tuple(name.strip() for name in plane.split(",")) if plane else names[:2]
     values = {name: number(name, text) for name, text in assignments("--at", at or []).items()}
     save_policy_plot(policy, output, axes, values, outlines, current=current)

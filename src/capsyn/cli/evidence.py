@@ -88,7 +88,7 @@ def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
 
     controller, initial = controller_of(policy, options), None
     if options.initial is not None:
-        initial = region("--initial", options.initial, policy.domain.names)
+        initial = region("--initial", options.initial, policy.space.names)
     loop = loop_options(policy, options, one=number_or_range, each=number_or_range, executor=client)
     trials = TrialOptions(
         loop,

@@ -146,7 +146,7 @@ def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
         return with_tolerance(policy.target, tolerance)
     if ".py:" in text or ("=" not in text and ":" in text):
         return with_tolerance(find_function(text), tolerance)
-    return region("--target", text, policy.domain.names, tolerance)
+    return region("--target", text, policy.space.names, tolerance)
 
 
 @dataclass(frozen=True)
@@ -206,10 +206,10 @@ def _initial_states(policy: Policy, texts: list[str] | None, seed: int) -> Any:
     """Return initial states (B, n) [state units]: those of the texts, else a random one."""
     import numpy as np
 
-    states = [number_list("--x0", text) for text in texts or []] or policy.domain.sample(1, seed)
-    if len({len(state) for state in states} | {policy.domain.n}) > 1:
-        names = ", ".join(policy.domain.names)
-        raise ProblemError(f"--x0 must be {policy.domain.n} number(s) ({names}); got {texts}")
+    states = [number_list("--x0", text) for text in texts or []] or policy.space.sample(1, seed)
+    if len({len(state) for state in states} | {policy.space.n}) > 1:
+        names = ", ".join(policy.space.names)
+        raise ProblemError(f"--x0 must be {policy.space.n} number(s) ({names}); got {texts}")
     return np.array(states)
 
 

@@ -116,7 +116,7 @@ def _state(tree: DecisionTree, steps: list[int] | None) -> list[float] | None:
     if steps is None:
         return None
     share = (np.array(steps) + 0.5) / tree.cells.counts
-    state: list[float] = (tree.domain.lower + share * tree.domain.widths).tolist()
+    state: list[float] = (tree.space.lower + share * tree.space.widths).tolist()
     return state
 
 

@@ -192,12 +192,12 @@ def feature_tree(
     policy = judge.policy
     if mode == "linear":
         target = DEFAULT_AGREEMENT if agreement is None else agreement
-        space = Space.of(functions, policy.domain, fine_lattice(policy.domain, FEATURE_STEPS))
+        space = Space.of(functions, policy.space, fine_lattice(policy.space, FEATURE_STEPS))
         rows = _rows(judge, target)
         fit = fit_controller(judge.masks(rows), space, len(rows), target, judge.seed, judge.states)
         return _linear(judge, fit, rows, target)
     plain = exact_tree(policy) if mode == "exact" else next(free_trees(judge, None, (NODE_PRICE,)))
-    space = Space.of(functions, policy.domain, cell_tree(policy).counts)
+    space = Space.of(functions, policy.space, cell_tree(policy).counts)
     cells = fit_cells(policy, space, mode == "freedom", plain.node_count)
     if cells is None:
         warn(f"no tree with `features` is smaller than the {plain.node_count} nodes without")
@@ -332,7 +332,7 @@ def linear_tree(judge: Judge, target: float) -> DecisionTree:
     """Return the tree of mode linear that `fit_tree` finds for a target, judged."""
     policy, rows = judge.policy, _rows(judge, target)
     kept = {"seed": judge.seed, "states": judge.states}
-    fit = fit_tree(judge.masks(rows), policy.domain, len(rows), target, **kept)
+    fit = fit_tree(judge.masks(rows), policy.space, len(rows), target, **kept)
     return _linear(judge, fit, rows, target)
 
 

@@ -57,8 +57,8 @@ def cell_votes(policy: Policy, controller: Label | None, seed: int) -> np.ndarra
     boxes = cells.boxes()
     place = np.empty(len(cells.entries), dtype=np.int64)
     place[boxes.places] = np.arange(len(boxes))
-    lower = policy.domain.points(boxes.lower[place[mixed]], cells.counts)
-    upper = policy.domain.points(boxes.upper[place[mixed]], cells.counts)
+    lower = policy.space.points(boxes.lower[place[mixed]], cells.counts)
+    upper = policy.space.points(boxes.upper[place[mixed]], cells.counts)
     random, size = stream(seed, VOTING), max(1, ROOM // (8 * max(default**2, len(rows))))
     for _ in range(VOTES):
         states = lower + random.random(lower.shape) * (upper - lower)

@@ -172,7 +172,7 @@ class Judge:
 
     def _drawn(self, count: int, seed: int) -> Iterator[np.ndarray]:
         """Yield ``domain.sample(count, seed)``, some states at a time."""
-        domain, random = self.policy.domain, np.random.default_rng(seed)
+        domain, random = self.policy.space, np.random.default_rng(seed)
         for some in self._parts(count):
             cube = random.random((some.stop - some.start, domain.n))
             yield domain.lower + cube * domain.widths

@@ -61,7 +61,7 @@ def prove(tree: Policy, policy: Policy) -> float:
     left, nodes = cell_tree(base), numbered_like(tree, policy)
     if isinstance(nodes, FeatureTree):
         return _prove_steps(nodes, policy, tree.guarantee.mode == "freedom")
-    if nodes.counts != left.counts or tree.domain != policy.domain:
+    if nodes.counts != left.counts or tree.space != policy.space:
         raise ProblemError(f"`tree` must be on the lattice of `policy`; got {tree!r}")
     boxes = left.boxes()
     leaf, box, _ = _parts(nodes, boxes)

@@ -19,7 +19,7 @@ def rows_at(policy: Policy, states: np.ndarray) -> np.ndarray:
     The label of a gap is the default's.
     """
     cells, rows = policy.cells, policy.transitions
-    steps = policy.domain.locate(states, cells.counts)
+    steps = policy.space.locate(states, cells.counts)
     if not cells.priced:
         return rows[cells.labels(steps)]
     found = np.empty((len(steps), rows.shape[1]), dtype=rows.dtype)

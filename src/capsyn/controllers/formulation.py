@@ -23,7 +23,7 @@ class Formulation:
     """What a controller is made of, be it from a problem, a policy or another process."""
 
     model: Model  # the system and its costs, as programs
-    domain: Box  # its states
+    domain: Box  # its states, and exogenous inputs after them
     values: np.ndarray  # (N, m): the symbols' control vectors [input units]
     default: np.ndarray  # (m,): control of the prediction [input units]
     horizon: float  # of the prediction, T [time unit]
@@ -40,14 +40,14 @@ class Formulation:
         `switching` is its own, by default, unless that has shares: then nothing is in force yet.
         """
         assert source.horizon is not None and source.settings is not None
-        values, default = source.alphabet.values, source.default
+        values, default = source.alphabet.values, source.default_control
         switching, prices = switching or source.switching, None
         if switching is not None and not switching.has_share:
-            prices = switching.prices(source.alphabet, source.default)
+            prices = switching.prices(source.alphabet, default)
         elif switching is None and source.delay:
             prices = np.zeros((len(values) + 1,) * 2)
         return Formulation(
-            model, source.domain, values, default, source.horizon, source.settings, prices,
+            model, source.space, values, default, source.horizon, source.settings, prices,
             source.delay,
         )  # fmt: skip
 

@@ -252,7 +252,7 @@ class OnlineController:
             arrays["table"] = policy.controls
             if policy.remembers:
                 arrays["transitions"] = np.ascontiguousarray(policy.transitions)
-            cells = TreeArguments.of(policy.domain, policy.cells)
+            cells = TreeArguments.of(policy.space, policy.cells)
         else:
             outside, lost, gap, cells = -1, -1, -1, TreeArguments()
             arrays["feed"] = self._feed(0.0)
@@ -346,7 +346,7 @@ def online_controller(
         raise ProblemError("`source` must have no forbidden transitions for an online controller")
     alphabet, (constant, background) = source.alphabet, _defaults(source, default)
     sac = sac_program(model, alphabet, settings, limits) if method == "sac" else None
-    formulation = Formulation(model, source.domain, alphabet.values, constant, horizon, settings)
+    formulation = Formulation(model, source.space, alphabet.values, constant, horizon, settings)
     chooser = batch_controller(formulation, backend)
     chosen = chooser.settings
     assert chosen.steps is not None
@@ -383,9 +383,9 @@ def _defaults(
     """Return the default control (m,) and what stands in its place in predictions, if anything."""
     alphabet = source.alphabet
     if isinstance(default, Policy):
-        if (default.domain.n, default.alphabet.m) != (source.domain.n, alphabet.m):
+        if (default.domain.n, default.alphabet.m) != (source.space.n, alphabet.m):
             raise ProblemError(
-                f"`default` must be a policy of {source.domain.n} state(s) and {alphabet.m} "
+                f"`default` must be a policy of {source.space.n} state(s) and {alphabet.m} "
                 f"input(s); got {default.domain.n} and {default.alphabet.m}"
             )
         if default.time_unit != source.time_unit:
@@ -393,8 +393,8 @@ def _defaults(
                 f"`default` must count time in {source.time_unit} like the model; got "
                 f"{default.time_unit}"
             )
-        return source.default, default
+        return source.default_control, default
     if callable(default):
         alphabet.control("default", default(0.0))
-        return source.default, default
-    return source.default if default is None else alphabet.control("default", default), None
+        return source.default_control, default
+    return source.default_control if default is None else alphabet.control("default", default), None

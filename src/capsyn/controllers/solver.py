@@ -83,7 +83,11 @@ class SsacKernel:
 
 
 def bind_default(model: Model, default: np.ndarray) -> Model:
-    """Return the model with its control fixed where the prediction uses it."""
+    """Return the model with its control fixed where the prediction uses it, or its law followed."""
+    if (own := model.prediction) is not None:
+        return dataclasses.replace(
+            model, step=own.step, adjoint=own.adjoint, insertion=own.insertion
+        )
     return dataclasses.replace(
         model,
         step=bind(model.step, u=default),

@@ -46,7 +46,7 @@ def formulas(policy: Policy) -> dict[str, list[str]]:
     """
     if policy.model is None:
         return {}
-    states, inputs, model = policy.domain.names, policy.alphabet.inputs, policy.model
+    states, inputs, model = policy.space.names, policy.alphabet.inputs, policy.model
     rates = [_rate(name) for name in states]
     topics = {
         "dynamics": _equations(model.dynamics, rates, (*states, *inputs)),

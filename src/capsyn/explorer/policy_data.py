@@ -67,7 +67,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         "slack": SLACK,
         "sampled": model
         and {
-            "states": packed_array(policy.domain.sample(SAMPLES, 0)),
+            "states": packed_array(policy.space.sample(SAMPLES, 0)),
             "accuracy": ACCURACY,
             "percentile": PERCENTILE,
             "ladder": list(LADDER),

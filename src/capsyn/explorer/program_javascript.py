@@ -44,7 +44,7 @@ def model_javascript(policy: Policy) -> str:
         "dynamics": policy.model.dynamics,
         "runningCost": policy.model.running_cost,
         "terminalCost": policy.model.terminal_cost,
-        "inside": target_program(policy.target, policy.domain),
+        "inside": target_program(policy.target, policy.space),
     }
     body = "".join(program_javascript(program, name) for name, program in programs.items())
     helpers = _helpers(body)

@@ -13,7 +13,7 @@ from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
 def constants(plan: Plan) -> list[tuple[str, Any, str]]:
     """Return names, values and remarks; remarks of a pair of constants stand at the first."""
     policy = plan.policy
-    domain, alphabet = policy.domain, policy.alphabet
+    domain, alphabet = policy.space, policy.alphabet
     asked = "a decision" if policy.remembers else "decide"
     return [
         ("STATES", domain.names, "Names of the states."),

@@ -57,7 +57,7 @@ def table(
     plan: Plan, readings: np.ndarray, first: dict[str, np.ndarray], last: dict[str, np.ndarray]
 ) -> bytes:
     """Return a CSV of readings (K, n) between columns (K,) of whole numbers, after the header."""
-    names = plan.policy.domain.names
+    names = plan.policy.space.names
     head = io.StringIO()
     csv.writer(head, lineterminator="").writerow([*first, *names, *last])
     columns = head.getvalue()
@@ -76,7 +76,7 @@ def golden_vectors(plan: Plan) -> Golden:
 
     At least 2,000, the same for the same policy.
     """
-    domain, counts, n = plan.policy.domain, plan.counts, plan.n
+    domain, counts, n = plan.policy.space, plan.counts, plan.n
     rng = stream(0, GOLDEN)
     inside = domain.lower + rng.random((INSIDE, n)) * domain.widths
     # on faces of some axes (all of them: corners), and the floats beside them
@@ -112,7 +112,7 @@ def _readings(plan: Plan, states: np.ndarray) -> np.ndarray:
 
     In turn the last one before, and the next two, so that three equal states are told apart.
     """
-    lower, upper = plan.policy.domain.lower, plan.policy.domain.upper
+    lower, upper = plan.policy.space.lower, plan.policy.space.upper
     most = np.maximum(np.maximum(abs(lower), abs(upper)), np.maximum(abs(states), abs(plan.offset)))
     with np.errstate(over="ignore", invalid="ignore"):
         near = (states - plan.offset) / plan.scale
@@ -138,7 +138,7 @@ def decide(plan: Plan, readings: np.ndarray, in_force: np.ndarray | None = None)
     """
     if plan.policy.remembers and in_force is None:
         in_force = (np.arange(len(readings)) * 7 // 5) % plan.labels
-    domain, cells, states = plan.policy.domain, plan.policy.cells, plan.states(readings)
+    domain, cells, states = plan.policy.space, plan.policy.cells, plan.states(readings)
     finite = np.isfinite(states).all(axis=1)
     steps = np.zeros(states.shape, dtype=np.int64)
     steps[finite] = domain.locate(states[finite], cells.counts)

@@ -100,7 +100,7 @@ class Plan:
         chosen = own if safe is None else _symbol(safe, policy.alphabet)
         at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
         true_or_false("outside_at_once", at_once)
-        factors = reading_factors(policy.domain, policy.cells.counts, scale, offset)
+        factors = reading_factors(policy.space, policy.cells.counts, scale, offset)
         given = policy
         if dwell is not None and finite_number("dwell", dwell, least=0.0) >= 0:
             policy = _held(policy, float(dwell))
@@ -166,7 +166,7 @@ class Plan:
     @property
     def n(self) -> int:
         """Number of states."""
-        return self.policy.domain.n
+        return self.policy.space.n
 
     @property
     def has_state(self) -> bool:
@@ -262,7 +262,7 @@ class Plan:
     @functools.cached_property
     def header(self) -> tuple[str, ...]:
         """Lines that every file begins with: what it is, and from what; printable text."""
-        policy, domain = self.policy, self.policy.domain
+        policy, domain = self.policy, self.policy.space
         lines = [f"Control alphabet policy '{policy.name}', by capsyn {__version__}."]
         for i in range(self.n):
             unit = f" {domain.units[i]}" if domain.units[i] else ""

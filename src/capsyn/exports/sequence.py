@@ -54,7 +54,7 @@ def golden_sequence(plan: Plan, runs: int = RUNS, steps: int = STEPS, seed: int 
     """Return runs that go through the domain, jump, leave it, and lose readings now and then."""
     policy, n = plan.policy, plan.n
     rng = stream(seed, SEQUENCE)
-    widths, lower = policy.domain.widths, policy.domain.lower
+    widths, lower = policy.space.widths, policy.space.lower
     moves = WIDE * (2 * rng.random((steps, runs, n)) - 1)
     anew = 1.2 * rng.random((steps, runs, n)) - 0.1
     jumps = rng.random((steps, runs)) < JUMPS

@@ -54,7 +54,7 @@ def policy_system(
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
 
     dt = finite_number("dt", dt, least=0.0)
-    ports = {"inputs": list(policy.domain.names), "outputs": list(policy.alphabet.inputs)}
+    ports = {"inputs": list(policy.space.names), "outputs": list(policy.alphabet.inputs)}
     if not has_memory(policy):
         look_up = single_lookup(policy)
 

@@ -111,7 +111,7 @@ def player(
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
     if not isinstance(env, gymnasium.Env):
         raise ProblemError(f"`env` must be a gymnasium.Env; got {describe(env)}")
-    n, count, space = policy.domain.n, len(policy.alphabet), getattr(env, "action_space", None)
+    n, count, space = policy.space.n, len(policy.alphabet), getattr(env, "action_space", None)
     if not isinstance(space, gymnasium.Space):
         raise ProblemError(f"`env` must have a space of actions; got {describe(space)}")
     if observation is None:
@@ -265,8 +265,8 @@ class Environment(gymnasium.Env):
         self.period, self._samples = 1 / rate, max(1, round(duration * rate))
         whole = math.floor(problem.delay * rate + SLACK)
         self._rest = max(0.0, problem.delay - whole * self.period)
-        self._queue = deque([problem.default], maxlen=min(whole, self._samples) + 2)  # newest last
-        controls = np.vstack([problem.alphabet.values, problem.default])
+        self._queue = deque([problem.default_control], maxlen=min(whole, self._samples) + 2)  # newest last
+        controls = np.vstack([problem.alphabet.values, problem.default_control])
         if substeps is None:
             substeps = choose_substeps(self._plant, controls, np.zeros((0, 1)), self.period)
         self._substeps = substeps
@@ -293,7 +293,7 @@ class Environment(gymnasium.Env):
                 raise ProblemError(f"`state` must have shape ({domain.n},); got {state.shape}")
             self._state = np.array(state)
         self._left = self._samples
-        self._queue.extend([self.problem.default] * (self._queue.maxlen or 0))
+        self._queue.extend([self.problem.default_control] * (self._queue.maxlen or 0))
         return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.exogenous import check_exogenous, joined, of_states
 from capsyn.modelling.grid import Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching, check_switching
@@ -31,20 +33,22 @@ class Problem:
     ----------
     name : str
         Name of the problem.
-    dynamics : callable ``(x, u) -> n components``
-        Eq. (1) of the paper [state unit / time unit]. `x` and `u` are CasADi column vectors; CasADi
-        functions and NumPy ufuncs both work on them.
+    dynamics : callable ``(x, u) -> n components``, or ``(x, u, w)``
+        Eq. (1) of the paper [state unit / time unit]. `x`, `u` and `w`, the exogenous inputs where
+        there are some, are CasADi column vectors; CasADi functions and NumPy ufuncs both work on
+        them.
     domain : Box
         States to label.
     alphabet : Alphabet, or (N, m) or (N,) numbers
         The symbols [input units].
-    default : (m,) or float
-        Control of the prediction [input units]; it need not be a symbol.
+    default : (m,) or float, or callable ``x -> u`` or ``(x, w) -> u``
+        Control of the prediction [input units]; it need not be a symbol. A law is followed at every
+        instant of the prediction, and the adjoint is that of ``f(x, default(x, w), w)``.
     horizon : float
         Prediction horizon T > 0 [time unit].
-    running_cost, terminal_cost : callables ``x -> scalar``, optional
+    running_cost, terminal_cost : callables ``x -> scalar``, or ``(x, w)``, optional
         Eq. (3) [cost / time unit] and [cost]; at least one. No factor 1/2 is implied.
-    target : Ball, Box or callable ``x -> true or false``, optional
+    target : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
         What "arrived" means; carried in the policy.
     outside : "error", "nearest" or symbol
         What a state outside the domain gets; carried in the policy.
@@ -53,7 +57,7 @@ class Problem:
         a policy that does not depend on the symbol in force; carried in the policy.
     settings : SsacSettings
         Options of the controller.
-    partitions, refinement : int or (n,)
+    partitions, refinement : int or (n,), or (n + k,) with k exogenous inputs
         Cells of the root grid, and children of a split cell, per axis.
     max_level : int
         Most times that a cell is split along an axis.
@@ -70,6 +74,11 @@ class Problem:
     delay : float
         Known time from a sample until its control acts [time unit]. The policy compensates it: its
         decision at a state is that for the state which the symbol in force leads to meanwhile.
+    exogenous : Box, optional
+        Values of what the controller is told at every sample beside the state, with names and
+        units: setpoints, references, measured disturbances. They are constant over the horizon, and
+        the policy is one of states and exogenous inputs, ``policy(x, w)``. What the controller is
+        not told is a parameter of the plant; see ``parameters`` of `capsyn.simulate`.
 
     Raises
     ------
@@ -78,14 +87,14 @@ class Problem:
     """
 
     name: str
-    dynamics: Callable[[Any, Any], Any]
+    dynamics: Callable[..., Any]
     domain: Box
     alphabet: Alphabet
     default: Any
     horizon: float
-    running_cost: Callable[[Any], Any] | None = None
-    terminal_cost: Callable[[Any], Any] | None = None
-    target: Ball | Box | Callable[[Any], Any] | None = None
+    running_cost: Callable[..., Any] | None = None
+    terminal_cost: Callable[..., Any] | None = None
+    target: Ball | Box | Callable[..., Any] | None = None
     outside: Outside = "error"
     min_dwell: float = 0.0
     settings: SsacSettings = field(default_factory=SsacSettings)
@@ -97,30 +106,38 @@ class Problem:
     outside_at_once: bool = False
     switching: Switching | None = None
     delay: float = 0.0
+    exogenous: Box | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
             raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
         if not isinstance(self.domain, Box):
             raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
+        keep(self, exogenous=check_exogenous(self.exogenous, self.domain))
         if not isinstance(self.alphabet, Alphabet):
             keep(self, alphabet=Alphabet(self.alphabet))
         check_time_unit(self.time_unit)
         true_or_false("outside_at_once", self.outside_at_once)
-        keep(self, default=self.alphabet.control("default", self.default))
+        if not callable(self.default):
+            keep(self, default=self.alphabet.control("default", self.default))
         keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
         keep(self, outside=check_outside(self.outside, self.alphabet))
-        check_switching(self)
         keep(self, delay=finite_number("delay", self.delay, least=0.0))
         if not isinstance(self.settings, SsacSettings):
             raise ProblemError(
                 f"`settings` must be a capsyn.SsacSettings; got {describe(self.settings)}"
             )
         self.settings.efforts(self.alphabet.values)
+        if self.has_law and self.settings.on_no_descent == "default":
+            raise ProblemError(
+                "`on_no_descent` must be 'best' where `default` is a law: a policy gives symbols; "
+                "got 'default'"
+            )
+        keep(self, target=of_states(self.target, self.domain, self.exogenous))
         if isinstance(self.target, (Ball, Box)) or not callable(self.target):
-            check_target(self.target, self.domain)
-        grid = Grid.of(self.partitions, self.refinement, self.max_level, self.domain.n)
+            check_target(self.target, self.space)
+        grid = Grid.of(self.partitions, self.refinement, self.max_level, self.space.n)
         keep(self, **vars(grid))
         if self.running_cost is None and self.terminal_cost is None:
             raise ProblemError(
@@ -134,32 +151,61 @@ class Problem:
                 raise ProblemError(f"`{name}` must be a function; got {describe(value)}")
         self.functions()
         if callable(self.target):
-            expression("target", self.target, [ca.SX.sym("x", self.domain.n)], 1)
+            arguments = split_reading(ca.SX.sym("z", self.space.n), {}, self.domain.n)
+            expression("target", self.target, arguments, 1)
+        check_switching(self)
 
     @property
     def grid(self) -> Grid:
         """The grid of cells."""
         return Grid(self.partitions, self.refinement, self.max_level)
 
-    def functions(self) -> dict[str, ca.Function]:
-        """Return CasADi functions: ``dynamics(x, u)``, ``running_cost(x)``, ``terminal_cost(x)``.
+    @functools.cached_property
+    def space(self) -> Box:
+        """What the cells divide: the domain, and after its axes those of the exogenous inputs."""
+        return joined(self.domain, self.exogenous)
 
-        A cost that is None is the constant 0.
+    @property
+    def has_law(self) -> bool:
+        """Whether the default control is a law, not a constant."""
+        return callable(self.default)
+
+    @functools.cached_property
+    def default_control(self) -> np.ndarray:
+        """The default control (m,) as a constant; of a law that at the middle of the space.
+
+        It is what a policy calls its default: before the first decision, and where none is found.
         """
-        x, u = ca.SX.sym("x", self.domain.n), ca.SX.sym("u", self.alphabet.m)
-        costs = {
-            name: expression(name, getattr(self, name) or (lambda x: 0.0), [x], 1)
+        if not self.has_law:
+            return np.asarray(self.default)
+        middle = (self.space.lower + self.space.upper) / 2
+        value = np.array(self.functions()["default"](middle)).reshape(-1)
+        if not np.isfinite(value).all():
+            raise ProblemError(
+                f"`default` must be finite at the middle of the domain; got {value.tolist()}"
+            )
+        return self.alphabet.control("default", value)
+
+    def functions(self) -> dict[str, ca.Function]:
+        """Return CasADi functions of the reading z = (x, w), the state itself without exogenous w.
+
+        They are ``dynamics(z, u)``, with rates 0 of w, ``running_cost(z)``, ``terminal_cost(z)``,
+        and ``default(z)`` of a law. A cost that is None is the constant 0.
+        """
+        z, u = ca.SX.sym("z", self.space.n), ca.SX.sym("u", self.alphabet.m)
+        n, told = self.domain.n, self.space.n - self.domain.n
+        arguments = split_reading(z, {}, n)
+        values = {
+            name: expression(name, getattr(self, name) or (lambda *_: 0.0), arguments, 1)
             for name in ("running_cost", "terminal_cost")
         }
-        expressions = {
-            "dynamics": expression("dynamics", self.dynamics, [x, u], self.domain.n, rates=True),
-            **costs,
-        }
-        arguments = {"dynamics": [x, u], "running_cost": [x], "terminal_cost": [x]}
-        return {
-            name: casadi_function(name, arguments[name], value)
-            for name, value in expressions.items()
-        }
+        if self.has_law:
+            values["default"] = expression("default", self.default, arguments, self.alphabet.m)
+        functions = {name: casadi_function(name, [z], value) for name, value in values.items()}
+        with_control = split_reading(z, {"u": u}, n)
+        rates = expression("dynamics", self.dynamics, with_control, n, rates=True)
+        rates = ca.vertcat(rates, ca.SX.zeros(told))
+        return {"dynamics": casadi_function("dynamics", [z, u], rates), **functions}
 
     def replace(self, **changes: Any) -> Problem:
         """Return the problem with some fields replaced: ``replace(horizon=2.0)``.
@@ -196,10 +242,17 @@ _MEANINGS = (
 """What beginners' mistakes make CasADi and Python say, and what it means."""
 
 
+def split_reading(z: ca.SX, inputs: Mapping[str, ca.SX], n: int) -> dict[str, ca.SX]:
+    """Return the arguments of a user's function by name: x, `inputs` but p, w if any, and p."""
+    told = {"w": z[n:]} if z.numel() > n else {}
+    own = {name: value for name, value in inputs.items() if name != "p"}
+    return {"x": z[:n], **own, **told, **{k: v for k, v in inputs.items() if k == "p"}}
+
+
 def expression(
     name: str,
     function: Callable[..., Any],
-    arguments: Sequence[ca.SX],
+    arguments: Mapping[str, ca.SX],
     size: int,
     *,
     rates: bool = False,
@@ -207,31 +260,32 @@ def expression(
 ) -> ca.SX:
     """Return what a user's function gives on symbols, as a dense column of `size` components.
 
-    The arguments are CasADi columns x, u and p, as many as the function takes. `rates` says that
-    the components are rates, one for each state; `parameters`, that the function may take
-    parameters p that the user names elsewhere. Where it fails, or returns something else, a
-    `ProblemError` names it in one line.
+    The arguments are CasADi columns by name (x, u, w, p), as many as the function takes, in order.
+    `rates` says that the components are rates, one for each state; `parameters`, that the function
+    may take parameters p that the user names elsewhere. Where it fails, or returns something else,
+    a `ProblemError` names it in one line.
     """
     try:
         with _numpy_functions():
-            value = function(*arguments)
+            value = function(*arguments.values())
     except Exception as error:  # whatever a user's function raises becomes one line
         reason = one_line(str(error)) or type(error).__name__
         reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
         reason = next((text for words, text in _MEANINGS if words in reason), reason)
         if "positional argument" in reason:
-            reason = f"it must be a function of {' and '.join('xup'[: len(arguments)])}" + (
+            reason = f"it must be a function of {' and '.join(arguments)}" + (
                 ", and of p where there are `parameters`" if parameters else ""
             )
         shapes = ", ".join(
-            f"{symbol}: {argument.numel()}" for symbol, argument in zip("xup", arguments)
+            f"{symbol}: {argument.numel()}" for symbol, argument in arguments.items()
         )
         if parameters and "out of range" in reason:
             reason += "; it may take more parameters (`parameters`, --parameter) than are given"
         raise ProblemError(
             f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
         ) from error
-    wanted = f"{size} component(s), one per state" if rates else "a scalar"
+    wanted = "a scalar" if size == 1 else f"{size} components"
+    wanted = f"{size} component(s), one per state" if rates else wanted
     try:
         with _numpy_functions():
             column = value

@@ -246,7 +246,7 @@ class SwitchRules:
         Between labels of the same control is no switch, unless going from one to another costs
         something.
         """
-        alphabet, default, switching = owner.alphabet, owner.default, owner.switching
+        alphabet, default, switching = owner.alphabet, owner.default_control, owner.switching
         controls = np.vstack([alphabet.values, default])
         count = len(controls)
         prices, inputs = np.zeros((count, count)), np.zeros(alphabet.m)

@@ -10,10 +10,10 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.problem import Problem, casadi_function, expression
+from capsyn.modelling.problem import Problem, casadi_function, expression, split_reading
 from capsyn.modelling.targets import INSIDE, Target
 from capsyn.programs.builder import ProgramBuilder
-from capsyn.programs.model import Model, model_ports
+from capsyn.programs.model import Model, Prediction, model_ports
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Ports, Program
 
@@ -74,6 +74,7 @@ def user_program(
     inputs: Ports,
     outputs: Ports,
     *,
+    told: int = 0,
     rates: bool = False,
     parameters: bool = False,
 ) -> Program:
@@ -81,13 +82,20 @@ def user_program(
 
     The function takes one CasADi column per input and returns as many components as the first
     output has; a second output, if there is one, is the gradient of a scalar value with respect to
-    the first input. `name`, `rates`, `parameters` and errors are those of `expression`.
+    the first input. The last `told` components of the first input, x, are exogenous: the function
+    takes them as w, and returns no rates of them, which are 0. `name`, `rates`, `parameters` and
+    errors are those of `expression`.
     """
-    arguments = [ca.SX.sym(port, size) for port, size in inputs]
-    value = expression(name, function, arguments, outputs[0][1], rates=rates, parameters=parameters)
-    casadi_function(name, arguments, value)  # no foreign symbols
-    results = [value] + ([_gradient(value, arguments[0])] if len(outputs) > 1 else [])
-    return program_from_casadi(name, ca.Function(name, arguments, results), inputs, outputs)
+    symbols = {port: ca.SX.sym(port, size) for port, size in inputs}
+    (z, *_), n = symbols.values(), inputs[0][1] - told
+    arguments = split_reading(z, {k: v for k, v in symbols.items() if v is not z}, n)
+    size = outputs[0][1] - (told if rates else 0)
+    value = expression(name, function, arguments, size, rates=rates, parameters=parameters)
+    value = ca.vertcat(value, ca.SX.zeros(told)) if rates else value
+    casadi_function(name, list(symbols.values()), value)  # no foreign symbols
+    results = [ca.densify(value)] + ([_gradient(value, z)] if len(outputs) > 1 else [])
+    whole = ca.Function(name, list(symbols.values()), results)
+    return program_from_casadi(name, whole, inputs, outputs)
 
 
 def feature_program(
@@ -102,7 +110,7 @@ def feature_program(
     x = domain.lower + (z + 0.5) * (domain.widths / np.array(counts))
     values = []
     for name, function in features.items():
-        value = expression(f"features[{name!r}]", function, [x], 1)
+        value = expression(f"features[{name!r}]", function, {"x": x}, 1)
         foreign = ca.Function("feature", [z], [value], {"allow_free": True}).get_free()
         if foreign:
             raise ProblemError(
@@ -120,39 +128,29 @@ def transcribe(problem: Problem) -> Model:
 
     The step is the classical fourth-order Runge-Kutta method; the running cost is integrated along
     with the state. The adjoint is the reverse derivative of that very step, so that the adjoint at
-    t0 is the gradient of the discretised cost.
+    t0 is the gradient of the discretised cost; that of exogenous inputs, whose rate is 0, stays 0
+    and takes no work. Under a default law the prediction has programs of its own, with the total
+    derivative of ``f(x, default(x, w), w)``.
     """
-    functions = problem.functions()
-    n, m = problem.domain.n, problem.alphabet.m
-    x, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
-    dt, rho = ca.SX.sym("dt"), ca.SX.sym("rho", n)
-    total, rounding = ca.SX.sym("cost"), ca.SX.sym("rounding")
-    dynamics, running = functions["dynamics"], functions["running_cost"]
-    end, cost = runge_kutta_step(dynamics, running, x, u, dt)
-    terminal = functions["terminal_cost"](x)
-    change = [dynamics(x, ca.DM(value)) - dynamics(x, u) for value in problem.alphabet.values]
-    widths = ca.DM(problem.domain.widths)
-    sensitivity = ca.norm_2(widths * rho) + rounding * ca.fabs(total)
-    noise = rounding * ca.norm_2(dynamics(x, u) / widths)
-    sizes = [sensitivity * (ca.norm_2(df / widths) + noise) for df in change]
-    arguments: dict[str, Sequence[ca.SX]] = {
-        "dynamics": [x, u],
-        "step": [x, u, dt],
-        "adjoint": [x, u, dt, rho],
-        "running_cost": [x],
-        "terminal_cost": [x],
-        "insertion": [x, u, rho, total, rounding],
-    }
-    values: dict[str, Sequence[ca.SX]] = {
-        "dynamics": [dynamics(x, u)],
-        "step": [end, cost],
-        "adjoint": [_gradient(ca.dot(rho, end) + cost, x)],
-        "running_cost": [running(x)],
-        "terminal_cost": [terminal, _gradient(terminal, x)],
-        "insertion": [ca.vertcat(*(ca.dot(rho, df) for df in change)), ca.vertcat(*sizes)],
-    }
-    ports = model_ports(n, m, len(problem.alphabet))
-    programs = {
+    functions, m, symbols = problem.functions(), problem.alphabet.m, len(problem.alphabet)
+    arguments, values = _programs(problem, functions, ca.SX.sym("u", m))
+    ports = model_ports(problem.space.n, m, symbols)
+    programs = _transcribed(arguments, values, ports)
+    prediction = None
+    if problem.has_law:
+        arguments, values = _programs(problem, functions, None)
+        own = Prediction.ports(problem.space.n, m, symbols)
+        prediction = Prediction(**_transcribed(arguments, values, own))
+    return Model(**programs, prediction=prediction)
+
+
+def _transcribed(
+    arguments: dict[str, Sequence[ca.SX]],
+    values: dict[str, Sequence[ca.SX]],
+    ports: dict[str, tuple[Any, Any]],
+) -> dict[str, Program]:
+    """Return the programs of those ports, by name."""
+    return {
         name: program_from_casadi(
             name,
             ca.Function(name, arguments[name], list(map(ca.densify, values[name]))),
@@ -160,7 +158,48 @@ def transcribe(problem: Problem) -> Model:
         )
         for name in ports
     }
-    return Model(**programs)
+
+
+def _programs(
+    problem: Problem, functions: dict[str, ca.Function], u: ca.SX | None
+) -> tuple[dict[str, Sequence[ca.SX]], dict[str, Sequence[ca.SX]]]:
+    """Return arguments and values of the programs of a model, under u or, of None, the law."""
+    n, size = problem.domain.n, problem.space.n
+    z, dt, whole = ca.SX.sym("z", size), ca.SX.sym("dt"), ca.SX.sym("rho", size)
+    rho = ca.vertcat(whole[:n], ca.SX.zeros(size - n))
+    total, rounding = ca.SX.sym("cost"), ca.SX.sym("rounding")
+    given, running = functions["dynamics"], functions["running_cost"]
+    if u is None:
+        law, inputs = functions["default"], []
+        dynamics = ca.Function("predicted", [z], [given(z, law(z))])
+    else:
+        law, inputs, dynamics = None, [u], given
+    end, cost = runge_kutta_step(dynamics, running, z, inputs, dt)
+    terminal, rates = functions["terminal_cost"](z), dynamics(z, *inputs)
+    change = [given(z, ca.DM(value)) - rates for value in problem.alphabet.values]
+    widths = ca.DM(problem.space.widths)
+    sensitivity = ca.norm_2(widths * rho) + rounding * ca.fabs(total)
+    noise = rounding * ca.norm_2(rates / widths)
+    sizes = [sensitivity * (ca.norm_2(df / widths) + noise) for df in change]
+    arguments: dict[str, Sequence[ca.SX]] = {
+        "law": [z],
+        "dynamics": [z, *inputs],
+        "step": [z, *inputs, dt],
+        "adjoint": [z, *inputs, dt, whole],
+        "running_cost": [z],
+        "terminal_cost": [z],
+        "insertion": [z, *inputs, whole, total, rounding],
+    }
+    values: dict[str, Sequence[ca.SX]] = {
+        "law": [] if law is None else [law(z)],
+        "dynamics": [rates],
+        "step": [end, cost],
+        "adjoint": [_gradient(ca.dot(rho, end) + cost, z, n)],
+        "running_cost": [running(z)],
+        "terminal_cost": [terminal, _gradient(terminal, z, n)],
+        "insertion": [ca.vertcat(*(ca.dot(rho, df) for df in change)), ca.vertcat(*sizes)],
+    }
+    return arguments, values
 
 
 def transcribe_target(problem: Problem) -> Target | None:
@@ -168,15 +207,16 @@ def transcribe_target(problem: Problem) -> Target | None:
     target = problem.target
     if target is None or isinstance(target, (Ball, Box)):
         return target
-    return target_condition(target, problem.domain.n)
+    return target_condition(target, problem.domain.n, problem.space.n - problem.domain.n)
 
 
-def target_condition(function: Callable[[Any], Any], n: int) -> Program:
+def target_condition(function: Callable[..., Any], n: int, told: int = 0) -> Program:
     """Return the program of a target that a user's function of `n` states decides.
 
-    A function that fails, or returns no condition, is a `ProblemError`.
+    Its x are states and, after them, `told` exogenous inputs, which the function takes as w. A
+    function that fails, or returns no condition, is a `ProblemError`.
     """
-    program = user_program("target", function, (("x", n),), INSIDE)
+    program = user_program("target", function, (("x", n + told),), INSIDE, told=told)
     result = program.results[0] - program.input_count
     name = program.instructions[result][0] if result >= 0 else ""
     if name not in OPERATIONS or not OPERATIONS[name].boolean:
@@ -185,23 +225,30 @@ def target_condition(function: Callable[[Any], Any], n: int) -> Program:
 
 
 def runge_kutta_step(
-    dynamics: ca.Function, running_cost: ca.Function, x: ca.SX, u: ca.SX, dt: ca.SX
+    dynamics: ca.Function, running_cost: ca.Function, x: ca.SX, inputs: Sequence[ca.SX], dt: ca.SX
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the state after one classical Runge-Kutta step, and the running cost it gathers."""
+    """Return the state after one classical Runge-Kutta step, and the running cost it gathers.
+
+    The rates are ``dynamics(x, *inputs)``.
+    """
     half = dt / 2
     x1 = x
-    k1 = dynamics(x1, u)
+    k1 = dynamics(x1, *inputs)
     x2 = x + half * k1
-    k2 = dynamics(x2, u)
+    k2 = dynamics(x2, *inputs)
     x3 = x + half * k2
-    k3 = dynamics(x3, u)
+    k3 = dynamics(x3, *inputs)
     x4 = x + dt * k3
-    k4 = dynamics(x4, u)
+    k4 = dynamics(x4, *inputs)
     costs = [running_cost(point) for point in (x1, x2, x3, x4)]
     weight = dt / 6
     end = x + weight * (k1 + 2 * k2 + 2 * k3 + k4)
     return end, weight * (costs[0] + 2 * costs[1] + 2 * costs[2] + costs[3])
 
 
-def _gradient(scalar: ca.SX, x: ca.SX) -> ca.SX:
-    return ca.densify(ca.gradient(scalar, x))
+def _gradient(scalar: ca.SX, x: ca.SX, n: int | None = None) -> ca.SX:
+    """Return the gradient of a scalar, 0 but for the first n components of x where n is given."""
+    gradient = ca.densify(ca.gradient(scalar, x))
+    if n is None or n == x.numel():
+        return gradient
+    return ca.densify(ca.vertcat(gradient[:n], ca.SX.zeros(x.numel() - n)))

@@ -51,7 +51,7 @@ def draw_layers(policy: Policy, axes: Sequence[Axes]) -> Sequence[Axes]:
     """
     from matplotlib.collections import PolyCollection
 
-    domain, tree = policy.domain, cell_tree(policy)
+    domain, tree = policy.space, cell_tree(policy)
     if domain.n != 2:
         raise ProblemError(f"`policy` must have two states to draw its layers; got {domain.n}")
     layers = 1 + max(tree.max_level, tree.depth)

@@ -81,7 +81,7 @@ def prove(pendulums: Sequence[Policy]) -> tuple[Figure, list[Row]]:
     for policy, ax in zip(pendulums, axes):
         grid = lyapunov_grid(policy, cart_pendulum.energy_error, 0.01)
         x_axis, y_axis = grid.axes
-        draw_derivative_signs(x_axis, y_axis, grid.signs, policy.domain, ax)
+        draw_derivative_signs(x_axis, y_axis, grid.signs, policy.space, ax)
         for theta in (np.pi / 2, 3 * np.pi / 2):  # between the grid's points
             ax.axvline(theta, color="#7F7F7F", linewidth=0.8)
         ax.set_title(policy.name, loc="left", fontsize="medium")

@@ -144,7 +144,7 @@ def figure_5() -> Figure:
 
 def figure_6(policy: Policy, result: MonteCarlo, threads: int | None) -> Figure:
     """Return Fig. 6: policy, end states of trials, cost against time."""
-    target, domain = policy.target, policy.domain
+    target, domain = policy.target, policy.space
     assert isinstance(target, Ball)
     figure = new_figure(11, 6)
     left, right = halves(figure, True, (3, 2))

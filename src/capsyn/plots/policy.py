@@ -62,7 +62,7 @@ def plot_policy(
     """
     import matplotlib.pyplot as plt
 
-    domain, tree = policy.domain, policy.cells
+    domain, tree = policy.space, policy.cells
     if domain.n == 1:
         raise ProblemError("`policy` must have two states or more to be drawn; got one")
     horizontal, vertical = _plane(policy, plane)
@@ -170,7 +170,7 @@ def _draw_boxes(
         labels = following[rows]
         shown.update(labels.tolist())
         size = boxes.upper[here] - boxes.lower[here]
-        corners = rectangles(policy.domain, boxes.lower[here], size, counts, plane)
+        corners = rectangles(policy.space, boxes.lower[here], size, counts, plane)
         bands.extend(corners[staying[rows]])
         ax.add_collection(
             PolyCollection(
@@ -200,7 +200,7 @@ def _draw_pixels(
     """
     from matplotlib.colors import to_rgb
 
-    low, high = policy.domain.lower[list(plane)], policy.domain.upper[list(plane)]
+    low, high = policy.space.lower[list(plane)], policy.space.upper[list(plane)]
     x, y = (np.linspace(a, b, 2 * PIXELS + 1)[1::2] for a, b in zip(low, high))
     states = np.tile(point, (PIXELS * PIXELS, 1))
     grid = np.meshgrid(x, y)
@@ -224,7 +224,7 @@ def _draw_pixels(
 
 
 def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
-    names = policy.domain.names
+    names = policy.space.names
     axes = []
     for axis in plane:
         place: Any = axis

@@ -9,6 +9,7 @@ import numpy as np
 from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, check_outside
+from capsyn.modelling.exogenous import check_exogenous, of_states
 from capsyn.modelling.switching import DEFAULT, check_switching
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
@@ -22,11 +23,13 @@ def check_fields(policy: Any, structure: type) -> None:
     """
     if not isinstance(policy.name, str) or not policy.name.isprintable():
         raise ProblemError(f"`name` must be a printable string; got {describe(policy.name)}")
+    keep(policy, exogenous=check_exogenous(policy.exogenous, policy.domain))
     keep(policy, default=policy.alphabet.control("default", policy.default))
     keep(policy, outside=check_outside(policy.outside, policy.alphabet))
     check_time_unit(policy.time_unit)
     keep(policy, min_dwell=finite_number("min_dwell", policy.min_dwell, least=0.0))
-    check_target(policy.target, policy.domain)
+    keep(policy, target=of_states(policy.target, policy.domain, policy.exogenous))
+    check_target(policy.target, policy.space)
     true_or_false("gaps", policy.gaps)
     true_or_false("outside_at_once", policy.outside_at_once)
     if policy.horizon is not None:
@@ -36,9 +39,9 @@ def check_fields(policy: Any, structure: type) -> None:
     cells: Any = policy.cells
     if not isinstance(cells, structure):
         raise ProblemError(f"`cells` must be a {structure.__name__}; got {describe(cells)}")
-    if policy.cells.n != policy.domain.n:
+    if policy.cells.n != policy.space.n:
         raise ProblemError(
-            f"`cells` must have {policy.domain.n} axes like the domain; got {policy.cells.n}"
+            f"`cells` must have {policy.space.n} axes like the domain; got {policy.cells.n}"
         )
     check_switching(policy)
     keep(policy, delay=finite_number("delay", policy.delay, least=0.0))

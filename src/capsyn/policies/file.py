@@ -26,6 +26,7 @@ from capsyn.execution.files import atomic_write
 from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.exogenous import joined
 from capsyn.modelling.grid import MAX_COUNT, Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching
@@ -39,11 +40,12 @@ from capsyn.validation import describe, whole_numbers
 Made = TypeVar("Made")
 
 FORMAT = "capsyn-policy"
-VERSION = 9
+VERSION = 10
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
 split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6, trees
 with features 7, more than 63 symbols, or some of equal control, 8, what depends on the symbol in
-force, has prices or least times of its own, or compensates a delay, 9."""
+force, has prices or least times of its own, or compensates a delay, 9,
+and what is told exogenous inputs, was cut at some, or predicts under a default law 10."""
 CELL_ENTRIES = ("entries", "mixed_cells")
 """The arrays of all cells, whatever is known of the mixed ones."""
 TRANSITIONS = {"transitions": np.uint16}
@@ -80,7 +82,7 @@ KEYS = set(
 )
 CELL_KEYS = KEYS | {"partitions", "refinement", "max_level"}
 TREE_KEYS = KEYS | {"counts", "guarantee"}
-RARE_KEYS = {"gaps", "time_unit", "outside_at_once", "features", "switching", "delay"}
+RARE_KEYS = {"gaps", "time_unit", "outside_at_once", "features", "switching", "delay", "exogenous"}
 """Keys that are there where they say something else than False, s, none, and 0."""
 STATISTICS: dict[str, tuple[type, ...]] = {
     "solves": (int,),
@@ -144,6 +146,7 @@ def content_of(policy: Any) -> dict[str, Any]:
         **({"outside_at_once": True} if policy.outside_at_once else {}),
         **({} if policy.switching is None else {"switching": policy.switching.to_json()}),
         **({"delay": policy.delay} if policy.delay else {}),
+        **({} if policy.exogenous is None else {"exogenous": policy.exogenous.to_json()}),
         "name": policy.name,
         "domain": policy.domain.to_json(),
         "alphabet": policy.alphabet.to_json(),
@@ -168,6 +171,9 @@ def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> in
     values = [tuple(value) for value in content["alphabet"]["values"]]
     news = {"transitions", "row_prices", "mixed_sets"} & set(arrays)
     needed = {
+        10: "exogenous" in content
+        or "prediction" in (content["model"] or {})
+        or "cut" in content.get("guarantee", {}),
         9: bool(news) or "switching" in content or "delay" in content,
         8: len(values) >= WORD or len(set(values)) < len(values),
         7: "features" in content,
@@ -263,12 +269,15 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     ):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
+    exogenous = Box(**content["exogenous"]) if "exogenous" in content else None
+    space = joined(domain, exogenous)
     settings, model = content["settings"], content["model"]
     if model is not None:
-        model = Model.from_json(model, domain.n, alphabet.m, len(alphabet))
+        model = Model.from_json(model, space.n, alphabet.m, len(alphabet))
     fields = {key: content[key] for key in ("name", "default", "outside", "min_dwell", "horizon")}
     fields |= {
         "domain": domain,
+        "exogenous": exogenous,
         "alphabet": alphabet,
         "target": _target(content["target"]),
         "settings": None if settings is None else _settings(settings),
@@ -283,20 +292,20 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         "transitions": _transitions(arrays.pop("transitions", None), len(alphabet) + 1),
     }
     if is_tree:
-        counts = whole_numbers("counts", content["counts"], domain.n, least=1, most=MAX_COUNT)
-        domain.check_resolution(counts)
+        counts = whole_numbers("counts", content["counts"], space.n, least=1, most=MAX_COUNT)
+        space.check_resolution(counts)
         guarantee = Guarantee(**content["guarantee"])
         tree = SplitTree(counts, **arrays)
         if "features" in content:
             tree = FeatureTree(counts, **arrays, features=Features.from_json(content["features"]))
         return fields | {"cells": tree, "guarantee": guarantee}
-    grid = Grid.of(content["partitions"], content["refinement"], content["max_level"], domain.n)
+    grid = Grid.of(content["partitions"], content["refinement"], content["max_level"], space.n)
     affine = None
     if "row_starts" in arrays:
         first = len(alphabet) + 1 if fields["transitions"] is None else len(fields["transitions"])
         tables = [arrays[name] for name in (*ROW_ARRAYS, *PRICE_ARRAYS) if name in arrays]
         affine = AffineLeaves(first, *tables)
-    domain.check_resolution(grid.counts)
+    space.check_resolution(grid.counts)
     seen, (entries, mixed) = _seen(arrays, len(alphabet) + 1), (arrays[k] for k in CELL_ENTRIES)
     return fields | {"cells": CellTree(grid, entries, mixed, seen, affine, arrays.get("splits"))}
 

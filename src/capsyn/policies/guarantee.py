@@ -9,7 +9,7 @@ from typing import Any
 
 from capsyn.errors import ProblemError
 from capsyn.statistics import clopper_pearson
-from capsyn.validation import one_of
+from capsyn.validation import one_of, true_or_false
 
 CONFIDENCE = 0.95
 """Of the interval of the share of judging states that agree."""
@@ -46,6 +46,9 @@ class Guarantee:
         a symbol of the controller.
     target : float, optional
         Share that was asked for.
+    cut : bool
+        Whether the tree is the one that was judged with its exogenous inputs fixed: shares are then
+        those of the whole.
     """
 
     mode: str
@@ -56,9 +59,11 @@ class Guarantee:
     states: int = 0
     agreeing: int = 0
     target: float | None = None
+    cut: bool = False
 
     def __post_init__(self) -> None:
         one_of("mode", self.mode, list(MODES))
+        true_or_false("cut", self.cut)
         one_of("controller", self.controller, ["", "ssac", "function", "policy"])
         shares = [self.changed] + ([] if self.target is None else [self.target])
         sound = (
@@ -104,6 +109,10 @@ class Guarantee:
     @property
     def text(self) -> str:
         """What is guaranteed, in a sentence; shares are rounded to the careful side."""
+        whole = "; stated of the whole, before exogenous inputs were fixed" if self.cut else ""
+        return self._text() + whole
+
+    def _text(self) -> str:
         policy = "the policy" if self.level is None else f"the policy cut off at level {self.level}"
         proved = {
             "exact": f"equal to {policy} in every cell (proved)",
@@ -127,8 +136,9 @@ class Guarantee:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the guarantee as plain data."""
-        return {f.name: getattr(self, f.name) for f in fields(self)}
+        """Return the guarantee as plain data; what is not cut does not say so."""
+        plain = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {k: v for k, v in plain.items() if k != "cut" or v}
 
 
 def _percent(share: float, up: bool = False) -> str:

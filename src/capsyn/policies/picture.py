@@ -27,7 +27,7 @@ def map_html(policy: Any) -> str:
     default control, and shaded where a symbol in force stays instead. The same policy gives the
     same text.
     """
-    domain, count = policy.domain, len(policy.alphabet)
+    domain, count = policy.space, len(policy.alphabet)
     names = [*policy.alphabet.names, "outside" if policy.gaps else "default"]
     rows = HIGH if domain.n > 1 else 8
     states = _states(domain, rows)

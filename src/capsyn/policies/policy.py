@@ -15,6 +15,7 @@ from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
+from capsyn.modelling.exogenous import joined, readings
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching, SwitchRules
 from capsyn.modelling.targets import Target
@@ -24,26 +25,23 @@ from capsyn.policies.in_force import mixed_share, volume_shares
 from capsyn.policies.lookup import GAP, OUTSIDE, row_numbers
 from capsyn.policies.outside import outside_text
 from capsyn.programs.model import Model
-from capsyn.validation import (
-    describe,
-    read_only,
-    state_array,
-)
+from capsyn.validation import describe, read_only
 
 
 @dataclass(frozen=True, eq=False)
 class Policy:
     """A control alphabet policy ``<U, L, T>`` (Definition 2 of the paper).
 
-    Calling the policy with states (..., n) returns symbol indices (...,) into
-    ``policy.alphabet.values``; -1 stands for the default control.
+    Calling the policy with states (..., n), and with exogenous inputs (..., k) where it is told
+    some, returns symbol indices (...,) into ``policy.alphabet.values``; -1 stands for the default
+    control.
 
     Parameters
     ----------
     name : str
         Name of the problem.
     domain : Box
-        States that have cells.
+        States that have cells; see `space`.
     alphabet : Alphabet
         The symbols U.
     default : (m,)
@@ -83,6 +81,8 @@ class Policy:
         The prices that `transitions` keeps, as numbers; least times, and forbidden transitions.
     delay : float
         Input delay that the policy compensates [time unit].
+    exogenous : Box, optional
+        Values of the exogenous inputs, what the policy is told beside the state; see `Problem`.
     """
 
     name: str
@@ -105,11 +105,25 @@ class Policy:
     transitions: Any = None
     switching: Switching | None = None
     delay: float = 0.0
+    exogenous: Box | None = None
 
     _structure: ClassVar[type] = CellTree
 
     def __post_init__(self) -> None:
         check_fields(self, self._structure)
+
+    @functools.cached_property
+    def space(self) -> Box:
+        """What the cells divide: the domain, and after its axes those of the exogenous inputs.
+
+        A point of it is a reading: what the policy is asked with.
+        """
+        return joined(self.domain, self.exogenous)
+
+    @property
+    def default_control(self) -> np.ndarray:
+        """The default control (m,) [input units], as of a problem."""
+        return self.default
 
     @property
     def remembers(self) -> bool:
@@ -119,6 +133,7 @@ class Policy:
     def __call__(
         self,
         states: Any,
+        exogenous: Any = None,
         outside: Outside | None = None,
         backend: str = "auto",
         current: Any = None,
@@ -129,6 +144,9 @@ class Policy:
         ----------
         states : (..., n)
             States [state units].
+        exogenous : (..., k), or mapping of name to numbers (...), optional
+            Exogenous inputs, of a policy that is told some, broadcast against the states. Left out,
+            `states` are readings (..., n + k), these last.
         outside : "error", "nearest" or symbol index, optional
             Overrides the policy's own rule.
         backend : "auto", "c" or "numpy"
@@ -145,9 +163,9 @@ class Policy:
         ProblemError
             States of another shape, or symbols in force that are none.
         """
-        states = state_array(states, self.domain.n)
+        states = self.readings(states, exogenous)
         rule = check_outside(self.outside if outside is None else outside, self.alphabet)
-        flat = states.reshape(-1, self.domain.n)
+        flat = states.reshape(-1, self.space.n)
         in_force = labels_in_force(current, states.shape[:-1], self.alphabet)
         labels = self.leaves(flat, rule == "nearest", backend, in_force)
         lost = labels < 0
@@ -155,10 +173,20 @@ class Policy:
             if isinstance(rule, str):
                 first = int(np.flatnonzero(lost)[0])
                 index = None if states.ndim == 1 else first
-                raise OutsideDomainError(outside_text(self.domain, flat[first], index))
+                raise OutsideDomainError(outside_text(self.space, flat[first], index))
             labels[lost] = rule
         labels[labels == len(self.alphabet)] = -1
         return labels.reshape(states.shape[:-1])[()]
+
+    def readings(self, states: Any, exogenous: Any = None) -> np.ndarray:
+        """Return readings (..., n + k) of states and exogenous inputs; see a call of the policy.
+
+        Raises
+        ------
+        ProblemError
+            States or exogenous inputs of another shape, or that are no numbers.
+        """
+        return readings(states, exogenous, self.domain, self.exogenous)
 
     def leaves(
         self,
@@ -167,13 +195,13 @@ class Policy:
         backend: str = "auto",
         in_force: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the next labels (B,) of states (B, n): symbols, N for the default, or negative.
+        """Return the next labels (B,) of readings (B, n): symbols, N for the default, or negative.
 
         It is negative where there is none. With `nearest` a finite state outside the domain has
         that of the nearest cell; `backend` is that of a call; `in_force` (B,) are the labels in
         force, by default the default's.
         """
-        labels = row_numbers(states, self.domain, self.cells, nearest, backend, in_force)
+        labels = row_numbers(states, self.space, self.cells, nearest, backend, in_force)
         if len(self.transitions) > len(self.alphabet) + 1:
             known = labels >= 0
             now = len(self.alphabet) if in_force is None else in_force[known]
@@ -182,10 +210,10 @@ class Policy:
             labels[labels == len(self.alphabet)] = GAP
         return labels
 
-    def rows(self, states: Any) -> Any:
+    def rows(self, states: Any, exogenous: Any = None) -> Any:
         """Return which rows of `transitions` hold at states (..., n), numbers (...,).
 
-        They are negative outside the domain and where a state is not finite. Numbers from R on
+        `exogenous` is that of a call of the policy. They are negative outside the domain and where a state is not finite. Numbers from R on
         are those of affine leaves, whose row varies with the state; see ``cells.affine``.
 
         Raises
@@ -193,34 +221,55 @@ class Policy:
         ProblemError
             States of another shape, or that are no numbers.
         """
-        states = state_array(states, self.domain.n)
-        flat = states.reshape(-1, self.domain.n)
-        inside = self.domain.contains(flat)
+        states = self.readings(states, exogenous)
+        flat = states.reshape(-1, self.space.n)
+        inside = self.space.contains(flat)
         numbers = np.full(len(flat), OUTSIDE, dtype=np.int32)
-        steps = self.domain.locate(flat[inside], self.cells.counts)
+        steps = self.space.locate(flat[inside], self.cells.counts)
         numbers[inside] = self.cells.labels_at(self.cells.find(steps))
         return numbers.reshape(states.shape[:-1])[()]
 
-    def covers(self, states: Any) -> Any:
+    def covers(self, states: Any, exogenous: Any = None) -> Any:
         """Return whether states (..., n) are in the domain and in no gap, booleans (...).
+
+        `exogenous`, whose values must be in their box, is that of a call of the policy.
 
         Raises
         ------
         ProblemError
             States of another shape, or that are no numbers.
         """
-        states = state_array(states, self.domain.n)
-        leaves = self.leaves(states.reshape(-1, self.domain.n), False)
+        states = self.readings(states, exogenous)
+        leaves = self.leaves(states.reshape(-1, self.space.n), False)
         return (leaves >= 0).reshape(states.shape[:-1])[()]
 
     def control(
-        self, states: Any, outside: Outside | None = None, current: Any = None
+        self,
+        states: Any,
+        exogenous: Any = None,
+        outside: Outside | None = None,
+        current: Any = None,
     ) -> np.ndarray:
         """Return the control vectors (..., m) [input units] of states (..., n).
 
-        `outside`, `current` and errors are those of a call of the policy.
+        Arguments and errors are those of a call of the policy.
         """
-        return self.controls[self(states, outside, current=current)]
+        return self.controls[self(states, exogenous, outside, current=current)]
+
+    def at(self, exogenous: Any) -> Policy:
+        """Return the policy of the states alone that this one is while exogenous inputs stay.
+
+        Its symbols are those of this policy at `exogenous` (k,), or a mapping of names, exactly:
+        its cells are the cut through these cells, and its model the same with the inputs fixed.
+
+        Raises
+        ------
+        ProblemError
+            Inputs that are no k finite numbers within their box, or a policy that is told nothing.
+        """
+        from capsyn.policies.cut import at
+
+        return at(self, exogenous)
 
     @functools.cached_property
     def controls(self) -> np.ndarray:
@@ -313,7 +362,7 @@ class Policy:
 
     def __repr__(self) -> str:
         return (
-            f"Policy('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
+            f"Policy('{self.name}', {axes_text(self)}, {len(self.alphabet)} symbols, "
             f"{self.cells.leaf_count} cells)"
         )
 
@@ -379,9 +428,15 @@ class DecisionTree(Policy):
 
     def __repr__(self) -> str:
         return (
-            f"DecisionTree('{self.name}', {self.domain.n} states, {len(self.alphabet)} symbols, "
+            f"DecisionTree('{self.name}', {axes_text(self)}, {len(self.alphabet)} symbols, "
             f"{self.node_count} nodes, {self.guarantee.mode})"
         )
+
+
+def axes_text(policy: Policy) -> str:
+    """Return how many states, and exogenous inputs if any, a policy is asked with."""
+    told = "" if policy.exogenous is None else f" + {policy.exogenous.n} exogenous"
+    return f"{policy.domain.n} states{told}"
 
 
 def cell_tree(policy: Any) -> CellTree:

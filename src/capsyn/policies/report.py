@@ -30,7 +30,7 @@ def report(policy: Policy) -> dict[str, Any]:
 
     A time unit of s is left out.
     """
-    cells, domain, alphabet = policy.cells, policy.domain, policy.alphabet
+    cells, domain, alphabet = policy.cells, policy.space, policy.alphabet
     shares, digest = policy.volume_shares.tolist(), content_hash(policy)
     names, structure = [*alphabet.names, "default"], cells.structure()
     return {
@@ -104,7 +104,7 @@ def _staying_share(policy: Policy) -> float:
     Where planes bound symbols it is estimated at `SAMPLES` random states.
     """
     if policy.has_planes:
-        return float(stays(policy, policy.domain.sample(SAMPLES)).mean())
+        return float(stays(policy, policy.space.sample(SAMPLES)).mean())
     boxes = policy.cells.boxes()
     volumes = boxes.volumes()
     return float(volumes[staying_rows(policy)[boxes.labels]].sum() / volumes.sum())
@@ -195,7 +195,7 @@ def _cell_hints(policy: Policy) -> Iterator[str]:
         yield f"never {done}: {', '.join(unused)}; drop them, or look at {weights}"
     mixed = _mixed_share(policy)
     if mixed > 0.1 and not policy.has_planes:
-        affine = ", or take affine leaves" if policy.domain.n > 2 else ""
+        affine = ", or take affine leaves" if policy.space.n > 2 else ""
         yield (
             f"cells whose test points disagree cover {mixed:.0%} of the volume: "
             f"the boundaries are coarse; raise max_level{affine}"

@@ -23,7 +23,7 @@ def single_lookup(policy: Policy) -> Callable[..., int]:
     It is compiled where there is a compiler, and then takes some microseconds. Not for threads. A
     state of another shape, or that is no numbers, is a `ProblemError`.
     """
-    n, count = policy.domain.n, len(policy.alphabet)
+    n, count = policy.space.n, len(policy.alphabet)
 
     def checked(state: Any) -> np.ndarray:
         array = numbers("state", state)
@@ -35,7 +35,7 @@ def single_lookup(policy: Policy) -> Callable[..., int]:
     if kernel is None:
         return lambda state, current=-1: int(policy(checked(state), current=current))
     buffer, (in_force, label) = np.empty(n), np.empty((2, 1), dtype=np.int32)
-    tree = TreeArguments.of(policy.domain, policy.cells)
+    tree = TreeArguments.of(policy.space, policy.cells)
     nearest = policy.outside == "nearest"
     arrays = (in_force.ctypes.data, label.ctypes.data)
     places = (buffer.ctypes.data, ctypes.addressof(tree), nearest, *arrays)

@@ -207,6 +207,25 @@ def bind(program: Program, **constants: Any) -> Program:
     return builder.build(program.name, remaining, program.outputs, results)
 
 
+def restricted(
+    program: Program, inputs: Ports, outputs: Ports, last: Mapping[str, np.ndarray]
+) -> Program:
+    """Return the program of the first components of its ports, as many as `inputs`, `outputs` say.
+
+    The other components of an input are the constants `last` of its name, and 0 without any.
+    """
+    builder, values = ProgramBuilder(), []
+    free = [[builder.input() for _ in range(size)] for _, size in inputs]
+    for own, (name, size) in zip(free, program.inputs):
+        rest = last.get(name, np.zeros(size - len(own)))
+        values.append([*own, *(builder.constant(number) for number in rest[: size - len(own)])])
+    results, kept, start = builder.call(program, *values), [], 0
+    for (_, size), (_, wanted) in zip(program.outputs, outputs):
+        kept += results[start : start + wanted]
+        start += size
+    return builder.build(program.name, inputs, outputs, kept)
+
+
 def selected(program: Program, results: Sequence[int]) -> Program:
     """Return the program of some components of a program's one output, of what they need alone."""
     ((name, _),) = program.outputs

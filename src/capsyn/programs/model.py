@@ -3,16 +3,46 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from capsyn.errors import PolicyFormatError
+from capsyn.programs.builder import restricted
 from capsyn.programs.program import Program
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Programs of a prediction under a default law, in place of those of `Model` at a constant u.
+
+    They are those of ``f(x, law(x))``, with its total derivative.
+    """
+
+    law: Program  # x -> u: the default control [input units]
+    step: Program  # (x, dt) -> (x_next, cost)
+    adjoint: Program  # (x, dt, rho_next) -> rho
+    insertion: Program  # (x, rho, cost, rounding) -> (gradients, scales)
+
+    @staticmethod
+    def ports(n: int, m: int, symbols: int) -> dict[str, tuple[Any, Any]]:
+        """Return the inputs and outputs of every program."""
+        whole = model_ports(n, m, symbols)
+        own = {
+            name: (tuple(port for port in whole[name][0] if port[0] != "u"), whole[name][1])
+            for name in ("step", "adjoint", "insertion")
+        }
+        return {"law": ((("x", n),), (("u", m),)), **own}
 
 
 @dataclass(frozen=True)
 class Model:
     """Programs of the problem ``P(t0, x0, T, J)``, eq. (4), for n states, m inputs, N symbols.
+
+    Of a problem with exogenous inputs x is the reading: states, and after them the exogenous
+    inputs, whose rates and adjoints are 0.
 
     The step is one of the classical Runge-Kutta method, with the running cost that it gathers; the
     adjoint is the exact reverse derivative of ``rho_next . x_next + cost``: the discrete form of
@@ -28,22 +58,57 @@ class Model:
     running_cost: Program  # x -> cost, eq. (3) [cost / time unit]
     terminal_cost: Program  # x -> (cost, gradient), eq. (3) [cost]; the end value of the adjoint
     insertion: Program  # (x, u, rho, cost, rounding) -> (gradients, scales)
+    prediction: Prediction | None = None  # under a default law
 
     def to_json(self) -> dict[str, Any]:
-        """Return the model as plain data."""
-        return {f.name: getattr(self, f.name).to_json() for f in dataclasses.fields(self)}
+        """Return the model as plain data; without a default law nothing is said of one."""
+        plain = _plain(self, [f.name for f in dataclasses.fields(self) if f.name != "prediction"])
+        if self.prediction is not None:
+            names = [f.name for f in dataclasses.fields(self.prediction)]
+            plain["prediction"] = _plain(self.prediction, names)
+        return plain
+
+    def at(self, exogenous: np.ndarray) -> Model:
+        """Return the model of the states alone, with the exogenous inputs (k,) fixed."""
+        n = dict(self.dynamics.inputs)["x"] - len(exogenous)
+        m, symbols = (dict(ports)[name] for ports, name in (
+            (self.dynamics.inputs, "u"), (self.insertion.outputs, "gradients")))
+
+        def fixed(programs: Any, ports: dict[str, tuple[Any, Any]]) -> dict[str, Program]:
+            return {
+                name: restricted(getattr(programs, name), inputs, outputs, {"x": exogenous})
+                for name, (inputs, outputs) in ports.items()
+            }
+
+        prediction = self.prediction
+        if prediction is not None:
+            prediction = Prediction(**fixed(prediction, Prediction.ports(n, m, symbols)))
+        return Model(**fixed(self, model_ports(n, m, symbols)), prediction=prediction)
 
     @staticmethod
     def from_json(data: Any, n: int, m: int, symbols: int) -> Model:
         """Return the model that `to_json` described; `PolicyFormatError` where sizes are others."""
-        ports = model_ports(n, m, symbols)
-        if not isinstance(data, dict) or set(data) != set(ports):
-            raise PolicyFormatError("the model in the file must hold " + ", ".join(ports))
-        programs = {name: Program.from_json(value) for name, value in data.items()}
-        for name, (inputs, outputs) in ports.items():
-            if programs[name].inputs != inputs or programs[name].outputs != outputs:
-                raise PolicyFormatError(f"the program '{name}' in the file has other sizes")
-        return Model(**programs)
+        prediction = None
+        if isinstance(data, dict) and "prediction" in data:
+            own = _programs(data["prediction"], Prediction.ports(n, m, symbols))
+            prediction = Prediction(**own)
+            data = {name: value for name, value in data.items() if name != "prediction"}
+        return Model(**_programs(data, model_ports(n, m, symbols)), prediction=prediction)
+
+
+def _plain(programs: Any, names: Iterable[str]) -> dict[str, Any]:
+    return {name: getattr(programs, name).to_json() for name in names}
+
+
+def _programs(data: Any, ports: dict[str, tuple[Any, Any]]) -> dict[str, Program]:
+    """Return programs of such ports by name; `PolicyFormatError` where they are others."""
+    if not isinstance(data, dict) or set(data) != set(ports):
+        raise PolicyFormatError("the model in the file must hold " + ", ".join(ports))
+    programs = {name: Program.from_json(value) for name, value in data.items()}
+    for name, (inputs, outputs) in ports.items():
+        if programs[name].inputs != inputs or programs[name].outputs != outputs:
+            raise PolicyFormatError(f"the program '{name}' in the file has other sizes")
+    return programs
 
 
 def model_ports(n: int, m: int, symbols: int) -> dict[str, tuple[Any, Any]]:

@@ -52,7 +52,7 @@ def policy_decide(policy: Policy, outside: Outside) -> Decide:
         now = np.where(in_force < 0, len(policy.alphabet), in_force).astype(np.int32)
         leaves = policy.leaves(measured, outside == "nearest", "numpy", now)
         lost = leaves < 0
-        out = lost | ~policy.domain.contains(measured)
+        out = lost | ~policy.space.contains(measured)
         symbols = np.where(lost, outside if isinstance(outside, int) else -1, leaves)
         symbols[symbols == len(policy.alphabet)] = -1
         ended = np.full(len(measured), TIME)
@@ -76,9 +76,9 @@ def _run_compiled(
     record: Record | None,
     threads: int,
 ) -> None:
-    n, symbols = policy.domain.n, len(policy.alphabet)
+    n, symbols = policy.space.n, len(policy.alphabet)
     table = policy.controls
-    tree = TreeArguments.of(policy.domain, policy.cells)
+    tree = TreeArguments.of(policy.space, policy.cells)
     rule = -1 if isinstance(outside, str) else outside % (symbols + 1)
     error = outside == "error"
     holds = loop.holds

@@ -108,7 +108,7 @@ def build(
         dynamics,
         running_cost,
         terminal_cost,
-        domain=policy.domain,
+        domain=policy.space,
         alphabet=policy.alphabet,
         default=policy.default,
         target=None,

@@ -218,18 +218,20 @@ def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **optio
         if problem.delay:
             label = delayed(_columns(label, len(problem.alphabet) + 1, in_force), problem)
             options["in_force"] = True
-    policy = subdivide(label, problem.domain, problem.alphabet, **options)
+    policy = subdivide(label, problem.space, problem.alphabet, **options)
     settings = problem.settings
     said = switching is not None or problem.delay > 0
     said = said or settings.sample_time != SsacSettings.sample_time
     return dataclasses.replace(
         policy,
-        default=problem.default,
+        default=problem.default_control,
         min_dwell=problem.min_dwell,
         time_unit=problem.time_unit,
         outside_at_once=problem.outside_at_once,
         switching=switching,
         delay=problem.delay,
+        domain=problem.domain,
+        exogenous=problem.exogenous,
         target=transcribe_target(problem),
         model=transcribe(problem),
         settings=settings if said else None,
@@ -249,7 +251,7 @@ def _check_payable(problem: Problem, in_force: bool) -> None:
             "`switching` must have a price in numbers for a labelling function; got "
             f"{describe(switching.price)}"
         )
-    prices = switching.with_spread(1.0).prices(problem.alphabet, problem.default)
+    prices = switching.with_spread(1.0).prices(problem.alphabet, problem.default_control)
     if not in_force and prices.any():
         raise ProblemError(
             "`label` must be a FiniteControlSet of the problem, or give symbols for each symbol in "

@@ -21,7 +21,7 @@ def delayed(answer: Answer, problem: Problem) -> Callable[[np.ndarray], np.ndarr
     as many Runge-Kutta steps as step doubling asks for.
     """
     plant = plant_of(lambda time, states: states, problem)
-    controls = np.vstack([problem.alphabet.values, problem.default])
+    controls = np.vstack([problem.alphabet.values, problem.default_control])
     none = np.zeros((0, 1))
     substeps = choose_substeps(plant, controls, none, problem.delay)
     unique, kinds = np.unique(controls, axis=0, return_inverse=True)

@@ -262,7 +262,7 @@ def finite_control_set(
     )
     solver = kernel or NumpyCosts(model.step, end, moves)
     control = FiniteControlSet(
-        solver, "c" if kernel else "numpy", problem.domain.n, count, processors(threads), problem,
+        solver, "c" if kernel else "numpy", problem.space.n, count, processors(threads), problem,
         0.0, None,
     )  # fmt: skip
     return _priced(control, period)
@@ -275,7 +275,7 @@ def _priced(control: FiniteControlSet, period: float) -> FiniteControlSet:
     """
     problem, spread = control.problem, 0.0
     if problem.switching is not None and problem.switching.has_share:
-        ranges = np.ptp(control.costs(problem.domain.sample(SAMPLES, 0)), axis=1)
+        ranges = np.ptp(control.costs(problem.space.sample(SAMPLES, 0)), axis=1)
         ranges = ranges[np.isfinite(ranges)]
         spread = float(np.median(ranges)) / period if ranges.size else 0.0
         problem = problem.replace(switching=problem.switching.with_spread(spread))
@@ -298,4 +298,4 @@ def _prices(problem: Problem, period: float) -> np.ndarray | None:
     alphabet, switching = problem.alphabet, problem.switching
     if switching is None:
         return np.zeros((len(alphabet) + 1, len(alphabet))) if problem.delay else None
-    return switching.prices(alphabet, problem.default)[:, :-1] * period
+    return switching.prices(alphabet, problem.default_control)[:, :-1] * period

@@ -156,7 +156,7 @@ def synthesize(
         check_client(executor)
     remembers = problem.switching is not None or problem.delay > 0
     labels = len(problem.alphabet) + 1
-    plan.check(problem.domain, len(problem.alphabet), labels if remembers else 1)
+    plan.check(problem.space, len(problem.alphabet), labels if remembers else 1)
     if plan.affine and problem.delay:
         raise ProblemError("`leaves` must be constant for a problem with a delay; got affine")
     run = _Run(threads, backend, executor, checkpoint, progress)
@@ -188,7 +188,7 @@ def _synthesized(problem: Problem, plan: SubdivisionPlan, run: _Run) -> Policy:
             answers.label, returns, controller.preference, answers.threads, run.progress,
             controller.in_force, None if prices is None else PriceRatios.of(prices),
         )  # fmt: skip
-        policy = carry_out(plan, labelling, problem.domain, problem.alphabet)
+        policy = carry_out(plan, labelling, problem.space, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
     more = {"timings": timings, "switching": switching}
     return _described(policy, problem, controller, plan.seed, **more)
@@ -226,16 +226,18 @@ def _described(
             "result and take the default control, for instance at state "
             f"{statistics['not_finite_example']}"
         )
-    sample = sample_statistics(controller, problem.domain, seed)
+    sample = sample_statistics(controller, problem.space, seed)
     return dataclasses.replace(
         policy,
         name=problem.name,
         outside=problem.outside,
-        default=problem.default,
+        default=problem.default_control,
         min_dwell=problem.min_dwell,
         time_unit=problem.time_unit,
         outside_at_once=problem.outside_at_once,
         delay=problem.delay,
+        domain=problem.domain,
+        exogenous=problem.exogenous,
         target=transcribe_target(problem),
         horizon=problem.horizon,
         settings=controller.settings,
@@ -262,7 +264,7 @@ def priced(
     switching, controller = problem.switching, problem_controller(problem, model, backend, seed)
     if switching is None or not switching.has_share:
         return switching, controller
-    solution = controller.solve(problem.domain.sample(SAMPLES, seed + 1))
+    solution = controller.solve(problem.space.sample(SAMPLES, seed + 1))
     switching = switching.with_spread(controller.spread(solution))
     settings = controller.settings  # with steps
     formulation = Formulation.of(problem, model, switching)

@@ -49,7 +49,7 @@ class Agreement:
     symbols : N + 1 strings
         Names of the symbols, "default" last.
     seed : int
-        Seed of the states: they are ``policy.domain.sample(states, seed)``.
+        Seed of the states: they are ``policy.space.sample(states, seed)``.
     states, agreeing : int
         Random states, and those at which the policy agrees, rounded down.
     confidence, low, high : float
@@ -271,8 +271,8 @@ def _masks_in_turn(policy: Policy, count: int) -> Label:
 
 
 def _waves(policy: Policy, count: int, seed: int, in_force: int) -> Iterator[list[np.ndarray]]:
-    """Yield the states of ``policy.domain.sample(count, seed)``, as lists of chunks (B, n)."""
-    domain, random = policy.domain, np.random.default_rng(seed)
+    """Yield the states of ``policy.space.sample(count, seed)``, as lists of chunks (B, n)."""
+    domain, random = policy.space, np.random.default_rng(seed)
     most = max(CHUNK // in_force, min(FEWEST, CHUNK))
     wave = max(1, WAVE * CHUNK // (most * in_force))
     sizes = [min(most, count - start) for start in range(0, count, most)]

@@ -41,7 +41,7 @@ class LoopDerivative:
     def __init__(self, policy: Policy, V: Callable[[Any], Any]) -> None:
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
-        n, m = policy.domain.n, policy.alphabet.m
+        n, m = policy.space.n, policy.alphabet.m
         if policy.model is None:
             raise ProblemError(
                 f"`policy` must have a model to follow; '{policy.name}' was made without one"
@@ -123,7 +123,7 @@ def _check(program: Program, policy: Policy) -> None:
         needed.update(operands[1:] if name == "select" else operands)
     if all(k >= first and program.instructions[k - first] == ("const", 0.0) for k in gradient):
         raise ProblemError("`V` must depend on the state; its gradient is 0 everywhere")
-    states = policy.domain.sample(STATES)
+    states = policy.space.sample(STATES)
     rows = np.concatenate(program.evaluate(states.T))
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=0))
     if len(bad) > UNDEFINED * len(states):
@@ -141,7 +141,7 @@ def _check_continuity(program: Program, policy: Policy) -> None:
     Halving the way between two states, towards the greater change of V, ends at a jump if there is
     one on the way.
     """
-    domain = policy.domain
+    domain = policy.space
 
     def value(states: np.ndarray) -> np.ndarray:
         return program.evaluate(states.T)[0][0]

@@ -238,7 +238,7 @@ def lyapunov_grid(
     """
     zero = finite_number("zero", zero, least=0.0)
     loop = LoopDerivative(policy, V)
-    domain = policy.domain
+    domain = policy.space
     spacings = spacing if is_list(spacing, domain.n) else (spacing,) * domain.n
     spacings = [finite_number("spacing", value, above=0.0) for value in spacings]
     # 1e-9: a width that is a multiple of the spacing up to rounding gives no further state
@@ -291,8 +291,8 @@ class _Cells:
         self.counts = given.sum(axis=1)
         self.first = np.cumsum(self.counts) - self.counts
         self.shares = boxes.volumes() / np.prod(tree.counts, dtype=float)
-        self.lower = policy.domain.points(boxes.lower, tree.counts)
-        self.upper = policy.domain.points(boxes.upper, tree.counts)
+        self.lower = policy.space.points(boxes.lower, tree.counts)
+        self.upper = policy.space.points(boxes.upper, tree.counts)
 
     def prove(self, loop: LoopDerivative, function: str, depth: int, most: int) -> LyapunovProof:
         boxes = bisect(
@@ -360,7 +360,7 @@ class _Cells:
             better = (low > 0) & (found > np.maximum(values[some], 0))
             values[some[better]], symbols[some[better]] = found[better], labels[better]
         cells = self.policy.cells
-        entries = cells.find(self.policy.domain.locate(states, cells.counts))
+        entries = cells.find(self.policy.space.locate(states, cells.counts))
         kept = np.flatnonzero((values > 0) & (entries == self.entries[boxes.cells]))
         kept = kept[_largest(boxes.cells[kept], values[kept])]
         return boxes.cells[kept], symbols[kept], states[kept], values[kept]
@@ -386,7 +386,7 @@ class _Cells:
         unlike = shared_faces(
             tree,
             lambda below, above: tree.labels_at(below) != tree.labels_at(above),
-            self.policy.domain.periodic,
+            self.policy.space.periodic,
         )
         places = np.concatenate([unlike.below, unlike.above, tree.disagreeing])
         return np.isin(boxes.places[cells], places)

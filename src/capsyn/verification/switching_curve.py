@@ -153,7 +153,7 @@ def _loops(
     if duration is None:
         duration = HORIZONS * (policy.horizon or 1.0)
     options = LoopOptions(duration, rate, seed=seed, backend=backend, threads=threads)
-    return policy.domain.sample(trials, [seed, 6]), options
+    return policy.space.sample(trials, [seed, 6]), options
 
 
 def switching_point(
@@ -243,9 +243,9 @@ def repriced(
     """Return a policy made anew with another `Switching`; `base` is its controller without one."""
     cells, statistics = cell_tree(policy), policy.statistics
     if switching.has_share:
-        sample = policy.domain.sample(SAMPLES, statistics["seed"] + 1)
+        sample = policy.space.sample(SAMPLES, statistics["seed"] + 1)
         switching = switching.with_spread(base.spread(base.solve(sample)))
-    prices = switching.prices(policy.alphabet, policy.default)
+    prices = switching.prices(policy.alphabet, policy.default_control)
     formulation = dataclasses.replace(base.formulation, prices=prices)
     controller = dataclasses.replace(base, formulation=formulation)
     affine = statistics.get("leaves") == "affine"
@@ -264,7 +264,7 @@ def repriced(
     label, returns = (controller.scored, "masks+scores") if affine else (controller.masks, "masks")
     ratios = PriceRatios.of(prices)
     how = (returns, controller.preference, processors(threads), None, controller.in_force, ratios)
-    made = carry_out(plan, Labelling(label, *how), policy.domain, policy.alphabet)
+    made = carry_out(plan, Labelling(label, *how), policy.space, policy.alphabet)
     return dataclasses.replace(
         policy,
         cells=made.cells,

@@ -129,7 +129,7 @@ class Tally:
     def _following(self, states: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return what follows labels in force (B,) at states (B, n), and the cells of these."""
         tree = self._policy.cells
-        steps = self._policy.domain.locate(states, tree.counts)
+        steps = self._policy.space.locate(states, tree.counts)
         cells = tree.find(steps)
         return self._policy.transitions[tree.labels_in(cells, steps, now), now], cells
 
@@ -167,7 +167,7 @@ class Tally:
 
     def _islands(self, cells: np.ndarray) -> tuple[Island, ...]:
         """Return uniform cells (K,) with disagreeing states, most of these first."""
-        tree, domain = cell_tree(self._policy), self._policy.domain
+        tree, domain = cell_tree(self._policy), self._policy.space
         level = np.zeros(len(cells), dtype=np.int64)
         lower, upper = np.zeros((2, len(cells), tree.n), dtype=np.int64)
         for layer in tree.levels():  # whose places stand side by side

@@ -59,7 +59,7 @@ class Code:
         if arithmetic == "float":
             check_single_precision(plan, tree)
             if style != "nested" or tree.has_planes:
-                tree, faces = ranked(tree, plan.policy.domain)
+                tree, faces = ranked(tree, plan.policy.space)
         axes = [] if readings == "real" else count_axes(plan, readings)
         return Code(
             plan, style, arithmetic, readings, tick, prefix, wanted, tree, faces, axes, memory

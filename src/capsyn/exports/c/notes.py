@@ -55,12 +55,12 @@ def heavy_tables(code: Code) -> str | None:
     if sum(sizes) <= max(rest, TOLD_COUNTS):
         return None
     i = int(np.argmax(sizes))
-    name = plan.policy.domain.names[i]
+    name = plan.policy.space.names[i]
     why = "counts fall on faces of its lattice" if code.axes[i].line else "no line gives its steps"
     warning = f"tables of `readings` {code.readings} take {sizes[i]:,} bytes for axis '{name}'"
     warning += f" (the {plan.cells.kind}: {rest:,}), since {why}: "
     offset = plan.offset.copy()
-    step = plan.policy.domain.widths[i] / plan.counts[i]
+    step = plan.policy.space.widths[i] / plan.counts[i]
     offset[i] += min(abs(plan.scale[i]), step) / 2  # between faces
     with contextlib.suppress(ProblemError):  # counts may no more reach every step
         (moved,) = count_axes(dataclasses.replace(plan, offset=offset), code.readings, [i])
@@ -98,7 +98,7 @@ def notes(code: Code) -> list[str]:
             f"changed the symbol or the status of {code.changed:.3%} of {SAMPLES:,} random states. "
             "A periodic state beyond its bounds is brought back in single precision."
         )
-    domain = plan.policy.domain
+    domain = plan.policy.space
     if any(domain.periodic) and not code.axes:
         most = np.finfo(np.float32 if arithmetic == "float" else np.float64).max
         narrowest = domain.widths[list(domain.periodic)].min()

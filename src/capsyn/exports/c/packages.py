@@ -63,7 +63,7 @@ install(FILES ${{CMAKE_CURRENT_BINARY_DIR}}/{p}ConfigVersion.cmake
 
 def _middle(code: Code) -> str:
     """Return readings in the middle of the domain, as entries of an array."""
-    plan, domain = code.plan, code.plan.policy.domain
+    plan, domain = code.plan, code.plan.policy.space
     middle = ((domain.lower + domain.widths / 2) - plan.offset) / plan.scale
     if not code.axes:
         return ", ".join(map(code.literal, middle))
@@ -108,7 +108,7 @@ def _properties(code: Code) -> str:
     Who publishes the library puts in author, maintainer and url.
     """
     p, policy = code.prefix, code.plan.policy
-    states = ", ".join(policy.domain.names)
+    states = ", ".join(policy.space.names)
     lines = {
         "name": p,
         "version": __version__,

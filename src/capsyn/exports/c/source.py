@@ -101,7 +101,7 @@ def _of_leaf(code: Code, opening: str, argument: str) -> Part:
         return grid(code.tree, p, opening)
     if isinstance(code.tree, FeatureTree):
         return feature_decision(
-            code.tree, code.style, code.plan.policy.domain, p, opening, code.memory is not None
+            code.tree, code.style, code.plan.policy.space, p, opening, code.memory is not None
         )
     public, planes = opening, not static and len(code.tree.planes)
     if planes:
@@ -110,7 +110,7 @@ def _of_leaf(code: Code, opening: str, argument: str) -> Part:
         part = table(code.tree, p, opening, code.memory is not None)
     else:
         compares = code.arithmetic if code.direct else "lattice"
-        part = nested(code.tree, code.plan.policy.domain, p, opening, argument, compares)
+        part = nested(code.tree, code.plan.policy.space, p, opening, argument, compares)
     if planes:
         part = replace(part, text=part.text + nearest(code.tree, p, public))
     return part

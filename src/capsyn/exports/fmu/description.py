@@ -47,7 +47,7 @@ def description(plan: Plan, name: str, guid: str) -> bytes:
 
 def _states(plan: Plan) -> list[Element]:
     """Return the inputs of the unit: readings of the states."""
-    domain, names = plan.policy.domain, variable_names(plan)
+    domain, names = plan.policy.space, variable_names(plan)
     variables = []
     for i in range(domain.n):
         about, unit = f"State {domain.names[i]}", domain.units[i]

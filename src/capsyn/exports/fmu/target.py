@@ -78,7 +78,7 @@ def export(plan: Plan, golden: Golden, options: Options) -> Exported:
     content = {"modelDescription.xml": description(plan, name, guid), f"sources/{name}.c": source}
     if not options.sources_only:
         content |= build(name, source, platforms) if platforms else _of_host(name, source)
-    names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
+    names = [*plan.policy.space.names, *plan.policy.alphabet.inputs]
     return Exported({f"{name}.fmu": _zip(content)}, renamed(names, variable_names(plan)))
 
 
@@ -145,7 +145,7 @@ def _warn(reason: str) -> None:
 
 def _source(plan: Plan, guid: str) -> bytes:
     """Return the C source: what the policy is, as constants and tables, then what it does."""
-    policy, domain = plan.policy, plan.policy.domain
+    policy, domain = plan.policy, plan.policy.space
     features = features_of(plan.cells)
     lines = [f"/* {line.replace('*/', '* /').replace('/*', '/ *')} */" for line in plan.header]
     lines += [

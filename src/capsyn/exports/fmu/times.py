@@ -74,7 +74,7 @@ def variable_names(plan: Plan) -> tuple[str, ...]:
     policy, times = plan.policy, times_of(plan)
     fixed = {"min_dwell", HOLD_OFF} if plan.hold_off else {"min_dwell"}
     own = [text for text in times.texts if text not in fixed]
-    others = [*policy.domain.names, *policy.alphabet.inputs]
+    others = [*policy.space.names, *policy.alphabet.inputs]
     reserved = [*KEYWORDS, *OWN, *([HOLD_OFF] if plan.hold_off else [])]
     names = identifiers([*others, *own], reserved)
     made = iter(names[len(others) :])

@@ -134,7 +134,7 @@ def _schema(version: int) -> bytes:
 def document(plan: Plan) -> dict[str, Any]:
     """Return the policy as plain data."""
     policy, cells = plan.policy, plan.cells
-    domain, alphabet = policy.domain, policy.alphabet
+    domain, alphabet = policy.space, policy.alphabet
     states = zip(
         domain.names,
         domain.units,

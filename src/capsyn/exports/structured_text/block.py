@@ -79,7 +79,7 @@ class Block:
         kept |= {block, *calls.values()}
         if isinstance(tree, SplitTree):
             kept |= {f"{calls['tree']}{k}" for k in range(1, tree.node_count)}
-        names = [*plan.policy.domain.names, *plan.policy.alphabet.inputs]
+        names = [*plan.policy.space.names, *plan.policy.alphabet.inputs]
         chosen = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
         states = identifiers([f"state_{i}" for i in range(n)], {*kept, *chosen}, fold=True)
         new_names = renamed([wanted, *names], [block, *chosen])
@@ -87,7 +87,7 @@ class Block:
         if axes:
             same = [reading == "DINT" and not (axis.falling or axis.turn) for axis in axes]
         else:
-            periodic, reading = plan.policy.domain.periodic, real_kind
+            periodic, reading = plan.policy.space.periodic, real_kind
             same = [not (_raw(plan, i) or periodic[i]) for i in range(n)]
         states = tuple(r if is_same else s for s, r, is_same in zip(states, chosen, same))
         return Block(
@@ -119,7 +119,7 @@ class Block:
     @property
     def wraps(self) -> list[int]:
         """Axes along which a state is brought into its period by a function."""
-        return [i for i in self.used if self.plan.policy.domain.periodic[i] and not self.axes]
+        return [i for i in self.used if self.plan.policy.space.periodic[i] and not self.axes]
 
     def literal(self, value: float) -> str:
         """Return a literal of the type of numbers."""

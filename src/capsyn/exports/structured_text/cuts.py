@@ -19,7 +19,7 @@ def cut(plan: Plan, node: int) -> str:
     steps reach the threshold about half of their common divisor before it. The state that matters
     most over its axis gets the factor 1, and the bound has its unit.
     """
-    tree, domain = plan.tree.cells, plan.policy.domain
+    tree, domain = plan.tree.cells, plan.policy.space
     split, threshold = int(tree.split[node]), int(tree.threshold[node])
     if split < tree.n:
         place = float(domain.faces(split, np.array([threshold]), tree.counts[split])[0])

@@ -71,7 +71,7 @@ def notes(block: Block) -> tuple[str, ...]:
     lines = [f"tables of 32-bit numbers (DINT): {', '.join(wide)}"] if wide else []
     for i, axis in enumerate(block.axes):
         if axis.missed:
-            name = block.plan.policy.domain.names[i]
+            name = block.plan.policy.space.names[i]
             steps_of = len(axis.changes) + 1
             lines.append(
                 f"counts are coarse: {axis.missed} of {steps_of} steps of '{name}' never occur"
@@ -87,7 +87,7 @@ def _inputs(block: Block) -> list[Variable]:
 
 
 def _readings(block: Block) -> list[Variable]:
-    plan, domain, made = block.plan, block.plan.policy.domain, []
+    plan, domain, made = block.plan, block.plan.policy.space, []
     for i, reading in enumerate(block.readings):
         about = with_unit(domain.names[i], domain.units[i])
         if block.raw[i] or block.axes:

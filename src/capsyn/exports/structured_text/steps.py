@@ -18,7 +18,7 @@ def tables(block: Block) -> dict[int, Variable]:
     """Return the tables of faces in which steps are looked up, by axes."""
     if block.numbers is None:
         return {}
-    domain, counts = block.plan.policy.domain, block.plan.counts
+    domain, counts = block.plan.policy.space, block.plan.counts
     made = {}
     for i in block.used:
         numbers, name = block.numbers[i], f"faces{i}"
@@ -60,7 +60,7 @@ def states(block: Block) -> list[str]:
 
 def bounds(block: Block) -> list[str]:
     """Return the conditions that states in the domain meet, but for those that all do."""
-    domain, found = block.plan.policy.domain, []
+    domain, found = block.plan.policy.space, []
     for i, state in enumerate(block.states):
         if block.axes:
             found += _beyond(block, i)
@@ -105,7 +105,7 @@ def steps(block: Block) -> list[str]:
 
 
 def _box(block: Block, i: int) -> str:
-    domain = block.plan.policy.domain
+    domain = block.plan.policy.space
     ends = np.array([domain.lower[i], domain.upper[i]])
     lower, upper = round_up(ends) if block.real == "REAL" else ends
     return f"lower := {block.literal(lower)}, upper := {block.literal(upper)}"

@@ -130,7 +130,7 @@ def _sequence(block: Block, single: bool) -> Sequence | None:
 
 def _check(plan: Plan, options: Options, single: bool) -> None:
     """Raise `ProblemError` where numbers cannot be written, or be told apart."""
-    domain = plan.policy.domain
+    domain = plan.policy.space
     parts = {"controls": plan.policy.controls}
     if options.readings == "real":
         ends = np.column_stack([domain.lower, domain.upper])
@@ -164,7 +164,7 @@ def _check_tables(block: Block) -> None:
             f"{what} tabulates all {total:,} faces of {of}; more than {MOST_FACES:,} are too many: "
             f"take {other}, or a coarser policy"
         )
-    for name, axis in zip(block.plan.policy.domain.names, block.axes):
+    for name, axis in zip(block.plan.policy.space.names, block.axes):
         if axis.turn > (1 << 31) - 1:
             raise ProblemError(
                 f"`scale` must make a turn of the periodic axis '{name}' fewer counts than 2^31"
@@ -177,7 +177,7 @@ def _header(block: Block, options: Options, changed: float | None) -> list[str]:
         f"Target structured-text: {options.style}, numbers {options.real}, readings "
         f"{options.readings}, dialect {options.dialect}."
     )
-    for name, axis in zip(block.plan.policy.domain.names, block.axes):
+    for name, axis in zip(block.plan.policy.space.names, block.axes):
         if axis.turn:
             lines.append(f"A turn of '{name}' is {axis.turn} counts; others are brought into one.")
     if changed is not None:

@@ -135,7 +135,7 @@ def sequence_bench(module: Module) -> tuple[bytes, bytes, list[str], Sequence | 
     outside, and the symbol that is then in force. States that are not finite are others.
     """
     plan, ports = module.plan, module.ports
-    found, domain = golden_sequence(plan), module.plan.policy.domain
+    found, domain = golden_sequence(plan), module.plan.policy.space
     states = plan.states(found.readings)
     states = np.where(np.isfinite(states), states, domain.lower)
     unfolded = dataclasses.replace(plan, scale=np.ones(plan.n), offset=np.zeros(plan.n))

@@ -65,7 +65,7 @@ class Module:
         wanted = wanted_name(name, plan.policy.name)
         fixed = {*FIXED, *(_remembered(plan) if plan.has_state else ())}
         (module,) = identifiers([wanted[:LONGEST_NAME]], {*KEYWORDS, *fixed})
-        states, end = plan.policy.domain.names, "" if ports else "_step"
+        states, end = plan.policy.space.names, "" if ports else "_step"
         names = [text[:LONGEST_NAME] + end for text in states]
         own = {module, f"{module}_tb", *fixed, *filter(_is_inner, names)}
         own |= {f"{module}_next", f"{module}_sequence_tb"} if plan.has_state else set()

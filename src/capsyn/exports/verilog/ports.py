@@ -106,7 +106,7 @@ class Port:
 
 def fixed_port(plan: Plan, axis: int, bits: int | None, fraction: int | None) -> Port:
     """Return the port of a state; `ProblemError` where its steps fall together or do not fit."""
-    domain, count = plan.policy.domain, plan.tree.cells.counts[axis]
+    domain, count = plan.policy.space, plan.tree.cells.counts[axis]
     name, periodic = domain.names[axis], domain.periodic[axis]
     scale, offset = float(plan.scale[axis]), float(plan.offset[axis])
     low, high = float(domain.lower[axis]), float(domain.upper[axis])
@@ -165,14 +165,14 @@ def _told_apart(plan: Plan, axis: int) -> np.ndarray:
     if count > MOST_STEPS:
         raise ProblemError(
             f"sums of an oblique tree take up to {MOST_STEPS:,} lattice steps from a fixed-point "
-            f"port; axis '{plan.policy.domain.names[axis]}' has {count:,}: take inputs lattice"
+            f"port; axis '{plan.policy.space.names[axis]}' has {count:,}: take inputs lattice"
         )
     return np.arange(1, count)
 
 
 def changed_share(plan: Plan, ports: tuple[Port, ...]) -> float:
     """Return the share of random states in the domain whose label the ports' rounding changes."""
-    domain, tree = plan.policy.domain, plan.tree.cells
+    domain, tree = plan.policy.space, plan.tree.cells
     rng = stream(0, QUANTISED)
     states = domain.lower + rng.random((SHARED, plan.n)) * domain.widths
     before = tree.labels(domain.locate(states, tree.counts))
@@ -189,7 +189,7 @@ def port_numbers(ports: tuple[Port, ...], readings: np.ndarray) -> np.ndarray:
 
 def quantised_readings(plan: Plan, ports: tuple[Port, ...], numbers: np.ndarray) -> np.ndarray:
     """Return the readings (K, n) that numbers (K, n) stand for."""
-    periodic = plan.policy.domain.periodic
+    periodic = plan.policy.space.periodic
     return np.stack([p.readings(numbers[:, p.axis], periodic[p.axis]) for p in ports], axis=1)
 
 

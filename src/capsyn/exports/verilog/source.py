@@ -24,7 +24,7 @@ def source(module: Module, about: Sequence[str]) -> list[str]:
     for i in range(module.plan.n):
         if i in used:
             lines += _front(module, i)
-        elif module.ports is None or module.plan.policy.domain.periodic[i]:
+        elif module.ports is None or module.plan.policy.space.periodic[i]:
             lines.append(f"    wire unused_{i} = &{{1'b0, {module.inputs[i]}}};")
     if module.ports:
         lines += _outside(module)
@@ -34,7 +34,7 @@ def source(module: Module, about: Sequence[str]) -> list[str]:
 
 
 def _about(module: Module) -> Iterator[str]:
-    plan, domain = module.plan, module.plan.policy.domain
+    plan, domain = module.plan, module.plan.policy.space
     if module.renamed:
         yield from (f"Renamed: {old!r} is {new}" for old, new in module.renamed.items())
     if module.ports is None:
@@ -85,7 +85,7 @@ def _front(module: Module, i: int) -> list[str]:
     width, source = module.inner_widths[i], module.inputs[i]
     if module.ports is None:
         return [f"    wire [{width - 1}:0] z{i} = {source};"]
-    port, periodic = module.ports[i], module.plan.policy.domain.periodic[i]
+    port, periodic = module.ports[i], module.plan.policy.space.periodic[i]
     kind = f"    wire signed [{port.bits - 1}:0]"
     value = f"~{source}" if port.negative else source
     lines = [f"{kind} v{i} = {value};"]
@@ -108,7 +108,7 @@ def _front(module: Module, i: int) -> list[str]:
 
 def _product(module: Module, i: int, port: Port, periodic: bool) -> list[str]:
     """Return the step as ``(w * M + A) >> S``, proved at every number when exported."""
-    factor, addend, shift = fold(port, module.plan.policy.domain.names[i], periodic)
+    factor, addend, shift = fold(port, module.plan.policy.space.names[i], periodic)
     width = module.inner_widths[i]
     top = max(factor * max(map(abs, port.ends(periodic))), abs(addend), factor)
     bits = max(width_of(2 * top + 2), shift + width, port.bits) + 1
@@ -129,7 +129,7 @@ def _product(module: Module, i: int, port: Port, periodic: bool) -> list[str]:
 def _outside(module: Module) -> list[str]:
     tests = []
     for text, port in zip(module.inputs, module.ports or ()):
-        if module.plan.policy.domain.periodic[port.axis]:
+        if module.plan.policy.space.periodic[port.axis]:
             continue
         value = f"~{text}" if port.negative else text
         if port.first > port.least:
@@ -150,7 +150,7 @@ def _end(module: Module) -> list[str]:
     if module.has_state:
         wanted, lines = followed(module)
     label = wanted
-    if module.ports and not plan.nearest and not all(plan.policy.domain.periodic):
+    if module.ports and not plan.nearest and not all(plan.policy.space.periodic):
         wanted = f"outside_end ? {safe} : {label}"
     if plan.policy.gaps:
         lines.append(f"    wire gap = {label} == {module.symbol_bits}'d{plan.gap};")

@@ -119,7 +119,7 @@ def limit_of(readings: str) -> int:
 
 def _axis(plan: Plan, i: int, readings: str) -> CountAxis:
     bits = BITS[readings]
-    domain, steps = plan.policy.domain, plan.counts[i]
+    domain, steps = plan.policy.space, plan.counts[i]
     scale, offset = float(plan.scale[i]), float(plan.offset[i])
     lower, upper, name = float(domain.lower[i]), float(domain.upper[i]), domain.names[i]
     falling = scale < 0

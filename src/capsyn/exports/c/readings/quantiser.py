@@ -46,7 +46,7 @@ def state_quantiser(code: Code, opening: str) -> Part:
 
 def _bounds(code: Code) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return lower and upper bounds, and last states inside; floats reach what doubles do."""
-    lower, upper = code.plan.policy.domain.lower, code.plan.policy.domain.upper
+    lower, upper = code.plan.policy.space.lower, code.plan.policy.space.upper
     if code.real == "float":
         return round_up(lower), round_up(upper), -round_up(-upper)
     return lower, upper, upper
@@ -54,13 +54,13 @@ def _bounds(code: Code) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _wraps(code: Code, i: int) -> bool:
     """Return whether a state must be brought into its period to find its place."""
-    periodic = code.plan.policy.domain.periodic[i]
+    periodic = code.plan.policy.space.periodic[i]
     return periodic and (code.faces is None or len(code.faces[i]) > 0)
 
 
 def _functions(code: Code) -> list[str]:
     """Return what a quantiser may call, callees first."""
-    domain, counts = code.plan.policy.domain, code.tree.counts
+    domain, counts = code.plan.policy.space, code.tree.counts
     prefix, real, most = code.prefix, code.real, "FLT_MAX" if code.real == "float" else "DBL_MAX"
     finite = f"""
 static bool {prefix}_finite({real} x)
@@ -101,7 +101,7 @@ def _state(code: Code, i: int) -> str:
 
 def _outside(code: Code, i: int) -> Iterator[str]:
     """Yield what tells states beyond the bounds of an axis."""
-    if not code.plan.policy.domain.periodic[i]:
+    if not code.plan.policy.space.periodic[i]:
         lower, _, last = _bounds(code)
         least, most = code.literal(lower[i]), code.literal(last[i])
         yield f"        if ((x{i} < {least}) || (x{i} > {most})) {{"
@@ -111,7 +111,7 @@ def _outside(code: Code, i: int) -> Iterator[str]:
 
 def _place(code: Code, i: int) -> Iterator[str]:
     """Yield what gives the place of a finite state on an axis."""
-    domain, count = code.plan.policy.domain, code.plan.counts[i]
+    domain, count = code.plan.policy.space, code.plan.counts[i]
     lower, upper, _ = _bounds(code)
     single = code.real == "float"
     width = float(upper[i]) - float(lower[i]) if single else float(domain.widths[i])

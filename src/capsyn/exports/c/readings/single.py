@@ -34,7 +34,7 @@ def check_single_precision(
 
     Errors name the `option` that asks for it, and the `other` value to take.
     """
-    domain = plan.policy.domain
+    domain = plan.policy.space
     parts = {"`scale`": plan.scale, "`offset`": plan.offset, "controls": plan.policy.controls}
     for name, values in parts.items():
         with np.errstate(over="ignore"):
@@ -111,7 +111,7 @@ def _single_states(plan: Plan, readings: np.ndarray) -> tuple[np.ndarray, np.nda
 
     Periodic ones are brought back, and readings made states, in single precision.
     """
-    domain = plan.policy.domain
+    domain = plan.policy.space
     with np.errstate(over="ignore", invalid="ignore"):
         singles = readings.astype(np.float32)
         states = singles.copy()
@@ -137,7 +137,7 @@ def _wrapped(x: np.ndarray, domain: Box, i: int) -> np.ndarray:
 
 def share_changed(plan: Plan) -> float:
     """Return the share of random states in the domain whose symbol or status rounding changes."""
-    states = plan.policy.domain.sample(SAMPLES)
+    states = plan.policy.space.sample(SAMPLES)
     readings = (states - plan.offset) / plan.scale
     exact, single = decide(plan, readings), decide_single(plan, readings)
     same = (exact.labels == single.labels) & (exact.statuses == single.statuses)

@@ -90,7 +90,7 @@ def _asked(code: Code, golden: Golden) -> Iterator[tuple[str, str, np.ndarray, b
     exact &= memory is None or memory.kept is None
     if code.arithmetic == "lattice":
         yield "symbol", code.integer, steps, exact and code.style in KNOWN
-    domain = plan.policy.domain
+    domain = plan.policy.space
     within = np.clip(steps[:SEEN], 0, np.array(tree.counts) - 1)
     states = domain.lower + (within + 0.5) / tree.counts * domain.widths
     centres = (states - plan.offset) / plan.scale
