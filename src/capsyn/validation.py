@@ -6,7 +6,7 @@ What passed is kept in frozen dataclasses, its arrays read-only.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -158,6 +158,15 @@ def true_or_false(name: str, value: Any) -> None:
     """Raise `ProblemError` unless a value is True or False."""
     if not isinstance(value, bool):
         raise ProblemError(f"`{name}` must be True or False; got {describe(value)}")
+
+
+def called(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return what a user's function gives; what it raises becomes one line that names it."""
+    try:
+        return function(*arguments)
+    except Exception as error:  # a user's function may raise anything
+        reason = one_line(f"{type(error).__name__}: {error}")
+        raise ProblemError(f"`{name}` failed: {reason}") from error
 
 
 def one_of(name: str, value: Any, choices: Sequence[str]) -> str:

@@ -122,9 +122,7 @@ class Automaton:
         vertices = tuple(reachable(policy).tolist())
         partitions = connected_partitions(policy.cells, policy.space.periodic)
         if policy.remembers:
-            areas = tuple(
-                guards(policy.cells, policy.space.periodic, policy.transitions, vertices)
-            )
+            areas = tuple(guards(policy.cells, policy.space.periodic, policy.transitions, vertices))
         else:
             areas = tuple(regions(policy.cells, partitions))
         names = (*policy.alphabet.names, policy.symbol_name(-1))

@@ -153,7 +153,7 @@ def _followed(
             if axis < tree.n and axis in number:
                 return node, number[axis], threshold, False
             if axis < tree.n:
-                beyond = fixed[axis] >= threshold
+                beyond = bool(fixed[axis] >= threshold)
             else:
                 plane = tree.planes[axis - tree.n].astype(np.int64)
                 threshold -= int(sum(plane[i] * value for i, value in fixed.items()))
@@ -187,9 +187,7 @@ def _cut_features(tree: FeatureTree, steps: np.ndarray) -> SplitTree:
     ranks = features.rank_counts
     free = [*range(n), *range(tree.n, tree.n + len(ranks))]
     counts = tree.counts[:n]
-    ranked = _followed(
-        tree.ranked, (*counts, *ranks), free, dict(zip(range(n, tree.n), steps))
-    )
+    ranked = _followed(tree.ranked, (*counts, *ranks), free, dict(zip(range(n, tree.n), steps)))
     planes = ranked.planes.any(axis=0)
     used = [k for k in range(len(ranks)) if planes[n + k] or (ranked.split == n + k).any()]
     left = [*range(n), *(n + k for k in used)]

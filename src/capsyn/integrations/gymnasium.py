@@ -265,7 +265,9 @@ class Environment(gymnasium.Env):
         self.period, self._samples = 1 / rate, max(1, round(duration * rate))
         whole = math.floor(problem.delay * rate + SLACK)
         self._rest = max(0.0, problem.delay - whole * self.period)
-        self._queue = deque([problem.default_control], maxlen=min(whole, self._samples) + 2)  # newest last
+        self._queue = deque(
+            [problem.default_control], maxlen=min(whole, self._samples) + 2
+        )  # newest last
         controls = np.vstack([problem.alphabet.values, problem.default_control])
         if substeps is None:
             substeps = choose_substeps(self._plant, controls, np.zeros((0, 1)), self.period)

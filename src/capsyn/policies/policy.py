@@ -213,8 +213,9 @@ class Policy:
     def rows(self, states: Any, exogenous: Any = None) -> Any:
         """Return which rows of `transitions` hold at states (..., n), numbers (...,).
 
-        `exogenous` is that of a call of the policy. They are negative outside the domain and where a state is not finite. Numbers from R on
-        are those of affine leaves, whose row varies with the state; see ``cells.affine``.
+        `exogenous` is that of a call of the policy. They are negative outside the domain and where
+        a state is not finite. Numbers from R on are those of affine leaves, whose row varies with
+        the state; see ``cells.affine``.
 
         Raises
         ------

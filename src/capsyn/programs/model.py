@@ -71,8 +71,10 @@ class Model:
     def at(self, exogenous: np.ndarray) -> Model:
         """Return the model of the states alone, with the exogenous inputs (k,) fixed."""
         n = dict(self.dynamics.inputs)["x"] - len(exogenous)
-        m, symbols = (dict(ports)[name] for ports, name in (
-            (self.dynamics.inputs, "u"), (self.insertion.outputs, "gradients")))
+        m, symbols = (
+            dict(ports)[name]
+            for ports, name in ((self.dynamics.inputs, "u"), (self.insertion.outputs, "gradients"))
+        )
 
         def fixed(programs: Any, ports: dict[str, tuple[Any, Any]]) -> dict[str, Program]:
             return {

@@ -26,7 +26,7 @@ from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import Plant, choose_substeps
 from capsyn.simulation.policy_loop import run_policy
 from capsyn.simulation.trial_job import run_on_workers
-from capsyn.validation import describe, numbers, one_line
+from capsyn.validation import called, describe, numbers
 
 MOST_SAMPLES = 10**9
 """Most samples of a trial."""
@@ -220,15 +220,6 @@ def _pushes(disturbance: Any, n: int, period: float, samples: int) -> np.ndarray
         return np.tile(per_state("disturbance", disturbance, n), (samples, 1))
     values = (called("disturbance", disturbance, k * period) for k in range(samples))
     return np.array([per_state("disturbance", value, n) for value in values])
-
-
-def called(name: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return what a user's function gives; what it raises becomes one line that names it."""
-    try:
-        return function(*arguments)
-    except Exception as error:  # a user's function may raise anything
-        reason = one_line(f"{type(error).__name__}: {error}")
-        raise ProblemError(f"`{name}` failed: {reason}") from error
 
 
 def _function_decide(function: Callable[..., Any], m: int) -> Decide:
