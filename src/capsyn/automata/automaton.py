@@ -57,7 +57,7 @@ class Automaton:
     name : str
         Name of the policy.
     domain : Box
-        Its domain.
+        Its domain; with exogenous inputs its space, whose last axes they are.
     counts : n ints
         Finest cells along each axis.
     symbols : int
@@ -82,6 +82,9 @@ class Automaton:
         What rates are per, see `Problem`.
     remembers : bool
         Whether the next symbol depends on the one in force.
+    told : int
+        Exogenous inputs among the axes of the domain. They are constant: no switch crosses a face
+        between values of theirs, though partitions are connected through it.
     """
 
     name: str
@@ -97,6 +100,7 @@ class Automaton:
     switching: Switching | None
     time_unit: str = "s"
     remembers: bool = False
+    told: int = 0
 
     @staticmethod
     def of(policy: Policy) -> Automaton:
@@ -141,6 +145,7 @@ class Automaton:
             switching=analysis,
             time_unit=policy.time_unit,
             remembers=policy.remembers,
+            told=policy.space.n - policy.domain.n,
         )
 
     def region_name(self, label: int, source: int | None = None) -> str:
@@ -225,11 +230,13 @@ class Automaton:
         """
         analysis = self.switching
         kept = [self.region(label) for label in self.vertices]
+        names, n = list(self.domain.names), self.domain.n - self.told
         return {
             **({} if self.time_unit == "s" else {"time_unit": self.time_unit}),
             **({"remembers": True} if self.remembers else {}),
             "name": self.name,
-            "states": list(self.domain.names),
+            "states": names[:n],
+            **({"exogenous": names[n:]} if self.told else {}),
             "vertices": [
                 {
                     "symbol": region.label,

@@ -66,7 +66,8 @@ MAX_SAMPLES = 1 << 22
 class Switching:
     """What the loop does on the faces between symbols, for N symbols and the default, F faces.
 
-    A face where several pairs of symbols may meet counts once for each.
+    A face where several pairs of symbols may meet counts once for each. Exogenous inputs do not
+    move: the faces between values of theirs are none of these, and rates are means over them.
 
     Rates are of states spread evenly over the domain: how many per time unit, of one state, arrive
     at faces. A loop spends its time elsewhere than evenly, so they compare policies, and say what a
@@ -147,6 +148,8 @@ def switching(policy: Policy) -> Switching:
     row_at = np.zeros(boxes.places.max() + 1, dtype=np.int64)
     row_at[boxes.places] = boxes.labels
     met = shared_faces(cells, lambda a, b: row_at[a] != row_at[b], domain.periodic)
+    n = policy.domain.n
+    met = Faces(*(column[met.axis < n] for column in vars(met).values()))
     met = _pieces(met, cells.counts)
     beside = np.stack([row_at[met.below], row_at[met.above]], axis=1)
     sides = Sides.of(rows, beside)
@@ -155,7 +158,7 @@ def switching(policy: Policy) -> Switching:
     areas, statuses, shares, flows = _looked_at(policy, faces, labels)
     _one_way(sides, statuses, shares, flows)
     flows *= rows.weights[sides.rows][:, [0, 1, 0, 1]]
-    exits = np.sum([_exits(policy, rows, axis, boxes) for axis in range(domain.n)], axis=0)
+    exits = np.sum([_exits(policy, rows, axis, boxes) for axis in range(n)], axis=0)
 
     def total(values: np.ndarray, downward: bool) -> np.ndarray:
         table = np.zeros((number, number))
@@ -197,7 +200,7 @@ def _looked_at(policy: Policy, faces: Faces, labels: np.ndarray) -> tuple[np.nda
     low, high = domain.points(faces.lower, counts), domain.points(faces.upper, counts)
     shares, flows = np.empty((len(faces), 4)), np.empty((len(faces), 4))
     areas, statuses = np.empty(len(faces)), np.empty((len(faces), 3), dtype=np.int8)
-    for axis in range(domain.n):
+    for axis in range(policy.domain.n):
         own = np.flatnonzero(faces.axis == axis)
         at = low[own, axis]
         seam = faces.lower[own, axis] == 0
@@ -338,7 +341,8 @@ def _from_outside(policy: Policy, rows: Rows, boxes: Boxes) -> np.ndarray:
     table = np.zeros((rows.next.shape[1],) * 2, dtype=bool)
     if policy.remembers and not isinstance(policy.outside, str):
         outer = (boxes.lower == 0) | (boxes.upper == policy.cells.counts)
-        numbers = np.unique(boxes.labels[(outer & ~np.array(policy.space.periodic)).any(axis=1)])
+        outer = (outer & ~np.array(policy.space.periodic))[:, : policy.domain.n]
+        numbers = np.unique(boxes.labels[outer.any(axis=1)])
         for _, before, after in rows.hops(numbers, np.full(len(numbers), policy.outside)):
             table[before, after] = True
     return table

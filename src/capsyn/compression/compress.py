@@ -99,14 +99,15 @@ def compress(
     seed : int
         Of everything that is random; the same seed gives the same tree.
     controller : callable, optional
-        What trees are fitted to and judged by: states (B, n) to symbol indices (B,), -1 for the
-        default, whatever is in force; or a policy, which may remember. Default: sSAC with the
-        policy's own model, or the policy where that has none.
+        What trees are fitted to and judged by: states (B, n), or readings, to symbol indices (B,),
+        -1 for the default, whatever is in force; or a policy, which may remember. Default: sSAC
+        with the policy's own model, or the policy where that has none.
     features : dict of functions, optional
         Functions of the state by name, in CasADi's terms like a problem's, that splits may compare
-        beside the states: ``{"energy": lambda x: ...}``. They are evaluated at the centres of the
-        steps of the tree's lattice, and those that a tree does not use are dropped. Not with
-        `level`, `node_price`, or, in mode ``freedom``, `agreement`.
+        beside the states: ``{"energy": lambda x: ...}``, and ``lambda x, w: ...`` for a policy that
+        is told exogenous inputs. They are evaluated at the centres of the steps of the tree's
+        lattice, and those that a tree does not use are dropped. Not with `level`, `node_price`, or,
+        in mode ``freedom``, `agreement`.
     backend : "auto", "c" or "numpy"
         How sSAC is solved.
 
@@ -190,14 +191,15 @@ def feature_tree(
     from capsyn.compression.features.controller_fit import fit_controller
 
     policy = judge.policy
+    told = policy.space.n - policy.domain.n
     if mode == "linear":
         target = DEFAULT_AGREEMENT if agreement is None else agreement
-        space = Space.of(functions, policy.space, fine_lattice(policy.space, FEATURE_STEPS))
+        space = Space.of(functions, policy.space, fine_lattice(policy.space, FEATURE_STEPS), told)
         rows = _rows(judge, target)
         fit = fit_controller(judge.masks(rows), space, len(rows), target, judge.seed, judge.states)
         return _linear(judge, fit, rows, target)
     plain = exact_tree(policy) if mode == "exact" else next(free_trees(judge, None, (NODE_PRICE,)))
-    space = Space.of(functions, policy.space, cell_tree(policy).counts)
+    space = Space.of(functions, policy.space, cell_tree(policy).counts, told)
     cells = fit_cells(policy, space, mode == "freedom", plain.node_count)
     if cells is None:
         warn(f"no tree with `features` is smaller than the {plain.node_count} nodes without")

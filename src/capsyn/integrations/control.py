@@ -27,7 +27,7 @@ except ImportError:
 def policy_system(
     policy: Policy, dt: float = 0.0, name: str = "policy"
 ) -> control.NonlinearIOSystem:
-    """Return a policy as a system: states in, controls out.
+    """Return a policy as a system: states, and after them exogenous inputs, in; controls out.
 
     It is static, but for a policy that depends on the symbol in force or whose `Switching` has
     least times. The states of its system are ``in_force``, 0 before the first decision, else 1 more
@@ -83,6 +83,8 @@ def plant_system(
 ) -> control.NonlinearIOSystem:
     """Return the system of a problem, or of a policy with a model: controls in, states out.
 
+    Exogenous inputs are inputs after the controls, by their names; over a sample they are held.
+
     Parameters
     ----------
     model : Problem or Policy
@@ -114,21 +116,24 @@ def plant_system(
     elif dt:
         controls = np.vstack([plant.alphabet.values, plant.default])
         substeps = choose_substeps(plant, controls, np.zeros((0, 1)), dt)
-    none = np.zeros((0, 1))
+    none, n, m = np.zeros((0, 1)), plant.states, plant.m
+    names = plant.domain.names
 
     def update(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
-        state, held = (np.asarray(v, dtype=float)[:, None] for v in (x, np.atleast_1d(u)))
+        held, told = np.split(np.atleast_1d(u)[:, None], [m])
+        reading = np.concatenate([np.asarray(x, dtype=float)[:, None], told])
         if substeps is None:
-            return plant.rates(state, held, none)[:, 0]
-        still, whole = np.zeros_like(state), np.full(1, dt)
-        return plant.advance(state, np.zeros(1), held, none, still, whole, substeps)[0][:, 0]
+            return plant.rates(reading, held, none)[:n, 0]
+        still, whole = np.zeros_like(reading), np.full(1, dt)
+        end, _ = plant.advance(reading, np.zeros(1), held, none, still, whole, substeps)
+        return end[:n, 0]
 
     return control.NonlinearIOSystem(
         update,
         None,
-        inputs=list(plant.alphabet.inputs),
-        outputs=list(plant.domain.names),
-        states=list(plant.domain.names),
+        inputs=[*plant.alphabet.inputs, *names[n:]],
+        outputs=list(names[:n]),
+        states=list(names[:n]),
         dt=dt,
         name=name,
     )

@@ -13,6 +13,7 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.integrations.evaluation import Evaluation
 from capsyn.integrations.stepping import has_holds, has_memory, stepper
+from capsyn.modelling.exogenous import one_exogenous
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import target_program
 from capsyn.modelling.time_unit import NAMES
@@ -92,7 +93,8 @@ def player(
     env : gymnasium.Env
         Its actions are ``Discrete`` or ``Box``.
     observation : callable, optional
-        Observation to state (n,). Default: the observation, flat, is the state.
+        Observation to state (n,), with exogenous inputs after it where the policy is told some.
+        Default: the observation, flat, is that.
     actions : N or N + 1 actions, optional
         The action of each symbol, and of the default control. Default: for ``Discrete`` the
         symbol's index from the first action on, and none for the default control; for ``Box`` the
@@ -261,7 +263,7 @@ class Environment(gymnasium.Env):
     ) -> None:
         self.problem, self._stop = problem, stop
         self._plant = plant_of(lambda time, states: states, problem)
-        self._inside = target_program(self._plant.target, problem.domain)
+        self._inside = target_program(self._plant.target, problem.space)
         self.period, self._samples = 1 / rate, max(1, round(duration * rate))
         whole = math.floor(problem.delay * rate + SLACK)
         self._rest = max(0.0, problem.delay - whole * self.period)
@@ -272,77 +274,95 @@ class Environment(gymnasium.Env):
         if substeps is None:
             substeps = choose_substeps(self._plant, controls, np.zeros((0, 1)), self.period)
         self._substeps = substeps
-        domain = problem.domain
-        self.observation_space = gymnasium.spaces.Box(domain.lower, domain.upper, dtype=np.float64)
+        space = problem.space
+        self.observation_space = gymnasium.spaces.Box(space.lower, space.upper, dtype=np.float64)
         self.action_space = gymnasium.spaces.Discrete(len(problem.alphabet))
-        self._state, self._left = domain.lower.copy(), 0
+        self._reading, self._left = space.lower.copy(), 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Return the observation of a new initial state, uniform in the domain.
 
-        ``options={"state": x0}`` gives another.
+        ``options={"state": x0}`` gives another. Exogenous inputs are uniform in their box, or those
+        of ``options={"exogenous": w}``, numbers or a mapping of name to number.
         """
         super().reset(seed=seed)
-        domain = self.problem.domain
-        start = (options or {}).get("state")
+        domain, given = self.problem.domain, options or {}
+        start = given.get("state")
         if start is None:
-            self._state = domain.lower + self.np_random.random(domain.n) * domain.widths
+            state = domain.lower + self.np_random.random(domain.n) * domain.widths
         else:
             state = finite_array("state", start, 1)
             if state.shape != (domain.n,):
                 raise ProblemError(f"`state` must have shape ({domain.n},); got {state.shape}")
-            self._state = np.array(state)
+        self._reading = np.concatenate([state, self._exogenous(given.get("exogenous"))])
         self._left = self._samples
         self._queue.extend([self.problem.default_control] * (self._queue.maxlen or 0))
         return self._observation(), self._info()
+
+    def _exogenous(self, given: Any) -> np.ndarray:
+        """Return the exogenous inputs (k,) of an episode."""
+        told = self.problem.exogenous
+        if told is None:
+            if given is not None:
+                raise ProblemError(
+                    "`exogenous` must be left out: the problem has no exogenous inputs; got "
+                    + describe(given)
+                )
+            return np.empty(0)
+        if given is None:
+            drawn: np.ndarray = told.lower + self.np_random.random(told.n) * told.widths
+            return drawn
+        return one_exogenous(given, told)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Hold the symbol `action` over a sample.
 
         Returns
         -------
-        observation : (n,)
-            The state; see `environment`.
+        observation : (n,) or (n + k,)
+            The state, and exogenous inputs; see `environment`.
         reward : float
             Minus the cost of the sample, and where the episode ends the terminal cost;
             `WORST_REWARD` at least, and where that cost or the state is not finite.
         terminated, truncated : bool
             Whether the episode ended by itself, or its time is over.
         info : dict
-            The ``state`` itself.
+            The ``state`` itself, and ``exogenous`` inputs where there are some.
         """
         if not self.action_space.contains(action):
             raise ProblemError(f"`action` must be in {self.action_space}; got {describe(action)}")
         domain = self.problem.domain
         self._queue.append(self.problem.alphabet.values[int(action)])
-        x, cost, none = self._state[:, None], np.zeros(1), np.zeros((0, 1))
+        x, cost, none = self._reading[:, None], np.zeros(1), np.zeros((0, 1))
         for u, time in zip(self._queue, (self._rest, self.period - self._rest)):
             if time > SLACK * self.period:
-                held = (u[:, None], none, np.zeros((domain.n, 1)), np.full(1, time))
+                held = (u[:, None], none, np.zeros_like(x), np.full(1, time))
                 x, cost = self._plant.advance(x, cost, *held, self._substeps)
-        self._state = x[:, 0]
+        self._reading = x[:, 0]
         self._left -= 1
-        finite = bool(np.isfinite(self._state).all() and np.isfinite(cost[0]))
-        left = self.problem.outside == "error" and not domain.contains(self._state[None])[0]
-        arrived = self._stop and bool(self._inside.evaluate(self._state)[0][0] == 1)
+        finite = bool(np.isfinite(self._reading).all() and np.isfinite(cost[0]))
+        inside = domain.contains(self._reading[None, : domain.n])[0]
+        left = self.problem.outside == "error" and not inside
+        arrived = self._stop and bool(self._inside.evaluate(self._reading)[0][0] == 1)
         terminated, truncated = not finite or bool(left) or arrived, self._left <= 0
         total = float(cost[0])
         if (terminated or truncated) and finite:
-            total += float(self._plant.terminal_cost.evaluate(self._state)[0][0])
+            total += float(self._plant.terminal_cost.evaluate(self._reading)[0][0])
         reward = max(-total, WORST_REWARD) if np.isfinite(total) else WORST_REWARD
         return self._observation(), reward, terminated, truncated, self._info()
 
     def _observation(self) -> np.ndarray:
-        domain = self.problem.domain
-        state = np.nan_to_num(self._state, posinf=np.inf, neginf=-np.inf)
-        finite = np.isfinite(state)
-        state = np.where(finite, state, np.where(state > 0, domain.upper, domain.lower))
-        return np.clip(domain.wrap(state[None])[0], domain.lower, domain.upper)
+        space = self.problem.space
+        seen = np.nan_to_num(self._reading, posinf=np.inf, neginf=-np.inf)
+        finite = np.isfinite(seen)
+        seen = np.where(finite, seen, np.where(seen > 0, space.upper, space.lower))
+        return np.clip(space.wrap(seen[None])[0], space.lower, space.upper)
 
     def _info(self) -> dict[str, Any]:
-        return {"state": self._state.copy()}
+        state, exogenous = np.split(self._reading.copy(), [self.problem.domain.n])
+        return {"state": state} | ({"exogenous": exogenous} if len(exogenous) else {})
 
 
 def environment(
@@ -357,7 +377,9 @@ def environment(
 
     An action is a symbol, held over a sample; an episode begins anywhere in the domain. The
     observation is the state, on periodic axes within a period, and beyond the domain its nearest
-    state; the state itself is in ``info``. An episode ends when the state or the cost is not
+    state; the state itself is in ``info``. Exogenous inputs come after it; they are constant in an
+    episode, and drawn from their box for each, unless ``reset(options={"exogenous": w})`` says
+    them. An episode ends when the state or the cost is not
     finite, or the state leaves the domain of a problem whose `outside` is ``"error"``. A control
     acts after the problem's delay, before the first the default control does; what a problem says
     of switching is for who acts.

@@ -12,7 +12,7 @@ from capsyn.policies.single_lookup import single_lookup
 from capsyn.simulation.closed_loop import Holds
 
 Step = Callable[[Any, np.ndarray], tuple[int, np.ndarray]]
-"""``(state (n,), memory (2 + m,)) -> (symbol, memory)``; -1 is the default control.
+"""``(reading (n,), memory (2 + m,)) -> (symbol, memory)``; -1 is the default control.
 
 The memory is 0 before the first decision, else 1 more than the label in force; the samples that it
 has been held; and those that each input has been held. All of it is 0 at the start.

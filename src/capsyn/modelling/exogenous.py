@@ -61,6 +61,16 @@ def of_states(target: Any, domain: Box, exogenous: Box | None) -> Any:
     return target
 
 
+def exogenous_text(told: Box | None) -> str:
+    """Return exogenous inputs and their bounds in words; empty where there are none."""
+    if told is None:
+        return ""
+    return ", ".join(
+        f"{name} in [{low:g}, {high:g}]"
+        for name, low, high in zip(told.names, told.lower, told.upper)
+    )
+
+
 def readings(states: Any, exogenous: Any, domain: Box, told: Box | None) -> np.ndarray:
     """Return readings (..., n + k) of states (..., n) and exogenous inputs (..., k), checked.
 
@@ -111,5 +121,15 @@ def exogenous_array(values: Any, told: Box) -> np.ndarray:
         raise ProblemError(
             f"`exogenous` must be numbers of shape (..., {told.n}): {', '.join(told.names)}; got "
             f"shape {w.shape}"
+        )
+    return w
+
+
+def one_exogenous(values: Any, told: Box) -> np.ndarray:
+    """Return exogenous inputs (k,) within their box, of a mapping of names, too."""
+    w = exogenous_array(values, told)
+    if w.shape != (told.n,) or not told.contains(w[None])[0]:
+        raise ProblemError(
+            f"`exogenous` must be one of each: {exogenous_text(told)}; got {describe(values)}"
         )
     return w

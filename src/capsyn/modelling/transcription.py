@@ -99,22 +99,24 @@ def user_program(
 
 
 def feature_program(
-    features: Mapping[str, Callable[[Any], Any]], domain: Box, counts: Sequence[int]
+    features: Mapping[str, Callable[..., Any]], domain: Box, counts: Sequence[int], told: int = 0
 ) -> Program:
     """Return the program of features at the centres of lattice steps.
 
-    It takes steps (n,) of a lattice of `counts` (n,) in the domain and gives the values of all
-    features (K,), each a function of the state by its name. Errors are those of `expression`.
+    It takes steps (n,) of a lattice of `counts` (n,) in the domain, whose last `told` axes are
+    exogenous, and gives the values of all features (K,), each a function of x, or of x and w, by
+    its name. Errors are those of `expression`.
     """
     z = ca.SX.sym("z", domain.n)
-    x = domain.lower + (z + 0.5) * (domain.widths / np.array(counts))
+    reading = domain.lower + (z + 0.5) * (domain.widths / np.array(counts))
+    arguments = split_reading(reading, {}, domain.n - told)
     values = []
     for name, function in features.items():
-        value = expression(f"features[{name!r}]", function, {"x": x}, 1)
+        value = expression(f"features[{name!r}]", function, arguments, 1)
         foreign = ca.Function("feature", [z], [value], {"allow_free": True}).get_free()
         if foreign:
             raise ProblemError(
-                f"`features[{name!r}]` must use only its argument; it uses the undeclared symbol "
+                f"`features[{name!r}]` must use only its arguments; it uses the undeclared symbol "
                 f"'{foreign[0]}'"
             )
         values.append(value)

@@ -1,4 +1,4 @@
-"""Pictures of a policy's cells in the plane of two states."""
+"""Pictures of a policy's cells in the plane of two states, or of exogenous inputs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def plot_policy(
     legend: bool = True,
     current: int | str | None = None,
 ) -> Axes:
-    """Draw the cells of a policy in the plane of two states.
+    """Draw the cells of a policy in the plane of two states, or of exogenous inputs.
 
     Of a policy that remembers it is what follows one symbol in force, and hatched is where a symbol
     stays only because it is in force: there the start would take another.
@@ -49,9 +49,10 @@ def plot_policy(
         The policy; its cells that meet the plane are drawn, or where they are oblique the symbols
         at `PIXELS` by `PIXELS` states.
     plane : two axes
-        Indices or names of the states on the horizontal and the vertical axis.
+        Indices or names of the states on the horizontal and the vertical axis; exogenous inputs
+        come after the states.
     at : mapping of name to float, optional
-        Values of the other states [state units]. Default: the middle of the domain.
+        Values of the other states and exogenous inputs [their units]. Default: the middles.
     ax : Axes, optional
         Where to draw. Default: the current axes.
     outlines, legend : bool
@@ -72,8 +73,8 @@ def plot_policy(
     for name, value in (at or {}).items():
         if name not in free:
             raise ProblemError(
-                f"`at` must name states outside the plane ({', '.join(free) or 'there is none'}); "
-                f"got {describe(name)}"
+                f"`at` must name {_axes_are(policy)} outside the plane "
+                f"({', '.join(free) or 'there is none'}); got {describe(name)}"
             )
         i = domain.names.index(name)
         point[i] = finite_number(f"at {name}", value)
@@ -232,12 +233,20 @@ def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
             place = names.index(axis) if axis in names else int(axis) if axis.isdecimal() else -1
         if not isinstance(place, (int, np.integer)) or not 0 <= place < len(names):
             raise ProblemError(
-                f"`plane` must name two of the states {', '.join(names)}; got {describe(plane)}"
+                f"`plane` must name two of the {_axes_are(policy)} {', '.join(names)}; got "
+                + describe(plane)
             )
         axes.append(int(place))
     if len(axes) != 2 or axes[0] == axes[1]:
-        raise ProblemError(f"`plane` must name two different states; got {describe(plane)}")
+        raise ProblemError(
+            f"`plane` must name two different {_axes_are(policy)}; got {describe(plane)}"
+        )
     return axes[0], axes[1]
+
+
+def _axes_are(policy: Policy) -> str:
+    """Return what the axes of a policy's space are."""
+    return "states" if policy.exogenous is None else "states and exogenous inputs"
 
 
 def save_policy_plot(

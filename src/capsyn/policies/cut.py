@@ -10,11 +10,10 @@ import numpy as np
 from capsyn.cells.cut import cut
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
-from capsyn.modelling.exogenous import exogenous_array
+from capsyn.modelling.exogenous import one_exogenous
 from capsyn.modelling.targets import INSIDE, Target, target_axes, target_program
 from capsyn.policies.policy import DecisionTree, Policy
 from capsyn.programs.builder import restricted
-from capsyn.validation import describe
 
 
 def at(policy: Policy, exogenous: Any) -> Policy:
@@ -22,13 +21,7 @@ def at(policy: Policy, exogenous: Any) -> Policy:
     told = policy.exogenous
     if told is None:
         raise ProblemError("`exogenous` must be left out: the policy is told nothing to be fixed")
-    w = exogenous_array(exogenous, told)
-    if w.shape != (told.n,) or not told.contains(w[None])[0]:
-        bounds = ", ".join(
-            f"{name} in [{low:g}, {high:g}]"
-            for name, low, high in zip(told.names, told.lower, told.upper)
-        )
-        raise ProblemError(f"`exogenous` must be one of each: {bounds}; got {describe(exogenous)}")
+    w = one_exogenous(exogenous, told)
     n = policy.domain.n
     steps = told.locate(w[None], policy.cells.counts[n:])[0]
     changes: dict[str, Any] = {

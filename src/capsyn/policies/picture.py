@@ -23,9 +23,9 @@ SHADE = 'fill="#000000" fill-opacity="0.4"'
 def map_html(policy: Any) -> str:
     """Return a map of symbols as HTML with an SVG: the plane of the first two states.
 
-    The others have the middle of the domain. Of a policy that remembers it is what follows the
-    default control, and shaded where a symbol in force stays instead. The same policy gives the
-    same text.
+    The others, and exogenous inputs, have the middle of their bounds, as the caption says. Of a
+    policy that remembers it is what follows the default control, and shaded where a symbol in force
+    stays instead. The same policy gives the same text.
     """
     domain, count = policy.space, len(policy.alphabet)
     names = [*policy.alphabet.names, "outside" if policy.gaps else "default"]
@@ -49,7 +49,7 @@ def map_html(policy: Any) -> str:
         f'<text x="{width + 30}" y="{16 * row + 11}">{html.escape(name)}</text>'
         for row, (fill, _, name) in enumerate(told)
     ]
-    caption = f"{html.escape(repr(policy))}: {axes}"
+    caption = f"{html.escape(repr(policy))}: {axes}{_others(domain)}"
     return (
         f'<div><svg xmlns="http://www.w3.org/2000/svg" width="{width + 170}" '
         f'height="{max(height, 16 * len(told))}" font-family="sans-serif" font-size="12" '
@@ -64,6 +64,13 @@ def _axis(domain: Box, axis: int) -> str:
     unit = f" {domain.units[axis]}" if domain.units[axis] else ""
     bounds = f"{domain.lower[axis]:.4g} to {domain.upper[axis]:.4g}{unit}"
     return html.escape(f"{domain.names[axis]} ({bounds})")
+
+
+def _others(domain: Box) -> str:
+    """Return the values of the states that are on no axis, escaped."""
+    middles = zip(domain.names, domain.lower + domain.widths / 2, domain.units)
+    values = [f"{name} = {value:.4g} {unit}".rstrip() for name, value, unit in middles][2:]
+    return html.escape(f" at {', '.join(values)}") if values else ""
 
 
 def _states(domain: Box, rows: int) -> np.ndarray:

@@ -4,7 +4,8 @@ Algorithm 1 looks at test points only. Random states show what lies between them
 cells along a switching surface follow it, and the islands that all test points of a cell missed.
 
 Where the symbol in force matters each state is compared with each of them in force, J = N + 1 with
-the default control. Else J is 1.
+the default control. Else J is 1. Of a policy that is told exogenous inputs, states here are
+readings: states and exogenous inputs, drawn independently.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from capsyn.cells.masks import Label, checked_masks, masks_of_symbols
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
+from capsyn.modelling.exogenous import exogenous_text
 from capsyn.policies.policy import Policy
 from capsyn.statistics import TOLD, check_confidence, clopper_pearson
 from capsyn.validation import BACKENDS, describe, one_of, whole_number
@@ -78,6 +80,9 @@ class Agreement:
         States that agree for each symbol in force, the default last.
     disagreeing_in_force : (D,), optional
         The symbols in force at the first pairs that disagree; -1 is the default control.
+    exogenous : str
+        Exogenous inputs and their bounds in words, drawn with the states; empty where there are
+        none.
     """
 
     symbols: tuple[str, ...]
@@ -101,6 +106,7 @@ class Agreement:
     islands: tuple[Island, ...]
     in_force_agreeing: np.ndarray | None = None
     disagreeing_in_force: np.ndarray | None = None
+    exogenous: str = ""
 
     @property
     def share(self) -> float:
@@ -132,6 +138,8 @@ class Agreement:
         if self.in_force_agreeing is not None and self.disagreeing_in_force is not None:
             told["disagreeing_in_force"] = self.disagreeing_in_force[:TOLD].tolist()
             told["in_force"] = self._by_symbol(data.pop("in_force_agreeing"))
+        if not self.exogenous:
+            del data["exogenous"]
         return data | told
 
     def _by_symbol(self, agreeing: list[int]) -> list[dict[str, Any]]:
@@ -161,11 +169,11 @@ def agreement(
     policy : Policy
         The policy.
     states : int
-        Number of states, drawn uniformly from the domain.
+        Number of states, drawn uniformly from the domain; or readings, from the policy's space.
     controller : callable, optional
-        States (B, n) to symbol indices (B,), -1 for the default, whatever is in force; or another
-        policy, or a `FiniteControlSet`. Default: sSAC with the policy's own model, horizon,
-        settings, prices and delay.
+        States (B, n), or readings, to symbol indices (B,), -1 for the default, whatever is in
+        force; or another policy, or a `FiniteControlSet`. Default: sSAC with the policy's own
+        model, horizon, settings, prices and delay.
     seed : int
         Seed of the states.
     confidence : float
@@ -214,6 +222,7 @@ def agreement(
         confidence=confidence,
         low=low,
         high=high,
+        exogenous=exogenous_text(policy.exogenous),
         **tally.results(),
     )
 

@@ -1,4 +1,7 @@
-"""dV/dt along the closed loop, as a program: in plain arithmetic and in intervals."""
+"""dV/dt along the closed loop, as a program: in plain arithmetic and in intervals.
+
+Exogenous inputs w do not move: V may depend on them, and dV/dt is grad_x V(x, w) . f(x, u, w).
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ JUMPS = {"floor", "ceil", "sign", "copysign", "fmod", "remainder"}
 
 
 class LoopDerivative:
-    """The derivative ``grad V . f(x, u)`` of a function under every symbol of a policy.
+    """The derivative ``grad V . f`` of a function under every symbol of a policy, at readings.
 
     Raises
     ------
@@ -38,10 +41,10 @@ class LoopDerivative:
         A policy without a model or with gaps, or a V that has no derivative along its dynamics.
     """
 
-    def __init__(self, policy: Policy, V: Callable[[Any], Any]) -> None:
+    def __init__(self, policy: Policy, V: Callable[..., Any]) -> None:
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
-        n, m = policy.space.n, policy.alphabet.m
+        n, m, size = policy.domain.n, policy.alphabet.m, policy.space.n
         if policy.model is None:
             raise ProblemError(
                 f"`policy` must have a model to follow; '{policy.name}' was made without one"
@@ -50,30 +53,31 @@ class LoopDerivative:
             raise ProblemError(f"`policy` must have no gaps; '{policy.name}' has some")
         if not callable(V):
             raise ProblemError(f"`V` must be a function; got {describe(V)}")
-        program = user_program("V", V, (("x", n),), (("value", 1), ("gradient", n)))
+        ports = (("x", size),), (("value", 1), ("gradient", size))
+        program = user_program("V", V, *ports, told=size - n)
         _check(program, policy)
         builder = ProgramBuilder()
-        x, u = ([builder.input() for _ in range(size)] for size in (n, m))
-        value, *gradient = builder.call(program, x)
-        xdot = builder.call(policy.model.dynamics, x, u)
+        x, u = ([builder.input() for _ in range(count)] for count in (size, m))
+        value, *gradient = builder.call(program, x)[: 1 + n]
+        xdot = builder.call(policy.model.dynamics, x, u)[:n]
         derivative = builder.constant(0.0)
         for slope, speed in zip(gradient, xdot):
             derivative = builder.apply("add", derivative, builder.apply("mul", slope, speed))
-        ports = (("x", n), ("u", m))
+        inputs = (("x", size), ("u", m))
         # a factor 0 hides what is undefined, so everything that must be defined is an output
         self._program = builder.build(
             "derivative",
-            ports,
+            inputs,
             (("derivative", 1), ("others", 1 + 2 * n)),
             [derivative, value, *gradient, *xdot],
         )
         self._expansion: Expansion = expand(
-            builder.build("derivative", ports, (("derivative", 1),), [derivative])
+            builder.build("derivative", inputs, (("derivative", 1),), [derivative])
         )
         self._controls = policy.controls
 
     def values(self, states: np.ndarray, symbols: np.ndarray) -> np.ndarray:
-        """Return dV/dt (B,) at states (B, n) under symbols (B,), NaN where it is undefined.
+        """Return dV/dt (B,) at readings (B, n) under symbols (B,), NaN where it is undefined.
 
         Symbols are indices; -1, as well as their number, is the default control.
         """
@@ -110,7 +114,7 @@ class LoopDerivative:
 def _check(program: Program, policy: Policy) -> None:
     """Raise `ProblemError` unless V has a derivative along the loop."""
     first = program.input_count
-    value, *gradient = program.results
+    value, *gradient = program.results[: 1 + policy.domain.n]
     needed = {value}
     for k, (name, *operands) in reversed(list(enumerate(program.instructions, first))):
         if k not in needed or name == "const":
@@ -124,7 +128,7 @@ def _check(program: Program, policy: Policy) -> None:
     if all(k >= first and program.instructions[k - first] == ("const", 0.0) for k in gradient):
         raise ProblemError("`V` must depend on the state; its gradient is 0 everywhere")
     states = policy.space.sample(STATES)
-    rows = np.concatenate(program.evaluate(states.T))
+    rows = np.concatenate(program.evaluate(states.T))[: 1 + policy.domain.n]
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=0))
     if len(bad) > UNDEFINED * len(states):
         state = ", ".join(f"{v:g}" for v in states[bad[0]])
@@ -138,15 +142,17 @@ def _check(program: Program, policy: Policy) -> None:
 def _check_continuity(program: Program, policy: Policy) -> None:
     """Raise `ProblemError` where V jumps: between random states, or at the seam of an angle.
 
-    Halving the way between two states, towards the greater change of V, ends at a jump if there is
-    one on the way.
+    Exogenous inputs are the same for two states, as along a loop: between values of theirs V may
+    jump. Halving the way between two states, towards the greater change of V, ends at a jump if
+    there is one on the way.
     """
-    domain = policy.space
+    domain, n = policy.space, policy.domain.n
 
     def value(states: np.ndarray) -> np.ndarray:
         return program.evaluate(states.T)[0][0]
 
     start, end = domain.sample(PAIRS, [1]), domain.sample(PAIRS, [2])
+    end[:, n:] = start[:, n:]
     first, last = value(start), value(end)
     values = np.abs(np.concatenate([first, last]))
     usual = values[np.isfinite(values)].max(initial=0.0)
@@ -157,7 +163,7 @@ def _check_continuity(program: Program, policy: Policy) -> None:
         start, end = np.where(near, start, middle), np.where(near, middle, end)
         first, last = value(start), value(end)
     jump = np.abs(last - first)
-    for axis in np.flatnonzero(domain.periodic):
+    for axis in np.flatnonzero(domain.periodic[:n]):
         seam = domain.sample(PAIRS, [3])
         low, high = seam.copy(), seam.copy()
         low[:, axis], high[:, axis] = domain.lower[axis], domain.upper[axis]

@@ -2,6 +2,9 @@
 
 Of a policy that remembers several symbols may be in force at a state: all that its row there gives,
 whatever may have been in force before. dV/dt then is the largest of theirs.
+
+Of a policy that is told exogenous inputs, states here are readings, these last, and they are
+constant: V may be another function of the state for each of their values.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import numpy as np
 
 from capsyn.cells.faces import shared_faces
 from capsyn.errors import ProblemError
+from capsyn.modelling.exogenous import exogenous_text
 from capsyn.policies.in_force import reachable
 from capsyn.policies.policy import Policy
 from capsyn.statistics import TOLD
@@ -105,6 +109,9 @@ class LyapunovProof:
         The rest.
     time_unit : str
         That of the policy, see `Problem`.
+    exogenous : str
+        Exogenous inputs and their bounds in words: the volume is that of states and of them. Where
+        all of it is proved, it is for every constant value of theirs. Empty where there are none.
     """
 
     function: str
@@ -120,6 +127,7 @@ class LyapunovProof:
     violated_cells: LyapunovCells
     undecided_cells: LyapunovCells
     time_unit: str = "s"
+    exogenous: str = ""
 
     def __repr__(self) -> str:
         return (
@@ -128,8 +136,9 @@ class LyapunovProof:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the proof as plain data; a time unit of s is left out."""
-        told = {k: v for k, v in vars(self).items() if (k, v) != ("time_unit", "s")}
+        """Return the proof as plain data, without a time unit of s and exogenous inputs of none."""
+        usual = {"time_unit": "s", "exogenous": ""}
+        told = {k: v for k, v in vars(self).items() if k not in usual or v != usual[k]}
         return told | {
             "violated_cell_count": len(self.violated_cells),
             "violated_cells": self.violated_cells.to_json(),
@@ -178,7 +187,7 @@ class LyapunovGrid:
 
 
 def lyapunov(
-    policy: Policy, V: Callable[[Any], Any], *, depth: int = 12, max_boxes: int = 100_000
+    policy: Policy, V: Callable[..., Any], *, depth: int = 12, max_boxes: int = 100_000
 ) -> LyapunovProof:
     """Return what interval arithmetic proves about dV/dt in continuous time, cell by cell.
 
@@ -192,8 +201,8 @@ def lyapunov(
     ----------
     policy : Policy
         A policy with a model.
-    V : callable ``x -> scalar``
-        Function of a CasADi column, continuous and piecewise differentiable.
+    V : callable ``x -> scalar``, or ``(x, w) -> scalar`` where there are exogenous inputs
+        Function of CasADi columns, continuous and piecewise differentiable in x.
     depth : int
         Most times that a cell is bisected, each time along the axis that decides most.
     max_boxes : int
@@ -218,7 +227,7 @@ def lyapunov(
 
 
 def lyapunov_grid(
-    policy: Policy, V: Callable[[Any], Any], spacing: Any, zero: float = 1e-9
+    policy: Policy, V: Callable[..., Any], spacing: Any, zero: float = 1e-9
 ) -> LyapunovGrid:
     """Return the sign of dV/dt, in plain arithmetic, at the states of a grid.
 
@@ -227,7 +236,8 @@ def lyapunov_grid(
     policy, V
         As in `lyapunov`.
     spacing : float or (n,)
-        Largest distance of neighbouring states on each axis [state units].
+        Largest distance of neighbouring states on each axis, those of exogenous inputs last [their
+        units].
     zero : float
         Up to this fraction of the largest ``|dV/dt|`` on the grid it counts as 0.
 
@@ -325,6 +335,7 @@ class _Cells:
             violated_cells=self._describe(*violated),
             undecided_cells=self._describe(*undecided),
             time_unit=self.policy.time_unit,
+            exogenous=exogenous_text(self.policy.exogenous),
         )
 
     def _in_turn(self, cells: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

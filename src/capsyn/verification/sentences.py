@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 
@@ -25,12 +25,22 @@ def _proof(data: dict[str, Any]) -> str:
         f"dV/dt <= 0 proved on {data['proved']:.3%} of the volume (< 0 on "
         f"{data['negative']:.3%}), > 0 on {data['violated']:.3%}, undecided "
         f"{data['undecided']:.3%}, for V = {data.get('function', '?')}"
-    )
+    ) + _constant(data)
+
+
+def _constant(data: dict[str, Any]) -> str:
+    """Return the exogenous inputs of a proof: for all of them, or part of the volume."""
+    told = data.get("exogenous", "")
+    if not told:
+        return ""
+    whole = data["proved"] == 1 and data.get("proved_cells", 0) == data.get("cells")
+    return f" and every constant {told}" if whole else f"; the volume is that of states and {told}"
 
 
 def _agreement(data: dict[str, Any]) -> str:
     mean = ", mean over the symbols in force" if "in_force" in data else ""
-    return f"{data['share']:.3%} of {data['states']:,} states {_interval(data)}{mean}"
+    told = f", {data['exogenous']} drawn with them" if data.get("exogenous") else ""
+    return f"{data['share']:.3%} of {data['states']:,} states {_interval(data)}{told}{mean}"
 
 
 _HEADLINES = {"monte_carlo": _trials, "lyapunov": _proof, "agreement": _agreement}
@@ -78,6 +88,10 @@ def circumstances(conditions: dict[str, Any]) -> str:
 def failing_trial(trial: dict[str, Any], time_unit: str) -> str:
     """Return where a failing trial began, and what was drawn for it."""
     parts = [f"{name} {value:.6g}" for name, value in trial["parameters"].items()]
+    if "exogenous" in trial:
+        told = trial["exogenous"]
+        named = told.items() if isinstance(told, dict) else enumerate(told, 1)
+        parts = [f"{name} {_steps(value)}" for name, value in named] + parts
     if trial["delay"]:
         parts.append(f"delay {trial['delay']:.6g} {time_unit}")
     parts += [
@@ -96,6 +110,9 @@ def simulate_line(file: str, trial: dict[str, Any], options: Mapping[str, Any]) 
         return ",".join(map(repr, numbers))
 
     words = ["capsyn", "simulate", file, "--x0", values(trial["initial"])]
+    told = trial.get("exogenous", {})
+    for name, value in told.items() if isinstance(told, dict) else ():
+        words += ["--exogenous", f"{name}={_steps(value, repr)}"]
     for name, value in trial["parameters"].items():
         words += ["--parameter", f"{name}={value!r}"]
     if trial["delay"]:
@@ -107,6 +124,13 @@ def simulate_line(file: str, trial: dict[str, Any], options: Mapping[str, Any]) 
         if value is not None and value is not False:
             words += [option] if value is True else [option, str(value)]
     return shlex.join(words)
+
+
+def _steps(value: Any, text: Callable[[float], str] = "{:.6g}".format) -> str:
+    """Return an exogenous input as text: a number, or steps by their times."""
+    if isinstance(value, dict):
+        return ",".join(f"{time}:{text(step)}" for time, step in value.items())
+    return text(value)
 
 
 def vector(values: list[float]) -> str:

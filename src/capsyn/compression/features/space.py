@@ -1,4 +1,4 @@
-"""Coordinates of lattice steps for trees with features: the states, then the features.
+"""Coordinates of lattice steps for trees with features: the readings, then the features.
 
 All are shares of their span, so that one length means the same along each. Where a lattice has few
 enough steps, all of them are looked at, so that nothing about features is a guess.
@@ -44,7 +44,7 @@ DIGITS = 6
 NEAR, TRIED = 1e-6, 65
 """How far a threshold may move for a wider gap [share of the span], and the places tried."""
 
-Functions = Mapping[str, Callable[[Any], Any]]
+Functions = Mapping[str, Callable[..., Any]]
 
 
 def check_functions(features: Any) -> Functions:
@@ -73,11 +73,14 @@ class Space:
     span: np.ndarray  # (K,) > 0: largest less least value; 1 where it is constant
 
     @staticmethod
-    def of(functions: Functions, domain: Box, counts: tuple[int, ...]) -> Space:
-        """Return the space of some features; `ProblemError` where one is not finite."""
+    def of(functions: Functions, domain: Box, counts: tuple[int, ...], told: int = 0) -> Space:
+        """Return the space of some features; `ProblemError` where one is not finite.
+
+        The last `told` axes of the domain are exogenous: functions take them as w, after x.
+        """
         from capsyn.modelling.transcription import feature_program
 
-        program = feature_program(functions, domain, counts)
+        program = feature_program(functions, domain, counts, told)
         names = tuple(functions)
         low, high = np.full(len(names), np.inf), np.full(len(names), -np.inf)
         bare = Space(domain, counts, names, program, low, high)
@@ -99,7 +102,7 @@ class Space:
 
     @property
     def n(self) -> int:
-        """Number of states."""
+        """Number of states, and of exogenous inputs."""
         return self.domain.n
 
     @property
