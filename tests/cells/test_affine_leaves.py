@@ -50,8 +50,8 @@ def slow_label(tree, step):
 def test_compiled_is_numpy_is_the_rules(grid, periodic, some_axes):
     policy = random_affine_policy(grid, periodic, grid, some_axes)
     states = states_at_faces(policy.domain, policy.cells.counts, 300, seed=grid)
-    found = policy(states, "nearest", backend="numpy")
-    assert np.array_equal(found, policy(states, "nearest", backend="c"))
+    found = policy(states, outside="nearest", backend="numpy")
+    assert np.array_equal(found, policy(states, outside="nearest", backend="c"))
     steps = policy.domain.locate(states, policy.cells.counts)
     slow = np.array([slow_label(policy.cells, step) for step in steps.tolist()])
     assert np.array_equal(np.where(slow == 2, -1, slow), found)

@@ -85,15 +85,15 @@ def test_lookups_follow_the_rule(counts, planes, periodic, backend):
     tree = tree_of(counts, planes, periodic, seed=len(counts))
     states = hard_states(tree, 40)
     wanted = [by_the_rule(tree, state, True) for state in states]
-    assert tree(states, "nearest", backend).tolist() == wanted
+    assert tree(states, outside="nearest", backend=backend).tolist() == wanted
     inside = [by_the_rule(tree, state, False) for state in states]
     for symbol in (0, 1, -1):
         given = [symbol if k is None else k for k in inside]
-        assert tree(states, symbol, backend).tolist() == given
+        assert tree(states, outside=symbol, backend=backend).tolist() == given
     lost = [i for i, k in enumerate(inside) if k is None]
     if lost:
         with pytest.raises(OutsideDomainError, match=f"^state {lost[0]} must lie in the domain"):
-            tree(states, "error", backend)
+            tree(states, outside="error", backend=backend)
 
 
 @pytest.mark.parametrize("planes", [0, 2])
@@ -106,13 +106,15 @@ def test_numbers_that_are_none_and_huge_ones(planes, periodic, backend):
     states = np.array([(x, middle[1]) for x in odd] + [(middle[0], x) for x in odd])
     states = np.vstack([states, np.tile(middle, (60, 1)), states])
     wanted = [by_the_rule(tree, state, False) for state in states]
-    assert tree(states, 0, backend).tolist() == [0 if k is None else k for k in wanted]
+    assert tree(states, outside=0, backend=backend).tolist() == [
+        0 if k is None else k for k in wanted
+    ]
     finite = np.isfinite(states).all(axis=1)
     near = [by_the_rule(tree, state, True) for state in states[finite]]
-    assert tree(states[finite], "nearest", backend).tolist() == near
+    assert tree(states[finite], outside="nearest", backend=backend).tolist() == near
     for rule in ("error", "nearest"):
         with pytest.raises(OutsideDomainError, match="^state 0 must be finite; got"):
-            tree(states, rule, backend)
+            tree(states, outside=rule, backend=backend)
 
 
 @needs_compiler
@@ -121,10 +123,10 @@ def test_numbers_that_are_none_and_huge_ones(planes, periodic, backend):
 def test_batches_of_every_size(planes, count):
     tree = tree_of((30, 17), planes, 1, seed=3)
     states = np.resize(hard_states(tree, 200), (1000, 2))[:count]
-    found = tree(states, "nearest", "c")
+    found = tree(states, outside="nearest", backend="c")
     assert found.shape == (count,) and found.dtype == np.int32
-    assert np.array_equal(found, tree(states, "nearest", "numpy"))
-    assert found.tolist() == [int(tree(state, "nearest", "c")) for state in states]
+    assert np.array_equal(found, tree(states, outside="nearest", backend="numpy"))
+    assert found.tolist() == [int(tree(state, outside="nearest", backend="c")) for state in states]
 
 
 @needs_compiler
@@ -132,10 +134,10 @@ def test_batches_of_every_size(planes, count):
 def test_large_batches_take_the_compiled_lookup(planes, monkeypatch):
     tree = tree_of((300, 170, 9), planes, 1, seed=7, depth=10)
     states = np.resize(hard_states(tree, 9000), (COMPILED_FROM + 137, 3))
-    wanted = tree(states, "nearest", "numpy")
+    wanted = tree(states, outside="nearest", backend="numpy")
     assert len(set(wanted.tolist())) == 3
     monkeypatch.setattr(type(tree.cells), "labels", None)
-    assert np.array_equal(tree(states, "nearest"), wanted)
+    assert np.array_equal(tree(states, outside="nearest"), wanted)
 
 
 @needs_compiler
@@ -146,7 +148,9 @@ def test_compiled_lookups_of_random_trees(seed):
     tree = tree_of(counts, int(rng.integers(4)), seed % 3, seed, depth=9)
     states = hard_states(tree, 300, seed)
     for rule in ("nearest", 1):
-        assert np.array_equal(tree(states, rule, "c"), tree(states, rule, "numpy"))
+        assert np.array_equal(
+            tree(states, outside=rule, backend="c"), tree(states, outside=rule, backend="numpy")
+        )
 
 
 @needs_compiler
@@ -157,7 +161,9 @@ def test_arrays_of_other_integers_are_looked_up_the_same():
     other = dataclasses.replace(tree, cells=dataclasses.replace(tree.cells, **wide))
     states = hard_states(tree, 200)
     for backend in ("c", "numpy"):
-        assert np.array_equal(other(states, "nearest", backend), tree(states, "nearest"))
+        assert np.array_equal(
+            other(states, outside="nearest", backend=backend), tree(states, outside="nearest")
+        )
 
 
 @backends
