@@ -408,7 +408,7 @@ def test_loops_run_default_control_action_default_control(case, delay):
     found = simulate(controller, state, samples / rate, rate, delay=delay)
     timeline, symbols, switches, x = [(-1.0, controller.default)], [], -1, state
     for k in range(samples):
-        action, now = controller.actions(x, k / rate), k / rate + delay
+        action, now = controller.actions(x, time=k / rate), k / rate + delay
         first = action.base
         if action.duration > 0:
             if action.start > 0:

@@ -20,6 +20,46 @@ ROUNDING = relative_rounding(float)
 
 
 @dataclass(frozen=True)
+class Actions:
+    """What sSAC or SAC would do in some states; the shapes (...) are those of the states.
+
+    Parameters
+    ----------
+    symbol : (...)
+        Symbol of the action; -1 for the default control, -2 for a control of SAC.
+    control : (..., m)
+        Its control [input units].
+    application_time : (...)
+        Time tau at which the action is chosen [time unit from now].
+    start, duration : (...)
+        It acts from `start` for `duration` [time unit]; the duration is 0 where there is no
+        action.
+    gradient : (...)
+        Mode insertion gradient at tau, eq. (6) [cost / time unit].
+    cost, decrease : (...)
+        Cost J0 of the default prediction, and what the action takes off it.
+    base : (..., m)
+        Default control now [input units].
+    base_symbol : (...)
+        Its symbol where a policy gives it, else -1.
+    schedule : (..., steps + 1, m), optional
+        The controls u*(t) at the sample times of the prediction.
+    """
+
+    symbol: np.ndarray
+    control: np.ndarray
+    application_time: np.ndarray
+    start: np.ndarray
+    duration: np.ndarray
+    gradient: np.ndarray
+    cost: np.ndarray
+    decrease: np.ndarray
+    base: np.ndarray
+    base_symbol: np.ndarray
+    schedule: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
 class NumpyActions:
     """What finds whole actions, by NumPy on all states at once."""
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.controllers.action_kernel import ActionKernel, ActionOptions
-from capsyn.controllers.actions import EXPONENT, ROUNDING, NumpyActions, outside_label
+from capsyn.controllers.actions import EXPONENT, ROUNDING, Actions, NumpyActions, outside_label
 from capsyn.controllers.command import TIME, Command
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.sac import sac_program
@@ -31,6 +31,7 @@ from capsyn.controllers.ssac import batch_controller
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Box
+from capsyn.modelling.exogenous import readings
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import SwitchRules
@@ -41,7 +42,7 @@ from capsyn.policies.lookup import TreeArguments
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import Model
 from capsyn.programs.program import Program
-from capsyn.validation import BACKENDS, describe, finite_number, one_of, state_array
+from capsyn.validation import BACKENDS, describe, finite_number, one_of
 
 POLICY_STEPS = 100
 """Least steps of a prediction under a policy, whose symbols may change at every step."""
@@ -49,52 +50,12 @@ POLICY_STEPS = 100
 Default = np.ndarray | Callable[[float], Any] | Policy
 
 
-@dataclass(frozen=True)
-class Actions:
-    """What sSAC or SAC would do in some states; the shapes (...) are those of the states.
-
-    Parameters
-    ----------
-    symbol : (...)
-        Symbol of the action; -1 for the default control, -2 for a control of SAC.
-    control : (..., m)
-        Its control [input units].
-    application_time : (...)
-        Time tau at which the action is chosen [time unit from now].
-    start, duration : (...)
-        It acts from `start` for `duration` [time unit]; the duration is 0 where there is no
-        action.
-    gradient : (...)
-        Mode insertion gradient at tau, eq. (6) [cost / time unit].
-    cost, decrease : (...)
-        Cost J0 of the default prediction, and what the action takes off it.
-    base : (..., m)
-        Default control now [input units].
-    base_symbol : (...)
-        Its symbol where a policy gives it, else -1.
-    schedule : (..., steps + 1, m), optional
-        The controls u*(t) at the sample times of the prediction.
-    """
-
-    symbol: np.ndarray
-    control: np.ndarray
-    application_time: np.ndarray
-    start: np.ndarray
-    duration: np.ndarray
-    gradient: np.ndarray
-    cost: np.ndarray
-    decrease: np.ndarray
-    base: np.ndarray
-    base_symbol: np.ndarray
-    schedule: np.ndarray | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class OnlineController:
     """sSAC or SAC in receding horizon; build it with `online_controller`.
 
-    `simulate` and `monte_carlo` take it like a policy. Calling it with a time and states (B, n)
-    returns the controls (B, m) that act at once.
+    `simulate` and `monte_carlo` take it like a policy. Calling it with a time and states (B, n),
+    and exogenous inputs where it is told some, returns the controls (B, m) that act at once.
 
     Parameters
     ----------
@@ -102,7 +63,7 @@ class OnlineController:
         Symbols, or continuous controls.
     formulation : Formulation
         What it is made of: of the problem or policy, or what replaced it.
-    alphabet, min_dwell, target, time_unit
+    domain, exogenous, alphabet, min_dwell, target, time_unit
         Those of the problem or policy.
     background : callable ``time -> (m,)``, Policy or None
         Default control of the prediction, where it is no constant.
@@ -114,6 +75,8 @@ class OnlineController:
 
     method: str
     formulation: Formulation
+    domain: Box
+    exogenous: Box | None
     alphabet: Alphabet
     background: Callable[[float], Any] | Policy | None
     min_dwell: float
@@ -129,13 +92,15 @@ class OnlineController:
         horizon = f"{self.horizon:g} {self.time_unit}"
         return f"OnlineController('{self.method}'{around}, horizon {horizon})"
 
-    def actions(self, states: Any, time: float = 0.0, schedule: bool = False) -> Actions:
+    def actions(
+        self, states: Any, exogenous: Any = None, time: float = 0.0, schedule: bool = False
+    ) -> Actions:
         """Return the actions in states (..., n) at a time; see `Actions`.
 
         Parameters
         ----------
-        states : (..., n)
-            States [state units].
+        states, exogenous : (..., n) and (..., k)
+            States, and exogenous inputs where there are some, as a policy takes them.
         time : float
             Now [time unit], for a default control that is a signal.
         schedule : bool
@@ -144,10 +109,10 @@ class OnlineController:
         Raises
         ------
         ProblemError
-            States of another shape.
+            States or exogenous inputs of another shape.
         """
-        n, m = self.domain.n, self.alphabet.m
-        states = state_array(states, n)
+        n, m = self.space.n, self.alphabet.m
+        states = readings(states, exogenous, self.domain, self.exogenous)
         flat, shape = states.reshape(-1, n), states.shape[:-1]
         signal = None if isinstance(self.background, Policy) else self.background
         steps = self.steps
@@ -174,9 +139,9 @@ class OnlineController:
             **{name: records[name][()] for name in names},  # [()]: numbers of a single state
         )
 
-    def __call__(self, time: float, states: Any) -> np.ndarray:
+    def __call__(self, time: float, states: Any, exogenous: Any = None) -> np.ndarray:
         """Return the controls (..., m) that act at once in states (..., n) at a time."""
-        planned = self.actions(states, time)
+        planned = self.actions(states, exogenous, time)
         acts = np.asarray((planned.duration > 0) & (planned.start <= 0))
         return np.where(acts[..., None], planned.control, planned.base)
 
@@ -185,9 +150,9 @@ class OnlineController:
     ) -> Command:
         """Return the command over a sample: default control, action, default control.
 
-        `measured` are the states (B, n) at `time`, whatever is `in_force`; `simulate` calls this.
+        `measured` are the readings (B, n) at `time`, whatever is `in_force`; `simulate` calls this.
         """
-        planned = self.actions(measured, time)
+        planned = self.actions(measured, time=time)
         start = np.where(planned.duration > 0, planned.start, np.inf)
         stop, now = start + planned.duration, start <= 0
         first = np.where(now[:, None], planned.control, planned.base)
@@ -205,14 +170,19 @@ class OnlineController:
         return self.formulation.model
 
     @property
-    def domain(self) -> Box:
-        """States of the problem or policy."""
+    def space(self) -> Box:
+        """Readings: states, and exogenous inputs after them."""
         return self.formulation.domain
 
     @property
     def default(self) -> np.ndarray:
         """Default control (m,) where it is a constant [input units]."""
         return self.formulation.default
+
+    @property
+    def default_control(self) -> np.ndarray:
+        """The same, as of a problem."""
+        return self.default
 
     @property
     def horizon(self) -> float:
@@ -304,8 +274,9 @@ def online_controller(
         h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h`` for ``f = g(x) + h(x) u``,
         saturated.
     default : (m,), callable ``time -> (m,)`` or Policy, optional
-        Default control of the prediction, which also acts where nothing is better. Under a policy
-        the prediction has `POLICY_STEPS` steps at least, unless `settings` say how many.
+        Default control of the prediction, which also acts where nothing is better; it must be given
+        where that of the problem is a law. Under a policy the prediction has `POLICY_STEPS` steps
+        at least, unless `settings` say how many.
     horizon : float, optional
         Prediction horizon T [time unit].
     settings : SsacSettings, optional
@@ -344,6 +315,12 @@ def online_controller(
     settings.efforts(source.alphabet.values)
     if source.switching is not None and source.switching.forbidden:
         raise ProblemError("`source` must have no forbidden transitions for an online controller")
+    if model.prediction is not None and default is None:
+        raise ProblemError(
+            "`default` must be given, a constant or a policy: that of the problem is a law, which "
+            "whole actions do not follow; got None"
+        )
+    model = dataclasses.replace(model, prediction=None)
     alphabet, (constant, background) = source.alphabet, _defaults(source, default)
     sac = sac_program(model, alphabet, settings, limits) if method == "sac" else None
     formulation = Formulation(model, source.space, alphabet.values, constant, horizon, settings)
@@ -357,6 +334,8 @@ def online_controller(
     return OnlineController(
         method,
         formulation,
+        source.domain,
+        source.exogenous,
         alphabet,
         background,
         source.min_dwell,
@@ -383,10 +362,12 @@ def _defaults(
     """Return the default control (m,) and what stands in its place in predictions, if anything."""
     alphabet = source.alphabet
     if isinstance(default, Policy):
-        if (default.domain.n, default.alphabet.m) != (source.space.n, alphabet.m):
+        fits = (default.domain.n, default.space.n, default.alphabet.m)
+        if fits != (source.domain.n, source.space.n, alphabet.m):
             raise ProblemError(
-                f"`default` must be a policy of {source.space.n} state(s) and {alphabet.m} "
-                f"input(s); got {default.domain.n} and {default.alphabet.m}"
+                f"`default` must be a policy of {source.domain.n} state(s)"
+                f"{_told(source)} and {alphabet.m} input(s); got {default.domain.n}"
+                f"{_told(default)} and {default.alphabet.m}"
             )
         if default.time_unit != source.time_unit:
             raise ProblemError(
@@ -398,3 +379,7 @@ def _defaults(
         alphabet.control("default", default(0.0))
         return source.default_control, default
     return source.default_control if default is None else alphabet.control("default", default), None
+
+
+def _told(source: Problem | Policy) -> str:
+    return "" if source.exogenous is None else f" + {source.exogenous.n} exogenous"

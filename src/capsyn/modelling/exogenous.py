@@ -80,7 +80,7 @@ def readings(states: Any, exogenous: Any, domain: Box, told: Box | None) -> np.n
     if told is None:
         if exogenous is not None:
             raise ProblemError(
-                "`exogenous` must be left out: the policy is told nothing beside the state; got "
+                "`exogenous` must be left out: nothing is told beside the state; got "
                 + describe(exogenous)
             )
         return state_array(states, domain.n)
