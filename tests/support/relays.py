@@ -22,17 +22,34 @@ def relay(
     partitions: Any = 4,
     max_level: int = 0,
     in_force: bool = False,
+    exogenous: Box | None = None,
 ) -> Policy:
     """Return a policy with a model; `label` gives symbols of states (B, n), -1 the default.
 
-    They are symbols (B, N + 1) of each symbol `in_force`, if so.
+    They are symbols (B, N + 1) of each symbol `in_force`, if so; where there are `exogenous`
+    inputs, of readings, and dynamics take them as w.
     """
     problem = Problem(
-        "relay", dynamics, box, alphabet, default, 1.0, running_cost=lambda x: ca.sumsqr(x)
+        "relay",
+        dynamics,
+        box,
+        alphabet,
+        default,
+        1.0,
+        running_cost=lambda x, *w: ca.sumsqr(x),
+        exogenous=exogenous,
     )
     grid = {"partitions": partitions, "max_level": max_level}
-    policy = subdivide(label, box, problem.alphabet, **grid, in_force=in_force, name="relay")
-    return dataclasses.replace(policy, default=np.array([default]), model=transcribe(problem))
+    policy = subdivide(
+        label, problem.space, problem.alphabet, **grid, in_force=in_force, name="relay"
+    )
+    return dataclasses.replace(
+        policy,
+        domain=box,
+        exogenous=problem.exogenous,
+        default=np.array([default]),
+        model=transcribe(problem),
+    )
 
 
 def below(axis: int = 0, at: float = 0.0) -> Callable[[np.ndarray], np.ndarray]:

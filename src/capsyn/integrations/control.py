@@ -117,7 +117,7 @@ def plant_system(
         controls = np.vstack([plant.alphabet.values, plant.default])
         substeps = choose_substeps(plant, controls, np.zeros((0, 1)), dt)
     none, n, m = np.zeros((0, 1)), plant.states, plant.m
-    names = plant.domain.names
+    names = plant.space.names
 
     def update(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
         held, told = np.split(np.atleast_1d(u)[:, None], [m])
