@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from capsyn.policies.policy import Policy as Policy
     from capsyn.simulation.simulate import Trajectory as Trajectory
     from capsyn.simulation.simulate import simulate as simulate
+    from capsyn.simulation.tracking import tracking as tracking
     from capsyn.subdivision.subdivide import subdivide as subdivide
     from capsyn.synthesis.synthesize import synthesize as synthesize
     from capsyn.verification.agreement import agreement as agreement
@@ -54,6 +55,7 @@ _PUBLIC = {
     "simulate": "simulation.simulate",
     "subdivide": "subdivision.subdivide",
     "synthesize": "synthesis.synthesize",
+    "tracking": "simulation.tracking",
 }
 __all__ = list(_PUBLIC)
 

@@ -31,6 +31,7 @@ VALUES = {
     "backend": "numpy",
     "threads": 8,
     "executor": "e",
+    "exogenous": [0.7],
 }
 
 
@@ -54,7 +55,8 @@ def test_simulate_carries_every_option_on(monkeypatch):
 
 def test_monte_carlo_carries_every_option_on(monkeypatch):
     monkeypatch.setattr(verification, "try_out", lambda controller, options: options)
-    values = {name: value for name, value in VALUES.items() if name != "stop_at_target"}
+    left_out = ("stop_at_target", "executor")
+    values = {name: value for name, value in VALUES.items() if name not in left_out}
     trials = {
         "trials": 9,
         "initial": Ball([0], 2),
@@ -62,10 +64,18 @@ def test_monte_carlo_carries_every_option_on(monkeypatch):
         "within": 2.0,
         "hold": 1.0,
         "confidence": 0.9,
+        "track": {"x": 1.0},
     }
     options = vars(monte_carlo(relay(), **trials, **values))
     loop = options.pop("loop")
-    assert options == trials and vars(loop) == values | {"stop_at_target": False}
+    assert options == trials and vars(loop) == values | {"stop_at_target": False, "executor": None}
+
+
+def test_monte_carlo_carries_an_executor_on(monkeypatch):
+    monkeypatch.setattr(verification, "try_out", lambda controller, options: options)
+    assert monte_carlo(relay(), executor="e").loop.executor == "e"
+    with pytest.raises(ProblemError, match="`track` must be left out with an `executor`"):
+        monte_carlo(relay(), executor="e", track={"x": 1.0})
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from capsyn.cli.console import print_table, show, working
-from capsyn.cli.loop import LoopTexts, controller_of, loop_options
+from capsyn.cli.loop import LoopTexts, controller_of, loop_options, tracked
 from capsyn.cli.options import (
     Backend,
     Dask,
@@ -88,7 +88,7 @@ def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
 
     controller, initial = controller_of(policy, options), None
     if options.initial is not None:
-        initial = region("--initial", options.initial, policy.space.names)
+        initial = region("--initial", options.initial, policy.domain.names)
     loop = loop_options(policy, options, one=number_or_range, each=number_or_range, executor=client)
     trials = TrialOptions(
         loop,
@@ -97,6 +97,7 @@ def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
         within=options.within,
         hold=options.hold or 0.0,
         confidence=options.confidence,
+        track=tracked(options.track),
     )
     return try_out(controller, trials).to_json()
 
@@ -149,7 +150,7 @@ KINDS = (
         "success_rate",
         tuple(
             "rate initial target tolerance within hold duration model parameter disturbance noise "
-            "delay min_dwell outside outside_at_once online background dask".split()
+            "delay min_dwell outside outside_at_once online background exogenous track dask".split()
         ),
         "Monte Carlo",
         _try_out,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +57,16 @@ class LoopTexts:
         "A component of p, in the order of p; verify takes a range, too. May be repeated.",
         metavar="NAME=P[:P]",
     )
+    exogenous: list[str] | None = option(
+        "What the policy is told beside the state: a value, steps TIME:VALUE,TIME:VALUE, or a CSV "
+        "file of steps with a column time and one for each input; verify takes a range, too, and "
+        "draws what is not given. May be repeated.",
+        metavar="NAME=W|NAME=T:W,T:W[,..]|FILE.csv",
+    )
+    track: list[str] | None = option(
+        "Say how closely a state follows an exogenous input, or a number. May be repeated.",
+        metavar="STATE=NAME|W",
+    )
     disturbance: str | None = option(
         "Added to the rates, of all states or of each; verify takes a range D[,D..]:D[,D..], too.",
         metavar="D[,D..]",
@@ -108,9 +118,54 @@ def loop_options(
         "noise": meant("noise", each),
         "delay": meant("delay", one),
         "target": _target(policy, texts.target, texts.tolerance),
+        "exogenous": _exogenous(texts.exogenous, one),
     }
     chosen = {name: value for name, value in values.items() if value is not None}
     return LoopOptions(**chosen, **more)
+
+
+def _exogenous(texts: list[str] | None, one: Callable[[str, str], Any]) -> Any:
+    """Return what exogenous inputs are by name; None for nothing. `one` gives that of one text."""
+    if not texts:
+        return None
+    from capsyn.simulation.exogenous import steps_from_csv
+
+    values: dict[str, Any] = {}
+    for text in texts:
+        if "=" in text:
+            ((name, value),) = assignments("--exogenous", [text]).items()
+            values[name] = _steps(name, value) if _is_steps(value, one) else one(name, value)
+        else:
+            values |= steps_from_csv(text)
+    return values
+
+
+def _is_steps(text: str, one: Callable[[str, str], Any]) -> bool:
+    """Return whether a text is steps; a pair alone is a range where there are ranges."""
+    return ":" in text and ("," in text or one is number)
+
+
+def _steps(name: str, text: str) -> dict[float, float]:
+    """Return the steps of a text such as ``0:20,60:22``."""
+    pairs = [part.split(":") for part in text.split(",")]
+    if any(len(pair) != 2 for pair in pairs):
+        raise ProblemError(f"--exogenous {name} must be TIME:VALUE,TIME:VALUE; got '{text}'")
+    return {number(name, time): number(name, value) for time, value in pairs}
+
+
+def tracked(texts: list[str] | None) -> dict[str, str | float] | None:
+    """Return what states should follow, by name; None for nothing."""
+    if not texts:
+        return None
+    pairs = assignments("--track", texts)
+    return {state: _name_or_number(text) for state, text in pairs.items()}
+
+
+def _name_or_number(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def controller_of(policy: Policy, texts: LoopTexts) -> Any:
@@ -167,6 +222,7 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
     """Simulate the closed loop of a policy."""
     from capsyn.policies.policy import Policy
     from capsyn.simulation.simulate import trajectories
+    from capsyn.simulation.tracking import tracking
     from capsyn.validation import whole_number
 
     save = _saving(options.output)
@@ -182,6 +238,11 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
         trajectory = trajectories(controller, states[0] if len(states) == 1 else states, loop)
     save(trajectory)
     rows = trajectory.summary()
+    for state, reference in (tracked(options.track) or {}).items():
+        figures = tracking(trajectory, state, reference).to_json()
+        for k, row in enumerate(rows):
+            of_trial = {name: values[k] for name, values in figures.items()}
+            row.setdefault("tracking", {})[f"{state} - {reference}"] = of_trial
     text = "\n".join(map(_sentence, rows))
     end = None if options.output is None else f"wrote {options.output}"
     show(as_json, rows if len(rows) > 1 else rows[0], lambda: typer.echo(text), end)
@@ -206,10 +267,10 @@ def _initial_states(policy: Policy, texts: list[str] | None, seed: int) -> Any:
     """Return initial states (B, n) [state units]: those of the texts, else a random one."""
     import numpy as np
 
-    states = [number_list("--x0", text) for text in texts or []] or policy.space.sample(1, seed)
-    if len({len(state) for state in states} | {policy.space.n}) > 1:
-        names = ", ".join(policy.space.names)
-        raise ProblemError(f"--x0 must be {policy.space.n} number(s) ({names}); got {texts}")
+    states = [number_list("--x0", text) for text in texts or []] or policy.domain.sample(1, seed)
+    if len({len(state) for state in states} | {policy.domain.n}) > 1:
+        names = ", ".join(policy.domain.names)
+        raise ProblemError(f"--x0 must be {policy.domain.n} number(s) ({names}); got {texts}")
     return np.array(states)
 
 
@@ -224,4 +285,14 @@ def _sentence(row: dict[str, Any]) -> str:
     return (
         f"from {state(row['initial'])} to {state(row['final'])} in {row['duration']:g} {unit}, "
         f"ended: {row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
+        + "".join(f"\n{text}" for text in _tracking_sentences(row, unit))
     )
+
+
+def _tracking_sentences(row: dict[str, Any], unit: str) -> Iterator[str]:
+    for name, figures in row.get("tracking", {}).items():
+        values = {key: figures[key] for key in ("rms", "bias", "overshoot")}
+        parts = [f"{key} {'nan' if v is None else f'{v:.4g}'}" for key, v in values.items()]
+        time = figures["settling"]
+        settled = "not settled" if time is None else f"settled within {time:.4g} {unit}"
+        yield f"  {name}: {', '.join(parts)}, {settled}"

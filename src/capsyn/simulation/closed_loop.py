@@ -2,8 +2,9 @@
 
 At every sample ``t = k period`` of a trial, in this order:
 
-1. A state that is not finite ends the trial. A state in the target marks the arrival, and may end
-   the trial.
+1. Exogenous inputs take their values, which they hold until the next sample: they are the last
+   components of the state here. A state that is not finite ends the trial. A state in the target
+   marks the arrival, and may end the trial.
 2. At the last sample the trial ends. Else the state plus measurement noise is what the controller
    sees. Outside the policy's domain, the policy's rule holds: the trial ends, or goes on with the
    nearest cell or the safe symbol, and the sample is counted.
@@ -103,6 +104,7 @@ class Loop:
     pushes: np.ndarray | None = (
         None  # (samples, n) added to the rates, held [state units / time unit]
     )
+    told: np.ndarray | None = None  # (samples + 1, k) exogenous inputs, NaN where one stays
 
 
 @dataclass(frozen=True)
@@ -191,6 +193,10 @@ def run(
         live = np.flatnonzero(trials["end"] < 0)
         if not len(live):
             return
+        if loop.told is not None:
+            changes = np.flatnonzero(~np.isnan(loop.told[k]))
+            first = plant.n - loop.told.shape[1]
+            trials["state"][live[:, None], first + changes] = loop.told[k, changes]
         if draw and k < last and k % chunk == 0:
             drawn = draw(min(chunk, last - k))
         ended = _look(loop, trials, live, k)

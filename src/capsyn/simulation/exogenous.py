@@ -73,7 +73,7 @@ def check_names(value: Mapping[str, Any], told: Box) -> None:
 
 
 def steps_from_csv(path: str | os.PathLike[str]) -> dict[str, dict[float, float]]:
-    """Return the steps ``{name: {time: value}}`` in a CSV file: a column `time`, one for each input.
+    """Return the steps ``{name: {time: value}}`` in a CSV file: columns time and inputs.
 
     A cell that is empty leaves the value as it was.
 
@@ -130,7 +130,7 @@ def _broadcast(values: np.ndarray, shape: tuple[int, ...], k: int) -> np.ndarray
 
 
 def _signal(name: str, value: Any, period: float, samples: int) -> np.ndarray | None:
-    """Return what one input is at every sample (samples + 1,), of a function or steps; else None."""
+    """Return what one input is at every sample (samples + 1,), of a function or steps."""
     if callable(value):
         return _sampled(name, value, period, samples, 1)[:, 0]
     pairs: Any = list(value.items()) if isinstance(value, Mapping) else value

@@ -16,6 +16,7 @@ from capsyn.execution.cluster import check_client
 from capsyn.execution.memory import check_memory
 from capsyn.execution.processors import processors
 from capsyn.modelling.alphabet import Outside, check_outside
+from capsyn.modelling.exogenous import of_states
 from capsyn.modelling.switching import SwitchRules
 from capsyn.modelling.targets import Target, check_target, target_program
 from capsyn.modelling.transcription import target_condition
@@ -37,7 +38,8 @@ class Experiment:
     """A controller, a plant, and how they are brought together.
 
     The controller is a policy, an online controller or a function ``(time, states (B, n)) ->
-    controls (B, m)``; `outside` is the rule of a policy outside its domain, None for others.
+    controls (B, m)``, with exogenous inputs (B, k) after the states if any; `outside` is the rule
+    of a policy outside its domain, None for others.
     """
 
     controller: Any
@@ -68,7 +70,7 @@ class Experiment:
         controller, plant, loop, options = self.controller, self.plant, self.loop, self.options
         if not isinstance(controller, Policy):
             online = isinstance(controller, OnlineController)
-            decide = controller.decide if online else _function_decide(controller, plant.m)
+            decide = controller.decide if online else _function_decide(controller, plant)
             run(decide, plant, loop, trials, noise, record)
             return
         assert self.outside is not None
@@ -81,16 +83,22 @@ class Experiment:
 
 
 def set_up(
-    controller: Any, plant: Plant, options: LoopOptions, typical: np.ndarray | None = None
+    controller: Any,
+    plant: Plant,
+    options: LoopOptions,
+    typical: np.ndarray | None = None,
+    told: np.ndarray | None = None,
 ) -> Experiment:
     """Return the experiment with a controller on a plant; `typical` (P, K) are parameters of it.
+
+    `told` (samples + 1, k) are its exogenous inputs where they change, see `Loop`.
 
     Raises
     ------
     ProblemError
         Options that do not fit the controller or the plant.
     """
-    rate, samples = _sampling(controller, options)
+    rate, samples = sampling(controller, options)
     if options.executor is not None:
         if not isinstance(controller, Policy):
             raise ProblemError(
@@ -101,8 +109,9 @@ def set_up(
     own = described(controller)
     target = _target(own or plant, plant, options)
     outside = _rule(controller, options.outside)
-    idle, alphabet, period = (own or plant).default, (own or plant).alphabet, 1 / rate
-    pushes = _pushes(options.disturbance, plant.n, period, samples)
+    idle = plant.default if own is None else own.default_control
+    alphabet, period = (own or plant).alphabet, 1 / rate
+    pushes = _pushes(options.disturbance, plant, period, samples)
     substeps = options.substeps
     if substeps is None:
         controls = np.vstack([alphabet.values, idle])
@@ -114,10 +123,11 @@ def set_up(
         substeps,
         _holds(controller, options.min_dwell, rate, samples),
         _at_once(controller, options.outside_at_once),
-        target_program(target, plant.domain),
+        target_program(target, plant.space),
         options.stop_at_target,
         idle,
         pushes,
+        told,
     )
     return Experiment(controller, outside, plant, loop, rate, target, options)
 
@@ -148,7 +158,7 @@ def described(controller: Any) -> Policy | OnlineController | None:
     return controller if isinstance(controller, (Policy, OnlineController)) else None
 
 
-def _sampling(controller: Any, options: LoopOptions) -> tuple[float, int]:
+def sampling(controller: Any, options: LoopOptions) -> tuple[float, int]:
     """Return the samples per time unit, and how many there are."""
     rate = options.rate
     if rate is None:
@@ -172,8 +182,9 @@ def _target(
     if target is None:
         target = source.target
     elif callable(target) and not isinstance(target, Program):
-        target = target_condition(target, plant.n)
-    check_target(target, plant.domain)
+        target = target_condition(target, plant.states, plant.told)
+    target = of_states(target, plant.domain, plant.exogenous)
+    check_target(target, plant.space)
     if options.stop_at_target and target is None:
         raise ProblemError("`target` must be given to stop at it; the policy has none")
     return target
@@ -213,21 +224,40 @@ def per_state(name: str, value: Any, n: int, least: float | None = None) -> np.n
     return array
 
 
-def _pushes(disturbance: Any, n: int, period: float, samples: int) -> np.ndarray | None:
+def deviation(name: str, value: Any, plant: Plant) -> np.ndarray:
+    """Return deviations (n + k,) of readings: for all of them, or the states alone, or one."""
+    if plant.told and np.shape(value) == (plant.n,):
+        return per_state(name, value, plant.n, least=0.0)
+    return padded(plant, per_state(name, value, plant.states, least=0.0))
+
+
+def padded(plant: Plant, values: np.ndarray) -> np.ndarray:
+    """Return numbers (..., n) of the states of a plant with 0 for its exogenous inputs."""
+    return np.concatenate([values, np.zeros((*values.shape[:-1], plant.told))], axis=-1)
+
+
+def _pushes(disturbance: Any, plant: Plant, period: float, samples: int) -> np.ndarray | None:
     if disturbance is None:
         return None
+    n = plant.states
     if not callable(disturbance):
-        return np.tile(per_state("disturbance", disturbance, n), (samples, 1))
+        return np.tile(padded(plant, per_state("disturbance", disturbance, n)), (samples, 1))
     values = (called("disturbance", disturbance, k * period) for k in range(samples))
-    return np.array([per_state("disturbance", value, n) for value in values])
+    return padded(plant, np.array([per_state("disturbance", value, n) for value in values]))
 
 
-def _function_decide(function: Callable[..., Any], m: int) -> Decide:
-    """Return the decision of a function ``(time, states (B, n)) -> controls (B, m)``."""
+def _function_decide(function: Callable[..., Any], plant: Plant) -> Decide:
+    """Return the decision of a function ``(time, states (B, n)) -> controls (B, m)``.
+
+    It takes exogenous inputs (B, k) after the states where the plant has some.
+    """
+    n = plant.states
 
     def decide(time: float, measured: np.ndarray, _: np.ndarray) -> Command:
-        controls = numbers("controller", called("controller", function, time, measured))
-        wanted = (len(measured), m)
+        told = (measured[:, n:],) if plant.told else ()
+        given = called("controller", function, time, measured[:, :n], *told)
+        controls = numbers("controller", given)
+        wanted = (len(measured), plant.m)
         if controls.shape != wanted:
             raise ProblemError(
                 f"`controller` must return controls of shape {wanted}; got shape {controls.shape}"

@@ -33,6 +33,8 @@ class LoopArguments(ctypes.Structure):
             for name in "controls holds inputs kinds forbidden transitions".split()
         ),
         ("gap", ctypes.c_int64),
+        ("exogenous", ctypes.c_int64),
+        ("told", ctypes.c_void_p),
         ("cells", TreeArguments),
     ]
 

@@ -26,8 +26,8 @@ class LoopOptions:
     """How a closed loop is run, with what can be checked before controller and plant are known.
 
     The fields are the arguments of `capsyn.simulate`, and of `capsyn.monte_carlo`, where
-    disturbance, noise, delay and parameters may be what trials draw. Those of `capsyn.monte_carlo`
-    alone: `executor`, a Dask client whose workers run the trials of a policy.
+    disturbance, noise, delay, parameters and exogenous inputs may be what trials draw. Those of
+    `capsyn.monte_carlo` alone: `executor`, a Dask client whose workers run the trials of a policy.
 
     Raises
     ------
@@ -52,6 +52,7 @@ class LoopOptions:
     backend: str = "auto"
     threads: int | None = None
     executor: Any = None
+    exogenous: Any = None
 
     def __post_init__(self) -> None:
         keep(self, seed=whole_number("seed", self.seed, least=0))

@@ -13,6 +13,7 @@ import numpy as np
 from capsyn.errors import ProblemError, warn
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Box
+from capsyn.modelling.exogenous import joined
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import Target
 from capsyn.modelling.transcription import transcribe, transcribe_target, user_program
@@ -48,10 +49,26 @@ class Plant:
     parameters: tuple[str, ...] = ()  # names of the components of p
     time_unit: str = "s"  # what its rates are per
     delay: float = 0.0  # input delay that is known [time unit]
+    exogenous: Box | None = None  # names and units of what it is told, after the states in x
+
+    @functools.cached_property
+    def space(self) -> Box:
+        """The domain, and after its axes those of the exogenous inputs, whose rates are 0."""
+        return joined(self.domain, self.exogenous)
+
+    @property
+    def told(self) -> int:
+        """Number of exogenous inputs."""
+        return 0 if self.exogenous is None else self.exogenous.n
+
+    @property
+    def states(self) -> int:
+        """Number of states without the exogenous inputs."""
+        return self.n - self.told
 
     @property
     def n(self) -> int:
-        """Number of states."""
+        """Number of components of x: states, and after them exogenous inputs."""
         return dict(self.dynamics.inputs)["x"]
 
     @property
@@ -98,8 +115,9 @@ class Plant:
 def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ()) -> Plant:
     """Return the plant for a controller: its own model where no other is given.
 
-    Costs and names of a model that is a function are those of the controller's own; it takes `p`
-    only where there are names of `parameters`.
+    Costs and names of a model that is a function are those of the controller's own; it takes w
+    where the controller is told exogenous inputs, and `p` only where there are names of
+    `parameters`, which the controller is not told.
 
     Raises
     ------
@@ -129,18 +147,25 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
         programs.dynamics,
         programs.running_cost,
         programs.terminal_cost,
-        source.space,
+        source.domain,
         source.alphabet,
         source.default_control,
         target,
         time_unit=source.time_unit,
         delay=getattr(source, "delay", 0.0),
+        exogenous=getattr(source, "exogenous", None),
     )
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))
         inputs += (("p", len(parameters)),) if parameters else ()
         dynamics = user_program(
-            "model", function, inputs, (("xdot", plant.n),), rates=True, parameters=True
+            "model",
+            function,
+            inputs,
+            (("xdot", plant.n),),
+            told=plant.told,
+            rates=True,
+            parameters=True,
         )
         used = dynamics.used_inputs()
         for k, name in enumerate(parameters):
@@ -153,6 +178,7 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
         raise ProblemError(
             "`parameters` need a `model` that is a function of x, u and p; got "
             + ("none" if model is None else describe(model, 40))
+            + ("; what the controller is told is `exogenous`" if plant.told else "")
         )
     _check_fit(controller, plant)
     return plant
@@ -161,16 +187,24 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
 def _check_fit(controller: Any, plant: Plant) -> None:
     """Raise unless a controller that has dimensions, and a unit of time, has those of a plant."""
     domain, alphabet = getattr(controller, "domain", None), getattr(controller, "alphabet", None)
-    if domain is not None and alphabet is not None and (domain.n, alphabet.m) != (plant.n, plant.m):
-        raise ProblemError(
-            f"`model` must have {domain.n} state(s) and {alphabet.m} input(s) like the controller; "
-            f"got {plant.n} and {plant.m}"
-        )
+    told = getattr(controller, "exogenous", None)
+    if domain is not None and alphabet is not None:
+        sizes = (domain.n, alphabet.m, 0 if told is None else told.n)
+        if sizes != (plant.states, plant.m, plant.told):
+            raise ProblemError(
+                f"`model` must have {_sizes(*sizes)} like the controller; got "
+                + _sizes(plant.states, plant.m, plant.told)
+            )
     own = getattr(controller, "time_unit", plant.time_unit)
     if own != plant.time_unit:
         raise ProblemError(
             f"`model` must count time in {own} like the controller; got {plant.time_unit}"
         )
+
+
+def _sizes(n: int, m: int, told: int) -> str:
+    exogenous = f" and {told} exogenous" if told else ""
+    return f"{n} state(s) and {m} input(s){exogenous}"
 
 
 def choose_substeps(
@@ -183,7 +217,7 @@ def choose_substeps(
     period [time unit]. Where it stops falling (a switch in the dynamics), the best steps so far are
     taken.
     """
-    states = plant.domain.sample(SAMPLES, 0).T
+    states = plant.space.sample(SAMPLES, 0).T
     u = controls[np.arange(SAMPLES) % len(controls)].T
     p = parameters[:, np.arange(SAMPLES) % parameters.shape[1]]
     push, cost, time = np.zeros_like(states), np.zeros(SAMPLES), np.full(SAMPLES, period)
@@ -191,7 +225,7 @@ def choose_substeps(
     @functools.cache
     def end(substeps: int) -> np.ndarray:
         x, _ = plant.advance(states, cost, u, p, push, time, substeps)
-        return x / plant.domain.widths[:, None]
+        return x / plant.space.widths[:, None]
 
     def error_of(substeps: int) -> float:
         coarse, fine = end(substeps), end(2 * substeps)

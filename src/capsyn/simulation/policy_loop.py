@@ -90,11 +90,14 @@ def _run_compiled(
     }
     if holds.inputs.any():
         arrays["inputs"] = np.ascontiguousarray(holds.inputs, dtype=np.int64)
+    if loop.told is not None:
+        arrays["told"] = np.ascontiguousarray(loop.told)
     if len(policy.transitions) > symbols + 1:
         arrays["transitions"] = np.ascontiguousarray(policy.transitions)
     arguments = LoopArguments(
         loop.period, loop.substeps, loop.samples, error, rule, loop.stop_at_target, symbols,
         loop.outside_at_once, gap=symbols if policy.gaps else -1, cells=tree,
+        exogenous=policy.space.n - policy.domain.n,
         **{name: array.ctypes.data for name, array in arrays.items()},
     )  # fmt: skip
 

@@ -27,6 +27,8 @@ typedef struct {
     const uint8_t *forbidden;   /* (symbols + 1, symbols + 1), from each to each */
     const int32_t *transitions; /* (rows, symbols + 1), or NULL where rows are labels */
     int64_t gap;                /* the label of cells that are outside, or -1 */
+    int64_t exogenous;          /* how many of the STATES are exogenous inputs, the last ones */
+    const double *told;         /* (last + 1, exogenous), NaN where one stays, or NULL */
     tree cells;
 } loop;
 
@@ -224,6 +226,12 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
         }
         for (int64_t k = first; k < first + samples + (first + samples == l.last); ++k) {
             int running = 0;
+            for (int64_t i = 0; l.told && i < l.exogenous; ++i) {
+                const double value = l.told[k * l.exogenous + i];
+                if (value == value)
+                    for (int lane = 0; lane < LANES; ++lane)
+                        b.x[STATES - l.exogenous + i][lane] = value;
+            }
             inside(b.x, target);
             for (int lane = 0; lane < used; ++lane) {
                 trial *one = t + lane;

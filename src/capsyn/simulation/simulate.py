@@ -6,7 +6,7 @@ import csv
 import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,8 @@ from capsyn.execution.files import atomic_write
 from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Outside
 from capsyn.simulation.closed_loop import Noise, Record, new_record
-from capsyn.simulation.experiment import Experiment, described, per_state, set_up
+from capsyn.simulation.exogenous import exogenous_signal
+from capsyn.simulation.experiment import Experiment, described, deviation, sampling, set_up
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
 from capsyn.validation import describe, finite_number, numbers
@@ -34,6 +35,8 @@ class Trajectory:
         Sample times [time unit].
     states : (..., K + 1, n)
         States [state units]; NaN after the end.
+    exogenous : (..., K + 1, k)
+        Exogenous inputs, k of them [their units]; NaN after the end.
     symbols : (..., K)
         Symbol that held over each sample; -1 the default control, -2 none (after the end, or of
         controls that are no symbols).
@@ -55,6 +58,8 @@ class Trajectory:
         When the target was reached first [time unit]; NaN where it was not.
     names, units : tuples of str
         Names and units of the states, then of the inputs.
+    exogenous_names, exogenous_units : tuples of str
+        Those of the exogenous inputs.
     time_unit : str
         That of the plant, see `Problem`.
     """
@@ -73,6 +78,9 @@ class Trajectory:
     names: tuple[str, ...]
     units: tuple[str, ...]
     time_unit: str = "s"
+    exogenous: np.ndarray = field(default_factory=lambda: np.empty(0))
+    exogenous_names: tuple[str, ...] = ()
+    exogenous_units: tuple[str, ...] = ()
 
     @property
     def cost(self) -> Any:
@@ -91,9 +99,10 @@ class Trajectory:
     def to_json(self) -> dict[str, Any]:
         """Return the trajectory as plain data; what is not a number is null.
 
-        A time unit of s is left out.
+        A time unit of s, and exogenous inputs where there are none, are left out.
         """
-        plain = {name: _plain(value) for name, value in vars(self).items() if name != "time_unit"}
+        left_out = {"time_unit", *(() if self.exogenous_names else _EXOGENOUS)}
+        plain = {name: _plain(value) for name, value in vars(self).items() if name not in left_out}
         return plain | self._unit
 
     def summary(self) -> list[dict[str, Any]]:
@@ -121,8 +130,8 @@ class Trajectory:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a .csv or .json file, by the ending of `path`, whole or not at all.
 
-        A row of CSV is a sample: trial (where there are many), time, states, cost, symbol,
-        controls.
+        A row of CSV is a sample: trial (where there are many), time, states, exogenous inputs,
+        cost, symbol, controls.
 
         Raises
         ------
@@ -143,15 +152,22 @@ class Trajectory:
     def _rows(self) -> Iterator[list[Any]]:
         n, m, size = self.states.shape[-1], self.controls.shape[-1], len(self.times)
         many = self.states.ndim > 2
-        yield [*["trial"] * many, "time", *self.names[:n], "cost", "symbol", *self.names[n:]]
+        told = len(self.exogenous_names)
+        header = ["time", *self.names[:n], *self.exogenous_names, "cost", "symbol", *self.names[n:]]
+        yield [*["trial"] * many, *header]
+        exogenous = self.exogenous.reshape(-1, size, told) if told else np.empty((1, size, 0))
+        exogenous = np.broadcast_to(exogenous, (np.size(self.last), size, told))
         states, costs = self.states.reshape(-1, size, n), self.costs.reshape(-1, size)
         symbols = self.symbols.reshape(-1, size - 1)
         controls = self.controls.reshape(-1, size - 1, m)
         for trial, end in enumerate(np.ravel(self.last)):
             for k in range(end + 1):
-                row = [self.times[k], *states[trial, k], costs[trial, k]]
+                row = [self.times[k], *states[trial, k], *exogenous[trial, k], costs[trial, k]]
                 acts = [symbols[trial, k], *controls[trial, k]] if k < end else [""] * (1 + m)
                 yield [*[trial] * many, *row, *acts]
+
+
+_EXOGENOUS = ("exogenous", "exogenous_names", "exogenous_units")
 
 
 def check_trajectory_format(path: str | os.PathLike[str]) -> str:
@@ -192,13 +208,15 @@ def simulate(
     seed: int = 0,
     backend: str = "auto",
     threads: int | None = None,
+    exogenous: Any = None,
 ) -> Trajectory:
     """Return closed-loop trajectories from one initial state, or from many at once.
 
     Parameters
     ----------
     controller : Policy, OnlineController or callable ``(time, states (B, n)) -> controls (B, m)``
-        What acts at every sample, on the measured states [time unit, state units].
+        What acts at every sample, on the measured states [time unit, state units]. Where the plant
+        has exogenous inputs, the function takes them (B, k) after the states.
     x0 : (..., n)
         Initial states [state units].
     duration : float
@@ -207,14 +225,16 @@ def simulate(
         Samples per time unit; the control is held between them. Default: 1 over the
         ``sample_time`` of the controller's settings.
     model : Problem, Policy or callable ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``, optional
-        Another plant than the controller's own model.
+        Another plant than the controller's own model. With exogenous inputs it is a function of
+        ``(x, u, w)`` or ``(x, u, w, p)``.
     parameters : mapping of name to float, optional
-        The components of `p`, in order.
+        The components of `p`, in order: what the plant has and the controller is not told.
     disturbance : (n,) or callable ``time -> (n,)``, optional
         Added to the rates of the states [state units / time unit]; a callable is held over each
         sample.
-    noise : float or (n,), optional
-        Standard deviation of Gaussian noise on the measured states [state units].
+    noise : float or (n,) or (n + k,), optional
+        Standard deviation of Gaussian noise on the measured states [state units], and on the
+        exogenous inputs as they are told where n + k are given.
     delay : float, optional
         Time from a sample until its control acts [time unit]. Default: that of the plant, which the
         policy compensates.
@@ -236,6 +256,10 @@ def simulate(
         How policies are simulated; other controllers always take NumPy.
     threads : int, optional
         Default: one per processor. The result does not depend on it.
+    exogenous : (..., k), callable ``time -> (k,)``, or mapping of name to value
+        Exogenous inputs of a model that has them, held over each sample. A value by name is a
+        number or numbers (...) as `x0` has, a function of time, or steps: ``{0: 20, 60: 22}`` or
+        pairs (time, value), from the first of which on the last that has come holds.
 
     Raises
     ------
@@ -259,6 +283,7 @@ def simulate(
         seed=seed,
         backend=backend,
         threads=threads,
+        exogenous=exogenous,
     )
     return trajectories(controller, x0, options)
 
@@ -273,20 +298,21 @@ def trajectories(controller: Any, x0: Any, options: LoopOptions) -> Trajectory:
     )
     plant = plant_of(controller, options.model, tuple(options.parameters))
     delay = plant.delay if options.delay is None else options.delay
-    n, m = plant.n, plant.m
+    n, m = plant.states, plant.m
     if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
         raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")
-    states = x0.reshape(-1, n)
+    rate, samples = sampling(controller, options)
+    told = exogenous_signal(options.exogenous, plant.exogenous, x0.shape[:-1], 1 / rate, samples)
+    states = np.hstack([x0.reshape(-1, n), told.start])
     count = len(states)
     noise = None
     if options.noise is not None:
-        deviations = np.tile(per_state("noise", options.noise, n, least=0.0), (count, 1))
+        deviations = np.tile(deviation("noise", options.noise, plant), (count, 1))
         noise = Noise(deviations, [(options.seed, k + 1) for k in range(count)])
-    experiment = set_up(controller, plant, options, values[:, None])
-    samples = experiment.loop.samples
+    experiment = set_up(controller, plant, options, values[:, None], told.samples)
     trials = experiment.trials(states, np.full(count, delay), np.tile(values, (count, 1)))
-    check_memory(8.0 * count * samples * (n + m + 2), "`duration` times `rate`")
-    record = new_record(count, samples, n, m)
+    check_memory(8.0 * count * samples * (plant.n + m + 2), "`duration` times `rate`")
+    record = new_record(count, samples, plant.n, m)
     experiment.run(trials, noise, record)
     return _trajectory(experiment, trials, record, x0.shape[:-1])
 
@@ -295,7 +321,7 @@ def _trajectory(
     experiment: Experiment, trials: np.ndarray, record: Record, shape: tuple[int, ...]
 ) -> Trajectory:
     """Return what was recorded of trials, in the shape (...) of their initial states."""
-    plant = experiment.plant
+    plant, n = experiment.plant, experiment.plant.states
     alphabet = (described(experiment.controller) or plant).alphabet
 
     def shaped(values: np.ndarray) -> Any:
@@ -305,7 +331,7 @@ def _trajectory(
     arrived = trials["arrived"]
     return Trajectory(
         times=np.arange(experiment.loop.samples + 1) / experiment.rate,
-        states=shaped(record.states),
+        states=shaped(record.states[..., :n]),
         symbols=shaped(record.symbols),
         controls=shaped(record.controls),
         costs=shaped(record.costs),
@@ -318,4 +344,7 @@ def _trajectory(
         names=(*plant.domain.names, *alphabet.inputs),
         units=(*plant.domain.units, *alphabet.units),
         time_unit=plant.time_unit,
+        exogenous=shaped(record.states[..., n:]),
+        exogenous_names=plant.space.names[n:],
+        exogenous_units=plant.space.units[n:],
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,16 +19,26 @@ from capsyn.modelling.switching import DEFAULT
 from capsyn.modelling.targets import describe_target, with_tolerance
 from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy
-from capsyn.simulation.closed_loop import Noise
-from capsyn.simulation.experiment import Experiment, described, set_up
+from capsyn.simulation.closed_loop import Noise, new_record
+from capsyn.simulation.experiment import Experiment, described, padded, sampling, set_up
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
+from capsyn.simulation.tracking import Tracking, figures, followed, joined_figures
 from capsyn.statistics import TOLD, clopper_pearson
 from capsyn.validation import one_line
-from capsyn.verification.trials import Drawn, TrialOptions, Uniform, draw, drawn_parameters
+from capsyn.verification.trials import (
+    Drawn,
+    TrialOptions,
+    Uniform,
+    draw,
+    drawn_exogenous,
+    drawn_parameters,
+)
 
 ROUNDING, SLACK = 1e-12, 1e-6
 """What rounding may add to a time of arrival, relative, and to a time to stay [samples]."""
+RECORDED = 1 << 26
+"""Bytes of the trials that are recorded at a time, for what is told of tracking."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +75,10 @@ class MonteCarlo:
     disturbances, noises : (T, n)
         What was drawn of the constant disturbance [state units / time unit], and of the standard
         deviation of the measurement noise [state units].
+    exogenous : (T, k)
+        Exogenous inputs at the start of each trial [their units].
+    tracking : mapping of name to Tracking
+        How closely each state of `track` followed its reference, (T,) figures each.
     """
 
     seed: int
@@ -86,6 +100,8 @@ class MonteCarlo:
     delays: np.ndarray
     disturbances: np.ndarray
     noises: np.ndarray
+    exogenous: np.ndarray
+    tracking: Mapping[str, Tracking] = field(default_factory=dict)
 
     @property
     def success_rate(self) -> float:
@@ -106,7 +122,17 @@ class MonteCarlo:
             "delay": float(self.delays[index]),
             "disturbance": self.disturbances[index].tolist(),
             "noise": self.noises[index].tolist(),
+            **self._told(index),
         }
+
+    def _told(self, index: int) -> dict[str, Any]:
+        """Return the exogenous inputs of a trial as plain data, by name; steps as they were."""
+        conditions = self.conditions.get("exogenous")
+        if not isinstance(conditions, dict):
+            return {} if conditions is None else {"exogenous": self.exogenous[index].tolist()}
+        steps = {k: v for k, v in conditions.items() if isinstance(v, dict) and "low" not in v}
+        start = zip(conditions, self.exogenous[index].tolist())
+        return {"exogenous": {name: steps.get(name, value) for name, value in start}}
 
     def __repr__(self) -> str:
         return (
@@ -146,7 +172,22 @@ class MonteCarlo:
             "cost_left": _spread(left),
             "failing_initial_states": self.failures[:TOLD].tolist(),
             "failing_trials": [self.trial(int(k)) for k in np.flatnonzero(~self.success)[:TOLD]],
+            **({"tracking": _tracked(self.tracking)} if self.tracking else {}),
         }
+
+
+def _tracked(tracking: Mapping[str, Tracking]) -> dict[str, Any]:
+    """Return the figures of each tracked state over the trials, biases by their size."""
+    return {
+        name: {
+            "rms": _spread(figures.rms),
+            "bias": _spread(np.abs(figures.bias)),
+            "overshoot": _spread(figures.overshoot),
+            "settling": _spread(figures.settling),
+            "unsettled": int(np.isnan(figures.settling).sum()),
+        }
+        for name, figures in tracking.items()
+    }
 
 
 def _spread(values: np.ndarray) -> dict[str, float] | None:
@@ -188,6 +229,8 @@ def monte_carlo(
     backend: str = "auto",
     threads: int | None = None,
     executor: Any = None,
+    exogenous: Any = None,
+    track: Mapping[str, str | float] | None = None,
 ) -> MonteCarlo:
     """Return how often a controller reaches the target from random initial states.
 
@@ -226,6 +269,12 @@ def monte_carlo(
         Of the interval of the success rate.
     executor : dask.distributed.Client, optional
         A cluster whose workers run the trials of a policy, with the same results.
+    exogenous : as in `capsyn.simulate`, a value by name also a Uniform, optional
+        Exogenous inputs of a model that has them. What is not given by name is drawn anew from its
+        box for each trial, and constant along it.
+    track : mapping of state to name of an exogenous input, or number, optional
+        What states should follow: `MonteCarlo.tracking` says how closely they do, see
+        `capsyn.tracking`. Not with an `executor`.
 
     Raises
     ------
@@ -249,10 +298,10 @@ def monte_carlo(
         backend=backend,
         threads=threads,
         executor=executor,
+        exogenous=exogenous,
     )
-    return try_out(
-        controller, TrialOptions(loop, trials, initial, tolerance, within, hold, confidence)
-    )
+    own = (trials, initial, tolerance, within, hold, confidence, track)
+    return try_out(controller, TrialOptions(loop, *own))
 
 
 def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
@@ -268,7 +317,9 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     if target is None:
         raise ProblemError("`target` must be given: neither policy nor problem has one")
     target = with_tolerance(target, options.tolerance)
-    drawn = draw(options, plant.domain, parameters)
+    rate, samples = sampling(controller, options.loop)
+    told = drawn_exogenous(options, plant.exogenous, 1 / rate, samples)
+    drawn = draw(options, plant, parameters, told.start)
     disturbance = options.loop.disturbance
     loop = dataclasses.replace(
         options.loop,
@@ -277,18 +328,59 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
         disturbance=disturbance if callable(disturbance) else None,
     )
     values = np.array(list(parameters.values())).reshape(len(parameters), options.trials)
-    experiment = set_up(controller, plant, loop, values)
-    trials = experiment.trials(drawn.initial, drawn.delays, values.T, drawn.disturbances)
+    experiment = set_up(controller, plant, loop, values, told.samples)
+    states = np.hstack([drawn.initial, drawn.exogenous])
+    pushes = padded(plant, drawn.disturbances)
+    trials = experiment.trials(states, drawn.delays, values.T, pushes)
     noise = None
     if loop.noise is not None:
         seeds = [(loop.seed, 5, k + 1) for k in range(options.trials)]
-        noise = Noise(drawn.noises, seeds)
-    experiment.run(trials, noise, None)
-    return _result(controller, options, experiment, drawn, trials)
+        noise = Noise(padded(plant, drawn.noises), seeds)
+    tracked = _run(experiment, trials, noise, options.track)
+    return _result(controller, options, experiment, drawn, trials, tracked)
+
+
+def _run(
+    experiment: Experiment,
+    trials: np.ndarray,
+    noise: Noise | None,
+    track: Mapping[str, str | float] | None,
+) -> dict[str, Tracking]:
+    """Run trials, and return how closely states followed what they should, by name.
+
+    For this they are recorded, as many at a time as `RECORDED` bytes hold.
+    """
+    if track is None:
+        experiment.run(trials, noise, None)
+        return {}
+    plant, samples = experiment.plant, experiment.loop.samples
+    size = max(1, RECORDED // (8 * (samples + 1) * (plant.n + plant.m + 2)))
+    times = np.arange(samples + 1) / experiment.rate
+    names = plant.space.names
+    parts: dict[str, list[Tracking]] = {
+        f"{state} - {wanted}": [] for state, wanted in track.items()
+    }
+    for start in range(0, len(trials), size):
+        part = slice(start, start + size)
+        some = trials[part].copy()
+        own = None if noise is None else Noise(noise.deviations[part], noise.seeds[part])
+        record = new_record(len(some), samples, plant.n, plant.m)
+        experiment.run(some, own, record)
+        trials[part] = some
+        x, w = record.states[..., : plant.states], record.states[..., plant.states :]
+        for key, (state, wanted) in zip(parts, track.items()):
+            pair = followed(x, w, names[: plant.states], names[plant.states :], state, wanted)
+            parts[key].append(figures(times, *pair, some["end"]))
+    return {key: joined_figures(some) for key, some in parts.items()}
 
 
 def _result(
-    controller: Any, options: TrialOptions, experiment: Experiment, drawn: Drawn, trials: np.ndarray
+    controller: Any,
+    options: TrialOptions,
+    experiment: Experiment,
+    drawn: Drawn,
+    trials: np.ndarray,
+    tracked: dict[str, Tracking],
 ) -> MonteCarlo:
     """Return how the trials of an experiment went."""
     rate, samples, count = experiment.rate, experiment.loop.samples, options.trials
@@ -298,7 +390,8 @@ def _result(
     if options.hold:
         stayed = trials["away"] < samples - options.hold * rate - SLACK
         success &= (trials["ended"] == TIME) & stayed
-    states = np.vstack([drawn.initial, trials["state"]])
+    n = experiment.plant.states
+    states = np.vstack([np.hstack([drawn.initial, drawn.exogenous]), trials["state"]])
     costs = default_costs(controller, states, options.loop.backend)
     low, high = clopper_pearson(int(success.sum()), count, options.confidence)
     return MonteCarlo(
@@ -308,7 +401,7 @@ def _result(
         low=low,
         high=high,
         success=success,
-        final=trials["state"].copy(),
+        final=trials["state"][:, :n].copy(),
         ended=trials["ended"].copy(),
         times=trials["end"] / rate,
         arrived=arrived,
@@ -316,13 +409,15 @@ def _result(
         outside=trials["outside"].copy(),
         initial_cost=costs[:count],
         final_cost=costs[count:],
+        tracking=tracked,
         **vars(drawn),
     )
 
 
 def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) -> dict[str, Any]:
     """Return what trials have in common, as plain data."""
-    loop, domain, rule = options.loop, experiment.plant.domain, experiment.outside
+    loop, rule = options.loop, experiment.outside
+    domain, space = experiment.plant.domain, experiment.plant.space
     assert experiment.target is not None
     unit = experiment.plant.time_unit
     return {
@@ -331,7 +426,7 @@ def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) 
         "rate": experiment.rate,
         "within": options.within,
         "hold": options.hold,
-        "target": describe_target(experiment.target, domain),
+        "target": describe_target(experiment.target, space),
         "initial": describe_target(options.initial or domain, domain),
         **_holds(experiment),
         "substeps": experiment.loop.substeps,
@@ -343,7 +438,18 @@ def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) 
         "delay": _plain(loop.delay),
         "disturbance": _plain(loop.disturbance),
         "parameters": {name: _plain(value) for name, value in loop.parameters.items()},
+        **_told(loop.exogenous, experiment.plant.exogenous),
     }
+
+
+def _told(given: Any, told: Box | None) -> dict[str, Any]:
+    """Return what was told exogenous inputs along trials, by name."""
+    if told is None:
+        return {}
+    if given is None or isinstance(given, Mapping):
+        drawn = dict(zip(told.names, map(Uniform, told.lower, told.upper))) | dict(given or {})
+        return {"exogenous": {name: _plain(value) for name, value in drawn.items()}}
+    return {"exogenous": _plain(given)}
 
 
 def _holds(experiment: Experiment) -> dict[str, Any]:
@@ -373,7 +479,11 @@ def _plain(value: Any) -> Any:
     """Return a quantity of the trials as plain data."""
     if isinstance(value, Uniform):
         return {"low": _plain(value.low), "high": _plain(value.high)}
-    return "a function of time" if callable(value) else np.asarray(value).tolist()
+    if callable(value):
+        return "a function of time"
+    if isinstance(value, Mapping):
+        return {f"{time:g}": _plain(step) for time, step in value.items()}
+    return np.asarray(value).tolist()
 
 
 def default_costs(controller: Any, states: np.ndarray, backend: str = "auto") -> np.ndarray:

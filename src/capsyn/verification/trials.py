@@ -11,8 +11,11 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.targets import check_target, target_axes
+from capsyn.simulation.exogenous import ExogenousSignal, exogenous_signal
 from capsyn.simulation.experiment import per_state
 from capsyn.simulation.options import LoopOptions
+from capsyn.simulation.plant import Plant
+from capsyn.simulation.tracking import check_tracked
 from capsyn.statistics import check_confidence
 from capsyn.validation import describe, finite_number, keep, whole_number
 
@@ -52,6 +55,7 @@ class TrialOptions:
     within: Any = None
     hold: float = 0.0
     confidence: float = 0.95
+    track: Mapping[str, str | float] | None = None
 
     def __post_init__(self) -> None:
         keep(self, trials=whole_number("trials", self.trials, least=1, most=MOST_TRIALS))
@@ -60,6 +64,10 @@ class TrialOptions:
         within = duration if self.within is None else self.within
         keep(self, within=finite_number("within", within, above=0.0))
         keep(self, hold=finite_number("hold", self.hold, least=0.0))
+        if self.track is not None:
+            check_tracked(self.track)
+            if self.loop.executor is not None:
+                raise ProblemError("`track` must be left out with an `executor`")
         for name in ("hold", "within"):
             time = getattr(self, name)
             if time > duration:
@@ -77,6 +85,7 @@ class Drawn:
     delays: np.ndarray
     disturbances: np.ndarray
     noises: np.ndarray
+    exogenous: np.ndarray
 
 
 def drawn_parameters(options: TrialOptions) -> dict[str, np.ndarray]:
@@ -88,17 +97,40 @@ def drawn_parameters(options: TrialOptions) -> dict[str, np.ndarray]:
     }
 
 
-def draw(options: TrialOptions, domain: Box, parameters: Mapping[str, np.ndarray]) -> Drawn:
-    """Return what trials in a domain draw besides their parameters, each from its own stream."""
-    loop, count, n, seed = options.loop, options.trials, domain.n, options.loop.seed
-    states = _initial_states(options.initial, domain, count, seed)
+def drawn_exogenous(
+    options: TrialOptions, told: Box | None, period: float, samples: int
+) -> ExogenousSignal:
+    """Return the exogenous inputs of trials of some samples, each `period` long.
+
+    What is not given by name is drawn from its box, and constant along a trial.
+    """
+    given, count, seed = options.loop.exogenous, options.trials, options.loop.seed
+    if told is not None and (given is None or isinstance(given, Mapping)):
+        drawn = told.sample(count, [seed, 8])
+        given = {name: drawn[:, i] for i, name in enumerate(told.names)} | dict(given or {})
+        for k, (name, value) in enumerate(given.items()):
+            if isinstance(value, Uniform):
+                one = _draw(f"exogenous {name}", value, count, 1, [seed, 9, k])
+                given[name] = one[:, 0]
+    return exogenous_signal(given, told, (count,), period, samples)
+
+
+def draw(
+    options: TrialOptions,
+    plant: Plant,
+    parameters: Mapping[str, np.ndarray],
+    exogenous: np.ndarray,
+) -> Drawn:
+    """Return what trials of a plant draw besides their parameters, each from its own stream."""
+    loop, count, n, seed = options.loop, options.trials, plant.states, options.loop.seed
+    states = _initial_states(options.initial, plant.domain, count, seed)
     disturbances, noises = np.zeros((count, n)), np.zeros((count, n))
     if loop.disturbance is not None and not callable(loop.disturbance):
         disturbances = _draw("disturbance", loop.disturbance, count, n, [seed, 2])
     delays = _draw("delay", loop.delay, count, 1, [seed, 3], least=0.0)[:, 0]
     if loop.noise is not None:
         noises = _draw("noise", loop.noise, count, n, [seed, 4], least=0.0)
-    return Drawn(states, parameters, delays, disturbances, noises)
+    return Drawn(states, parameters, delays, disturbances, noises, exogenous)
 
 
 def _draw(

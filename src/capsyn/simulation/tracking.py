@@ -1,0 +1,155 @@
+"""How closely a closed loop follows a reference: offset, overshoot, settling."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.simulation.simulate import Trajectory
+from capsyn.validation import describe, finite_number, one_of
+
+BAND = 0.02
+"""Share of a step within which a state has settled, unless told."""
+MOVING = 0.5
+"""Share of the samples at which a reference changes from which on it moves, and does not step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """How closely a state follows its reference; the shapes (...) are those of the trajectories.
+
+    The error is state minus reference. A reference that steps cuts a trajectory into segments, each
+    of which begins at a change; the first begins with the trajectory and its initial state.
+
+    Parameters
+    ----------
+    rms : (...)
+        Root of the mean square of the error over all samples [state unit].
+    bias : (...)
+        Mean of the error over the second half of each segment, of the segment where it is largest,
+        with its sign [state unit].
+    overshoot : (...)
+        Largest excursion beyond the reference, on the far side of where a segment began [state
+        unit]; 0 where there is none.
+    settling : (...)
+        Longest time from the beginning of a segment until the error stays within `band` [time
+        unit]; NaN where it does not within some segment.
+    """
+
+    rms: np.ndarray
+    bias: np.ndarray
+    overshoot: np.ndarray
+    settling: np.ndarray
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as plain data; what is NaN is null."""
+        return {
+            f.name: [None if np.isnan(v) else float(v) for v in np.ravel(getattr(self, f.name))]
+            for f in fields(self)
+        }
+
+
+def check_tracked(track: Any) -> None:
+    """Raise `ProblemError` unless it names what each of some states should follow."""
+    if not isinstance(track, Mapping) or not track:
+        raise ProblemError(
+            "`track` must be a mapping of states to exogenous inputs or numbers; got "
+            + describe(track)
+        )
+
+
+def tracking(
+    trajectory: Trajectory, state: str, reference: str | float, band: float | None = None
+) -> Tracking:
+    """Return how closely a state of trajectories follows an exogenous input, or a number.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        One, or many, as `capsyn.simulate` returns it.
+    state : str
+        Name of the state.
+    reference : str or float
+        Name of the exogenous input that it should follow, or a constant [state unit].
+    band : float, optional
+        Largest error of a state that has settled [state unit]. Default: 2 % of the distance to the
+        reference at the beginning of each segment.
+
+    Raises
+    ------
+    ProblemError
+        Names that the trajectory does not have, or a band that is not positive.
+    """
+    if not isinstance(trajectory, Trajectory):
+        raise ProblemError(f"`trajectory` must be a Trajectory; got {describe(trajectory)}")
+    if band is not None:
+        band = finite_number("band", band, above=0.0)
+    n = trajectory.states.shape[-1]
+    own = (trajectory.names[:n], trajectory.exogenous_names)
+    values, wanted = followed(trajectory.states, trajectory.exogenous, *own, state, reference)
+    return figures(trajectory.times, values, wanted, trajectory.last, band)
+
+
+def followed(
+    states: np.ndarray,
+    exogenous: np.ndarray,
+    names: Sequence[str],
+    told: Sequence[str],
+    state: str,
+    reference: str | float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a state of states (..., n) and what it should follow, of the names of both."""
+    one_of("state", state, names)
+    values = states[..., names.index(state)]
+    if not isinstance(reference, str):
+        return values, np.full_like(values, finite_number("reference", reference))
+    one_of("reference", reference, told)
+    return values, exogenous[..., told.index(reference)]
+
+
+def figures(
+    times: np.ndarray, values: np.ndarray, wanted: np.ndarray, last: Any, band: float | None = None
+) -> Tracking:
+    """Return `tracking` of values (..., K + 1) that should follow others, up to samples `last`."""
+    shape, size = values.shape[:-1], len(times)
+    rows = [
+        _figures(times, value[: end + 1], want[: end + 1], band)
+        for value, want, end in zip(
+            values.reshape(-1, size), wanted.reshape(-1, size), np.ravel(last)
+        )
+    ]
+    return Tracking(*(np.array(column).reshape(shape)[()] for column in zip(*rows)))
+
+
+def joined_figures(parts: Sequence[Tracking]) -> Tracking:
+    """Return the figures of all trials, of those of some after those of others."""
+    rows = [[getattr(part, f.name) for f in fields(part)] for part in parts]
+    return Tracking(*(np.concatenate(column) for column in zip(*rows)))
+
+
+def _figures(
+    times: np.ndarray, value: np.ndarray, wanted: np.ndarray, band: float | None
+) -> tuple[float, float, float, float]:
+    """Return rms, bias, overshoot and settling time of one trajectory."""
+    error = value - wanted
+    changes = np.flatnonzero(np.diff(wanted)) + 1
+    if len(changes) > MOVING * len(wanted):
+        changes = changes[:0]
+    starts, stops = np.append(0, changes), np.append(changes, len(wanted))
+    bias, overshoot, settling = 0.0, 0.0, 0.0
+    for start, stop in zip(starts, stops):
+        part = error[start:stop]
+        mean = float(part[len(part) // 2 :].mean())
+        bias = mean if abs(mean) > abs(bias) else bias
+        beyond = -np.sign(part[0]) * part
+        overshoot = max(overshoot, float(beyond.max()))
+        allowed = BAND * abs(part[0]) if band is None else band
+        away = np.flatnonzero(np.abs(part) > allowed)
+        settled = start if not len(away) else start + away[-1] + 1
+        time = times[settled] - times[start] if settled < stop else np.nan
+        settling = time if np.isnan(time) else max(settling, time)
+    return float(np.sqrt((error**2).mean())), bias, overshoot, settling
