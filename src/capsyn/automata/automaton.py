@@ -57,7 +57,7 @@ class Automaton:
     name : str
         Name of the policy.
     domain : Box
-        Its domain; with exogenous inputs its space, whose last axes they are.
+        Its domain, or space.
     counts : n ints
         Finest cells along each axis.
     symbols : int
@@ -83,8 +83,7 @@ class Automaton:
     remembers : bool
         Whether the next symbol depends on the one in force.
     told : int
-        Exogenous inputs among the axes of the domain. They are constant: no switch crosses a face
-        between values of theirs, though partitions are connected through it.
+        Exogenous inputs, the last axes: partitions connect along them, but no switch is there.
     """
 
     name: str
@@ -230,13 +229,13 @@ class Automaton:
         """
         analysis = self.switching
         kept = [self.region(label) for label in self.vertices]
-        names, n = list(self.domain.names), self.domain.n - self.told
+        names, n = self.domain.names, self.domain.n - self.told
         return {
             **({} if self.time_unit == "s" else {"time_unit": self.time_unit}),
             **({"remembers": True} if self.remembers else {}),
             "name": self.name,
-            "states": names[:n],
-            **({"exogenous": names[n:]} if self.told else {}),
+            "states": list(names[:n]),
+            **({"exogenous": list(names[n:])} if self.told else {}),
             "vertices": [
                 {
                     "symbol": region.label,

@@ -261,20 +261,18 @@ class Environment(gymnasium.Env):
     def __init__(
         self, problem: Problem, rate: float, duration: float, substeps: int | None, stop: bool
     ) -> None:
-        self.problem, self._stop = problem, stop
+        self.problem, self._stop, space = problem, stop, problem.space
         self._plant = plant_of(lambda time, states: states, problem)
-        self._inside = target_program(self._plant.target, problem.space)
+        self._inside = target_program(self._plant.target, space)
         self.period, self._samples = 1 / rate, max(1, round(duration * rate))
         whole = math.floor(problem.delay * rate + SLACK)
         self._rest = max(0.0, problem.delay - whole * self.period)
-        self._queue = deque(
-            [problem.default_control], maxlen=min(whole, self._samples) + 2
-        )  # newest last
+        held = min(whole, self._samples) + 2
+        self._queue = deque([problem.default_control], maxlen=held)  # newest last
         controls = np.vstack([problem.alphabet.values, problem.default_control])
         if substeps is None:
             substeps = choose_substeps(self._plant, controls, np.zeros((0, 1)), self.period)
         self._substeps = substeps
-        space = problem.space
         self.observation_space = gymnasium.spaces.Box(space.lower, space.upper, dtype=np.float64)
         self.action_space = gymnasium.spaces.Discrete(len(problem.alphabet))
         self._reading, self._left = space.lower.copy(), 0
@@ -288,33 +286,15 @@ class Environment(gymnasium.Env):
         of ``options={"exogenous": w}``, numbers or a mapping of name to number.
         """
         super().reset(seed=seed)
-        domain, given = self.problem.domain, options or {}
-        start = given.get("state")
-        if start is None:
-            state = domain.lower + self.np_random.random(domain.n) * domain.widths
-        else:
-            state = finite_array("state", start, 1)
-            if state.shape != (domain.n,):
-                raise ProblemError(f"`state` must have shape ({domain.n},); got {state.shape}")
-        self._reading = np.concatenate([state, self._exogenous(given.get("exogenous"))])
-        self._left = self._samples
+        domain, told = self.problem.domain, self.problem.exogenous
+        x, w = map((options or {}).get, ("state", "exogenous"))
+        state = finite_array("state", domain.sample(1, self.np_random)[0] if x is None else x, 1)
+        if state.shape != (domain.n,):
+            raise ProblemError(f"`state` must have shape ({domain.n},); got {state.shape}")
+        w = told.sample(1, self.np_random)[0] if told is not None and w is None else w
+        self._reading, self._left = np.concatenate([state, one_exogenous(w, told)]), self._samples
         self._queue.extend([self.problem.default_control] * (self._queue.maxlen or 0))
         return self._observation(), self._info()
-
-    def _exogenous(self, given: Any) -> np.ndarray:
-        """Return the exogenous inputs (k,) of an episode."""
-        told = self.problem.exogenous
-        if told is None:
-            if given is not None:
-                raise ProblemError(
-                    "`exogenous` must be left out: the problem has no exogenous inputs; got "
-                    + describe(given)
-                )
-            return np.empty(0)
-        if given is None:
-            drawn: np.ndarray = told.lower + self.np_random.random(told.n) * told.widths
-            return drawn
-        return one_exogenous(given, told)
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Hold the symbol `action` over a sample.
@@ -340,8 +320,7 @@ class Environment(gymnasium.Env):
             if time > SLACK * self.period:
                 held = (u[:, None], none, np.zeros_like(x), np.full(1, time))
                 x, cost = self._plant.advance(x, cost, *held, self._substeps)
-        self._reading = x[:, 0]
-        self._left -= 1
+        self._reading, self._left = x[:, 0], self._left - 1
         finite = bool(np.isfinite(self._reading).all() and np.isfinite(cost[0]))
         inside = domain.contains(self._reading[None, : domain.n])[0]
         left = self.problem.outside == "error" and not inside

@@ -189,7 +189,7 @@ class Box:
             steps[:, i] = k
         return steps
 
-    def sample(self, count: int, seed: int | Sequence[int] = 0) -> np.ndarray:
+    def sample(self, count: int, seed: int | Sequence[int] | np.random.Generator = 0) -> np.ndarray:
         """Return `count` states (count, n), drawn uniformly from the box, the same for a `seed`."""
         unit = np.random.default_rng(seed).random((count, self.n))
         return self.lower + unit * self.widths

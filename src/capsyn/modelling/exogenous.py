@@ -125,8 +125,14 @@ def exogenous_array(values: Any, told: Box) -> np.ndarray:
     return w
 
 
-def one_exogenous(values: Any, told: Box) -> np.ndarray:
-    """Return exogenous inputs (k,) within their box, of a mapping of names, too."""
+def one_exogenous(values: Any, told: Box | None) -> np.ndarray:
+    """Return exogenous inputs (k,) within their box, of a mapping of names, too; None are none."""
+    if told is None:
+        if values is not None:
+            raise ProblemError(
+                f"`exogenous` must be left out: there are none; got {describe(values)}"
+            )
+        return np.empty(0)
     w = exogenous_array(values, told)
     if w.shape != (told.n,) or not told.contains(w[None])[0]:
         raise ProblemError(

@@ -3,8 +3,7 @@
 Of a policy that remembers several symbols may be in force at a state: all that its row there gives,
 whatever may have been in force before. dV/dt then is the largest of theirs.
 
-Of a policy that is told exogenous inputs, states here are readings, these last, and they are
-constant: V may be another function of the state for each of their values.
+With exogenous inputs, which are constant along a loop, states here are readings, these last.
 """
 
 from __future__ import annotations
@@ -110,8 +109,8 @@ class LyapunovProof:
     time_unit : str
         That of the policy, see `Problem`.
     exogenous : str
-        Exogenous inputs and their bounds in words: the volume is that of states and of them. Where
-        all of it is proved, it is for every constant value of theirs. Empty where there are none.
+        Exogenous inputs, whose volume counts, too, with their bounds; empty where there are none.
+        Where all is proved, it is for every constant value of theirs.
     """
 
     function: str
@@ -137,8 +136,8 @@ class LyapunovProof:
 
     def to_json(self) -> dict[str, Any]:
         """Return the proof as plain data, without a time unit of s and exogenous inputs of none."""
-        usual = {"time_unit": "s", "exogenous": ""}
-        told = {k: v for k, v in vars(self).items() if k not in usual or v != usual[k]}
+        usual = ("time_unit", "s"), ("exogenous", "")
+        told = {k: v for k, v in vars(self).items() if (k, v) not in usual}
         return told | {
             "violated_cell_count": len(self.violated_cells),
             "violated_cells": self.violated_cells.to_json(),
@@ -178,12 +177,8 @@ class LyapunovGrid:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as plain data, without the signs of single states."""
-        return {
-            "states": list(self.signs.shape),
-            "tolerance": self.tolerance,
-            "counts": self.counts,
-            "shares": self.shares,
-        }
+        figures = {name: getattr(self, name) for name in ("tolerance", "counts", "shares")}
+        return {"states": list(self.signs.shape)} | figures
 
 
 def lyapunov(
@@ -192,10 +187,9 @@ def lyapunov(
     """Return what interval arithmetic proves about dV/dt in continuous time, cell by cell.
 
     In every cell, faces included, the control is that of its symbol, or of each symbol that may be
-    in force there, no least time being waited for. Where V has a kink, as
-    ``abs(E)`` at ``E = 0``, the gradients on either side and all between them count. That V is
-    positive, and that it does not jump but where random pairs of states would show it, is up to
-    whoever made it.
+    in force there, no least time being waited for. Where V has a kink, as ``abs(E)`` at ``E = 0``,
+    the gradients on either side and all between them count. That V is positive, and that it does
+    not jump but where random pairs of states would show it, is up to whoever made it.
 
     Parameters
     ----------
@@ -236,8 +230,7 @@ def lyapunov_grid(
     policy, V
         As in `lyapunov`.
     spacing : float or (n,)
-        Largest distance of neighbouring states on each axis, those of exogenous inputs last [their
-        units].
+        Largest distance of neighbouring states on each axis [state units].
     zero : float
         Up to this fraction of the largest ``|dV/dt|`` on the grid it counts as 0.
 
@@ -291,8 +284,7 @@ class _Cells:
 
     def __init__(self, policy: Policy) -> None:
         tree = policy.cells
-        self.policy = policy
-        self.boxes = boxes = tree.boxes()
+        self.policy, self.boxes = policy, (boxes := tree.boxes())
         self.entries, self.rows, self.levels = boxes.places, boxes.labels, boxes.levels
         rows, before = policy.transitions, [*reachable(policy), len(policy.alphabet)]
         given = np.zeros(rows.shape, dtype=bool)
@@ -319,15 +311,14 @@ class _Cells:
         ends = left.lower[:, worst], left.upper[:, worst]
         symbols = self._bounds(loop, *ends, left.cells[worst])[2]
         undecided = left.cells[worst], symbols, left.middle.T[worst], left.high[worst]
-        count = len(self.entries)
+        count, kinds = len(self.entries), ("proved", "negative", "violated", "undecided")
         shares: dict[str, Any] = {  # which rounding must not lift above the whole
-            name: min(1.0, math.fsum(boxes.shares[getattr(boxes, name)]))
-            for name in ("proved", "negative", "violated", "undecided")
+            kind: min(1.0, math.fsum(boxes.shares[getattr(boxes, kind)])) for kind in kinds
         }
         return LyapunovProof(
-            function=function,
-            depth=depth,
-            max_boxes=most,
+            function,
+            depth,
+            most,
             **shares,
             cells=count,
             proved_cells=count - len(np.unique(boxes.cells[~boxes.proved])),
@@ -406,5 +397,4 @@ class _Cells:
 def _largest(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the place of the largest value of every group, groups ascending."""
     order = np.lexsort((-values, groups))
-    _, first = np.unique(groups[order], return_index=True)
-    return order[first]
+    return order[np.unique(groups[order], return_index=True)[1]]
