@@ -139,10 +139,11 @@ def _followed(
 ) -> SplitTree:
     """Return the tree on its axes `free`, in their order, while those of `fixed` have values.
 
-    The others are compared nowhere. Comparisons that do not depend on the axes left are made;
-    planes that are left with one axis become splits of it.
+    The others are compared nowhere. Comparisons whose result does not depend on the axes left are
+    made; planes that are left with one axis become splits of it.
     """
     number = {axis: k for k, axis in enumerate(free)}
+    last = np.array(counts, dtype=np.int64) - 1
 
     def settled(node: int) -> tuple[int, Any, int, bool]:
         """Return the next node that still compares, or a leaf: node, split, threshold, swapped."""
@@ -158,17 +159,16 @@ def _followed(
                 plane = tree.planes[axis - tree.n].astype(np.int64)
                 threshold -= int(sum(plane[i] * value for i, value in fixed.items()))
                 left = plane[list(free)]
-                axes = np.flatnonzero(left)
-                if len(axes) > 1:
-                    return node, left, threshold, False
-                if not len(axes):
-                    beyond = threshold <= 0
-                else:  # c z >= t: z >= ceil(t / c), or of a negative c not z >= floor(t / c) + 1
+                least, most = (int(part(left, 0) @ last) for part in (np.minimum, np.maximum))
+                if least < threshold <= most:
+                    axes = np.flatnonzero(left)
+                    if len(axes) > 1:
+                        return node, left, threshold, False
                     k, c = int(axes[0]), int(left[axes[0]])
-                    at = -(-threshold // c) if c > 0 else threshold // c + 1
-                    if 0 < at < counts[k]:
-                        return node, k, at, c < 0
-                    beyond = (at <= 0) == (c > 0)
+                    if c > 0:  # c z >= t where z >= ceil(t / c)
+                        return node, k, -(-threshold // c), False
+                    return node, k, threshold // c + 1, True  # where z < floor(t / c) + 1
+                beyond = threshold <= least
             node = int(tree.second[node] if beyond else tree.first[node])
 
     def look(node: int) -> tuple[Any, int, Sequence[int]]:
