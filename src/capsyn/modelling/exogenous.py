@@ -111,9 +111,14 @@ def exogenous_array(values: Any, told: Box) -> np.ndarray:
             raise ProblemError(
                 f"`exogenous` must give {', '.join(told.names)}; got {', '.join(map(str, values))}"
             )
-        values = np.stack(
-            np.broadcast_arrays(*(numbers("exogenous", values[name]) for name in told.names)), -1
-        )
+        given = [numbers("exogenous", values[name]) for name in told.names]
+        try:
+            values = np.stack(np.broadcast_arrays(*given), -1)
+        except ValueError:
+            raise ProblemError(
+                "`exogenous` must be numbers of shapes that fit each other; got "
+                + " and ".join(str(value.shape) for value in given)
+            ) from None
     w = numbers("exogenous", values)
     if w.ndim == 0 and told.n == 1:
         w = w[None]

@@ -37,6 +37,7 @@ def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs
     An operation that programs do not have, or a NaN constant, is a `ProblemError`.
     """
     function = function.expand() if not function.is_a("SXFunction") else function
+    own = "default" if name == "law" else name
     builder = ProgramBuilder()
     slots = [[builder.input() for _ in range(size)] for _, size in inputs]
     starts = np.cumsum([0] + [size for _, size in outputs])
@@ -54,7 +55,7 @@ def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs
             number = function.instruction_constant(k)
             if np.isnan(number):
                 raise ProblemError(
-                    f"`{name}` contains the constant NaN; math.sin and float do not work on "
+                    f"`{own}` contains the constant NaN; math.sin and float do not work on "
                     "symbols, CasADi's and NumPy's functions do"
                 )
             work[into[0]] = builder.constant(number)
@@ -64,7 +65,7 @@ def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs
             work[into[0]] = builder.apply(_OPERATIONS[code], *(work[i] for i in operands))
         else:
             operation = _CASADI_NAMES.get(code, str(code))
-            raise ProblemError(f"`{name}` uses the operation '{operation}', which has no C form")
+            raise ProblemError(f"`{own}` uses the operation '{operation}', which has no C form")
     return builder.build(name, inputs, outputs, results)
 
 
