@@ -117,7 +117,12 @@ def plant_system(
         controls = np.vstack([plant.alphabet.values, plant.default])
         substeps = choose_substeps(plant, controls, np.zeros((0, 1)), dt)
     none, n, m = np.zeros((0, 1)), plant.states, plant.m
-    names = plant.space.names
+    names, inputs = plant.space.names, plant.alphabet.inputs
+    if shared := sorted(set(names[n:]) & set(inputs)):
+        raise ProblemError(
+            f"`model` must have exogenous inputs named otherwise than its controls; '{shared[0]}' "
+            "is both"
+        )
 
     def update(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
         held, told = np.split(np.atleast_1d(u)[:, None], [m])
@@ -131,7 +136,7 @@ def plant_system(
     return control.NonlinearIOSystem(
         update,
         None,
-        inputs=[*plant.alphabet.inputs, *names[n:]],
+        inputs=[*inputs, *names[n:]],
         outputs=list(names[:n]),
         states=list(names[:n]),
         dt=dt,
