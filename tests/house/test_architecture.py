@@ -43,7 +43,7 @@ compression.fitted: surface plane_tree oblique
 compression.features: growing space cell_fit controller_fit
 compression: proof judge compress curve complexity
 plots: figure policy trajectory automaton curve switching
-exports: crossings plan constants golden sequence target certificate identifiers text
+exports: crossings text plan constants golden sequence target certificate identifiers
     feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
     styles.grid styles.cells readings.single readings.lines readings.counts features memory code

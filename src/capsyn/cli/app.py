@@ -88,6 +88,7 @@ def list_problems(as_json: Json = False) -> None:
         {
             "name": p.name,
             "states": p.domain.n,
+            "exogenous": p.space.n - p.domain.n,
             "symbols": len(p.alphabet),
             "max_level": p.max_level,
             "description": p.description,
@@ -276,24 +277,32 @@ def info(
 @app.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
 def query(
     file: File,
-    state: Annotated[list[str], typer.Argument(metavar="X1 X2 ..", help="A state.")],
+    state: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="X1 X2 .. W1 ..", help="A state, then the exogenous inputs if there are any."
+        ),
+    ],
     outside: Outside = None,
     current: Current = None,
     as_json: Json = False,
 ) -> None:
-    """Look up the symbol of a state."""
+    """Look up the symbol of a state, and of exogenous inputs if there are any."""
     from capsyn.policies.policy import Policy
 
     policy = Policy.load(file)
-    names = policy.space.names
+    names, n = policy.space.names, policy.domain.n
     if len(state) != len(names):
+        what = "the state" if n == len(names) else "the state and the exogenous inputs"
         raise ProblemError(
-            f"the state must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
+            f"{what} must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
         )
     values = [number(name, text) for name, text in zip(names, state)]
-    symbol = int(policy(values, outside, current=current))
+    symbol = int(policy(values, outside=outside, current=current))
     control, own_name = policy.controls[symbol].tolist(), policy.symbol_name(symbol)
-    data = {"state": values, "symbol": symbol, "name": own_name, "control": control}
+    told = {} if policy.exogenous is None else {"exogenous": values[n:]}
+    found = {"symbol": symbol, "name": own_name, "control": control}
+    data = {"state": values[:n], **told, **found}
     pairs = [
         f"{name} = {value:g} {unit}".rstrip()
         for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)

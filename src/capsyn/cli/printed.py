@@ -161,7 +161,7 @@ def print_compression(tree: dict[str, Any], policy: dict[str, Any]) -> None:
 
 def _print_tree(data: dict[str, Any]) -> None:
     planes = f", {data['planes']} oblique splits" if data["planes"] else ""
-    grid = " x ".join(str(state["steps"]) for state in data["states"])
+    grid = _along_axes(data, "steps")
     print_line(
         "tree",
         f"{data['nodes']:,} nodes, {data['depth']} comparisons at most{planes}, on {grid} steps; "
@@ -253,21 +253,29 @@ def _price(price: Any, per: str) -> str:
 
 
 def _print_states_and_symbols(data: dict[str, Any]) -> None:
-    for state in data["states"]:
-        unit = f" {state['unit']}" if state["unit"] else ""
-        periodic = ", periodic" if state["periodic"] else ""
-        bounds = f"[{state['lower']:g}, {state['upper']:g}]"
-        print_line("state", f"{state['name']} in {bounds}{unit}{periodic}")
+    for what, axes in (("state", data["states"]), ("exogenous", data.get("exogenous", []))):
+        for axis in axes:
+            unit = f" {axis['unit']}" if axis["unit"] else ""
+            periodic = ", periodic" if axis["periodic"] else ""
+            bounds = f"[{axis['lower']:g}, {axis['upper']:g}]"
+            print_line(what, f"{axis['name']} in {bounds}{unit}{periodic}")
     for symbol in data["symbols"]:
         value, share = vector(symbol["value"]), symbol["volume_share"]
         print_line("symbol", f"{symbol['name']} {value}: {share:.2%} of the volume")
     kind = ", in gaps, which are outside" if data["gaps"] else ""
     value, share = vector(data["default"]["value"]), data["default"]["volume_share"]
+    if data["default"].get("law"):
+        value = f"a law, {value} in the middle"
     print_line("default", f"{value}: {share:.2%} of the volume{kind}")
 
 
+def _along_axes(data: dict[str, Any], key: str) -> str:
+    """Return a figure of all states, and of the exogenous inputs after them."""
+    return " x ".join(str(axis[key]) for axis in (*data["states"], *data.get("exogenous", ())))
+
+
 def _print_cells(data: dict[str, Any]) -> None:
-    grid = " x ".join(str(state["partitions"]) for state in data["states"])
+    grid = _along_axes(data, "partitions")
     mixed = f"{data['mixed_cells']:,} with mixed labels, {data['mixed_share']:.2%} of the volume"
     along = ", split along some axes" if data["adaptive"] else ""
     print_line(
@@ -275,7 +283,7 @@ def _print_cells(data: dict[str, Any]) -> None:
         f"{data['cells']:,} from a root grid {grid}, max level {data['max_level']}{along}; {mixed}",
     )
     if data["affine_leaves"]:
-        steps = " x ".join(str(state["steps"]) for state in data["states"])
+        steps = _along_axes(data, "steps")
         leaves = f"{data['affine_leaves']:,} of the cells"
         print_line("affine", f"{leaves}, on a lattice of {steps} steps")
     print_line("table", f"{data['packed_bytes']:,} bytes packed")

@@ -36,7 +36,8 @@ def facts(data: dict[str, Any], switching: Sequence[Row] = ()) -> list[dict[str,
 
 
 def _size(data: dict[str, Any]) -> list[Row]:
-    grid = " x ".join(str(state["steps"]) for state in data["states"])
+    axes = [*data["states"], *data.get("exogenous", ())]
+    grid = " x ".join(str(axis["steps"]) for axis in axes)
     if "cells" not in data:
         oblique = f", {data['planes']:,} of them oblique" if data["planes"] else ""
         return [
@@ -47,7 +48,7 @@ def _size(data: dict[str, Any]) -> list[Row]:
             ("packed", f"{data['packed_bytes']:,} bytes"),
             ("guarantee", data["guarantee"]["text"]),
         ]
-    root = " x ".join(str(state["partitions"]) for state in data["states"])
+    root = " x ".join(str(axis["partitions"]) for axis in axes)
     way = "along some axes" if data["adaptive"] else "along all axes"
     return [
         ("cells", f"{data['cells']:,}"),

@@ -8,20 +8,27 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, Plan
+from capsyn.exports.text import spoken
 
 
 def constants(plan: Plan) -> list[tuple[str, Any, str]]:
     """Return names, values and remarks; remarks of a pair of constants stand at the first."""
     policy = plan.policy
     domain, alphabet = policy.space, policy.alphabet
-    asked = "a decision" if policy.remembers else "decide"
+    asked, first = "a decision" if policy.remembers else "decide", "A state is"
+    told: list[tuple[str, Any, str]] = []
+    if policy.exogenous is not None:
+        about = "Names of the exogenous inputs, which come after the states."
+        told = [("EXOGENOUS", policy.exogenous.names, about)]
+        first = "States and exogenous inputs are"
     return [
-        ("STATES", domain.names, "Names of the states."),
+        ("STATES", policy.domain.names, "Names of the states."),
+        *told,
         ("UNITS", domain.units, "Their units."),
         ("LOWER", domain.lower.tolist(), "Bounds of the domain."),
         ("UPPER", domain.upper.tolist(), ""),
         ("PERIODIC", domain.periodic, "Whether the upper bound is the same point as the lower."),
-        ("SCALE", plan.scale.tolist(), f"A state is what {asked} gets * SCALE + OFFSET."),
+        ("SCALE", plan.scale.tolist(), f"{first} what {asked} gets * SCALE + OFFSET."),
         ("OFFSET", plan.offset.tolist(), ""),
         ("COUNTS", plan.counts, "Lattice steps along each axis."),
         ("INPUTS", alphabet.inputs, "Names of the inputs."),
@@ -29,12 +36,16 @@ def constants(plan: Plan) -> list[tuple[str, Any, str]]:
         ("SYMBOLS", plan.symbol_names, "Names of the symbols, the default control last."),
         ("CONTROLS", policy.controls.tolist(), "Their control vectors."),
         ("DEFAULT", plan.default, "The symbol of the default control."),
-        ("SAFE", plan.safe, "The symbol of states that have no other."),
-        ("NEAREST", plan.nearest, "Whether a state outside has the symbol of the nearest step."),
+        ("SAFE", plan.safe, spoken(policy, "The symbol of states that have no other.")),
+        (
+            "NEAREST",
+            plan.nearest,
+            spoken(policy, "Whether a state outside has the symbol of the nearest step."),
+        ),
         ("GAP", plan.gap, "The label of steps that are outside; -1: none."),
         ("TIME_UNIT", policy.time_unit, "Unit of all times."),
         *_times(plan),
-        ("OK", OK, "Statuses of a state: in the domain, outside, or not finite."),
+        ("OK", OK, spoken(policy, "Statuses of a state: in the domain, outside, or not finite.")),
         ("OUTSIDE", OUTSIDE, ""),
         ("NOT_FINITE", NOT_FINITE, ""),
         (
@@ -73,7 +84,11 @@ def tables(plan: Plan) -> list[tuple[str, Any, str]]:
         return rows + [(k, v.tolist(), note) for k, v, note in cell_tables(tree)]
     return [
         *rows,
-        ("SPLIT", tree.split.tolist(), "What a node compares: a state, then PLANES; -1: a leaf."),
+        (
+            "SPLIT",
+            tree.split.tolist(),
+            spoken(plan.policy, "What a node compares: a state, then PLANES; -1: a leaf."),
+        ),
         (
             "THRESHOLD",
             tree.threshold.tolist(),

@@ -15,6 +15,7 @@ from capsyn.cells.split_tree import SplitTree
 from capsyn.compression.compress import affine_tree_of, tree_of
 from capsyn.errors import ProblemError
 from capsyn.exports.crossings import reading_factors
+from capsyn.exports.text import kind, price, with_unit
 from capsyn.modelling.alphabet import Alphabet, check_outside
 from capsyn.modelling.switching import DEFAULT
 from capsyn.modelling.time_unit import to_seconds
@@ -165,7 +166,7 @@ class Plan:
 
     @property
     def n(self) -> int:
-        """Number of states."""
+        """Number of states, and of the exogenous inputs after them."""
         return self.policy.space.n
 
     @property
@@ -268,17 +269,23 @@ class Plan:
             unit = f" {domain.units[i]}" if domain.units[i] else ""
             periodic = ", periodic" if domain.periodic[i] else ""
             bounds = f"[{float(domain.lower[i])!r}, {float(domain.upper[i])!r}]"
-            lines.append(f"State {i}: {domain.names[i]} in {bounds}{unit}{periodic}")
+            what = f"{kind(policy, i).capitalize()} {i}"
+            lines.append(f"{what}: {domain.names[i]} in {bounds}{unit}{periodic}")
         if self.folded:
             pairs = zip(self.scale.tolist(), self.offset.tolist())
             for i, (scale, offset) in enumerate(pairs):
                 sign = "-" if offset < 0 else "+"
-                lines.append(f"State {i} = {scale!r} * reading {sign} {abs(offset)!r}")
+                what = f"{kind(policy, i).capitalize()} {i}"
+                lines.append(f"{what} = {scale!r} * reading {sign} {abs(offset)!r}")
+        if policy.exogenous is not None:
+            lines.append("Readings: states, then exogenous inputs; 'state' below is either of them")
         inputs = map(with_unit, policy.alphabet.inputs, policy.alphabet.units)
         lines.append(f"Inputs: {', '.join(inputs)}")
         for k, name in enumerate(self.symbol_names):
             value = ", ".join(f"{v!r}" for v in policy.controls[k].tolist())
             lines.append(f"Symbol {k}: {name} ({value})")
+        if policy.model is not None and policy.model.prediction is not None:
+            lines.append("The default control is that of a law in the middle of all bounds")
         lost = f"symbol {self.safe} ({self.symbol_names[self.safe]})"
         nearest = f"Outside: the symbol of the nearest cell; not finite: {lost}"
         lines.append(nearest if self.nearest else f"Outside and not finite: {lost}")
@@ -317,7 +324,7 @@ class Plan:
                 "The next symbol depends on the symbol in force, which stays where it ties"
             )
         if switching is not None and switching.price:
-            lines.append(f"Price of a switch: {_price(switching.price)} [cost / {unit}]")
+            lines.append(f"Price of a switch: {price(switching.price)} [cost / {unit}]")
         if switching is not None and switching.forbidden:
             pairs = ", ".join(f"{before} to {after}" for before, after in switching.forbidden)
             lines.append(f"Forbidden: {pairs}")
@@ -352,16 +359,6 @@ def _held(policy: Policy, dwell: float) -> Policy:
     return dataclasses.replace(policy, min_dwell=dwell, switching=switching)
 
 
-def _price(price: float | dict[str, float] | tuple[tuple[float, ...], ...]) -> str:
-    """Return a price in words: one, for each unit of change of inputs, or from least to most."""
-    if isinstance(price, dict):
-        return ", ".join(f"{value!r} a unit of {name}" for name, value in price.items())
-    if isinstance(price, tuple):
-        others = [p for j, row in enumerate(price) for i, p in enumerate(row) if i != j]
-        return f"{min(others)!r} to {max(others)!r}"
-    return repr(price)
-
-
 def _is_affine(policy: Policy) -> bool:
     return isinstance(policy.cells, CellTree) and policy.cells.affine is not None
 
@@ -375,11 +372,6 @@ def _structure(plan: Plan) -> str:
     if cells.affine is not None:
         rows = f", {len(cells.affine)} of them affine with {len(cells.affine.symbols)} rows"
     return f"Cells: {cells.leaf_count} leaves{rows}; those of the policy itself."
-
-
-def with_unit(name: str, unit: str) -> str:
-    """Return a name with its unit in brackets, if it has one."""
-    return f"{name} [{unit}]" if unit else name
 
 
 def _symbol(safe: object, alphabet: Alphabet) -> int:

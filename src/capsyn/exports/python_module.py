@@ -14,6 +14,7 @@ from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
 from capsyn.exports.target import Exported, NameOption, Target
+from capsyn.exports.text import spoken
 
 KEYWORDS = {*keyword.kwlist, *keyword.softkwlist, *sys.stdlib_module_names}
 """Names that the module cannot have, or that would hide another."""
@@ -253,14 +254,15 @@ def following(leaf, z, in_force):
 def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     """Return a module of Python 3.8 or later."""
     lines = ["# -*- coding: utf-8 -*-", *(f"# {line}" for line in plan.header)]
-    title = f"Control alphabet policy {plan.policy.name}: states to symbols."
+    title = f"Control alphabet policy {plan.policy.name}: "
+    title += spoken(plan.policy, "states to symbols.")
     lines += [repr(title), "", "import math", ""]
     for constant, value, note in constants(plan) + tables(plan):
         lines += [f"# {note}"] * bool(note)
         whole = isinstance(value, (list, tuple))
         lines.append(_tuple(constant, value) if whole else f"{constant} = {value!r}")
     file = f"{file_name(options.name, plan.policy.name, KEYWORDS)}.py"
-    code = _code(plan).replace("[time unit]", f"[{plan.policy.time_unit}]")
+    code = spoken(plan.policy, _code(plan)).replace("[time unit]", f"[{plan.policy.time_unit}]")
     if features := features_of(plan.cells):
         code = python_ranks(features) + code.replace("quantise(x)", "with_ranks(quantise(x))")
     return Exported({file: ("\n".join(lines) + code).encode()})

@@ -7,13 +7,13 @@ import numpy as np
 from capsyn.modelling.domain import Box
 
 
-def outside_text(domain: Box, state: np.ndarray, index: int | None) -> str:
+def outside_text(domain: Box, state: np.ndarray, index: int | None, what: str = "state") -> str:
     """Return what is wrong with a state (n,): not finite, in a gap, or outside the domain.
 
-    `index` is its place among others, if there are any.
+    `index` is its place among others, if there are any; `what` it is called.
     """
     text = "(" + ", ".join(f"{v:g}" for v in state) + ")"
-    which = f"state {index}" if index is not None else "the state"
+    which = f"{what} {index}" if index is not None else f"the {what}"
     if not np.isfinite(state).all():
         return f"{which} must be finite; got {text}"
     if domain.contains(state[None])[0]:

@@ -173,7 +173,8 @@ class Policy:
             if isinstance(rule, str):
                 first = int(np.flatnonzero(lost)[0])
                 index = None if states.ndim == 1 else first
-                raise OutsideDomainError(outside_text(self.space, flat[first], index))
+                what = "state" if self.exogenous is None else "reading"
+                raise OutsideDomainError(outside_text(self.space, flat[first], index, what))
             labels[lost] = rule
         labels[labels == len(self.alphabet)] = -1
         return labels.reshape(states.shape[:-1])[()]

@@ -28,32 +28,24 @@ PER_AXIS = ("partitions", "refinement")
 def report(policy: Policy) -> dict[str, Any]:
     """Return the figures of a policy, or of a decision tree, as plain data.
 
-    A time unit of s is left out.
+    A time unit of s is left out, as is what is there for exogenous inputs and default laws only.
     """
-    cells, domain, alphabet = policy.cells, policy.space, policy.alphabet
+    alphabet, names = policy.alphabet, [*policy.alphabet.names, "default"]
     shares, digest = policy.volume_shares.tolist(), content_hash(policy)
-    names, structure = [*alphabet.names, "default"], cells.structure()
+    readings, n = _axes(policy), policy.domain.n
+    law = policy.model is not None and policy.model.prediction is not None
     return {
         "name": policy.name,
-        "states": [
-            {
-                "name": domain.names[i],
-                "unit": domain.units[i],
-                "lower": domain.lower[i],
-                "upper": domain.upper[i],
-                "periodic": domain.periodic[i],
-                "steps": cells.counts[i],
-                **{key: structure[key][i] for key in PER_AXIS if key in structure},
-            }
-            for i in range(domain.n)
-        ],
+        "states": readings[:n],
+        **({} if policy.exogenous is None else {"exogenous": readings[n:]}),
         "symbols": [
             {"name": names[k], "value": alphabet.values[k].tolist(), "volume_share": shares[k]}
             for k in range(len(alphabet))
         ],
         "inputs": list(alphabet.inputs),
-        "target": None if policy.target is None else describe_target(policy.target, domain),
-        "default": {"value": policy.default.tolist(), "volume_share": shares[-1]},
+        "target": None if policy.target is None else describe_target(policy.target, policy.space),
+        "default": {"value": policy.default.tolist(), "volume_share": shares[-1]}
+        | ({"law": True} if law else {}),
         "gaps": policy.gaps,
         "unused_symbols": unused_symbols(policy),
         **(_tree(policy) if isinstance(policy, DecisionTree) else _cells(policy)),
@@ -71,6 +63,24 @@ def report(policy: Policy) -> dict[str, Any]:
         "sha256": digest,
         "hints": hints(policy),
     }
+
+
+def _axes(policy: Policy) -> list[dict[str, Any]]:
+    """Return what is said of each state, and of each exogenous input after them."""
+    cells, space = policy.cells, policy.space
+    structure = cells.structure()
+    return [
+        {
+            "name": space.names[i],
+            "unit": space.units[i],
+            "lower": space.lower[i],
+            "upper": space.upper[i],
+            "periodic": space.periodic[i],
+            "steps": cells.counts[i],
+            **{key: structure[key][i] for key in PER_AXIS if key in structure},
+        }
+        for i in range(space.n)
+    ]
 
 
 def unused_symbols(policy: Policy) -> list[str]:

@@ -135,7 +135,7 @@ def by_json(policy, directory, readings, **options):
 
 def read(data, reading, in_force=None):
     """Return (symbol, status) as the texts of a JSON file say, with a symbol in force if needed."""
-    axes = data["states"]
+    axes = data["states"] + data.get("exogenous", [])
     x = [v * axis["scale"] + axis["offset"] for v, axis in zip(reading, axes)]
     if not all(map(math.isfinite, x)):
         return data["outside"]["safe"], 2

@@ -6,6 +6,7 @@ from capsyn.exports.c import dwell, timers
 from capsyn.exports.c.code import Code
 from capsyn.exports.c.language import comment
 from capsyn.exports.c.notes import notes
+from capsyn.exports.text import spoken
 
 
 def header(code: Code) -> str:
@@ -39,7 +40,7 @@ typedef enum {{
     {upper}_NOT_FINITE = 2
 }} {p}_status;
 
-/* What decisions are asked for. */
+/* What decisions are asked for{_order(code)}. */
 typedef {code.reading} {p}_reading;
 
 /*
@@ -54,6 +55,13 @@ typedef {code.reading} {p}_reading;
 
 #endif
 """
+
+
+def _order(code: Code) -> str:
+    """Return what stands where in arrays of readings, where they are not of states alone."""
+    told = code.plan.policy.exogenous
+    states = f": {code.plan.policy.domain.n} state(s), then "
+    return "" if told is None else f"{states}{told.n} exogenous input(s)"
 
 
 def _none(code: Code) -> str:
@@ -90,7 +98,7 @@ int16_t {code.prefix}_symbol({code.in_force}const {code.integer} z[{plan.n}]);
 def _of_states(code: Code) -> str:
     """Return the declarations of what is asked for states or readings."""
     plan, p, n = code.plan, code.prefix, code.plan.n
-    states = "readings" if plan.folded or code.axes else "states"
+    states = "readings" if plan.folded or code.axes else spoken(plan.policy, "states")
     lost = "" if code.axes else "; of those that are not finite 0"
     text = ""
     if code.arithmetic == "lattice":

@@ -81,6 +81,7 @@ def _program(code: Code) -> str:
     if code.stateful:
         now = "0u, " * code.waits
         call = f"    {p}_init(&state);\n    symbol = {p}_step(&state, x, {now}&status);\n"
+    order = "" if plan.policy.exogenous is None else " /* states, then exogenous inputs */"
     value = ("(double)" if code.real == "float" else "") + f"{p}_control(symbol, i)"
     return f"""{code.about("example")}
 #include <stdio.h>
@@ -89,7 +90,7 @@ def _program(code: Code) -> str:
 
 int main(void)
 {{
-    const {code.reading} x[{plan.n}] = {{{_middle(code)}}};
+    const {code.reading} x[{plan.n}] = {{{_middle(code)}}};{order}
     {p}_status status;
     int16_t symbol;
     uint16_t i;
@@ -161,8 +162,11 @@ def _sketch(code: Code) -> str:
         asked = f"{p}_step(&state, x, {now}&status)"
         if code.waits:
             lattice = f"{p}_hold(&state, {lattice}, {clock})"
+    said = "what sensors say"
+    if code.plan.policy.exogenous is not None:
+        said = "states, then exogenous inputs"
     reading = f"""\
-    const {code.reading} x[{n}] = {{{_middle(code)}}}; /* yours: what sensors say */
+    const {code.reading} x[{n}] = {{{_middle(code)}}}; /* yours: {said} */
     {p}_status status;
     const int16_t symbol = {asked};
 """

@@ -9,6 +9,7 @@ from xml.sax.xmlreader import AttributesImpl
 
 from capsyn.exports.fmu.times import times_of, variable_names
 from capsyn.exports.plan import Plan
+from capsyn.exports.text import kind, spoken
 from capsyn.modelling.time_unit import from_seconds
 from capsyn.version import __version__
 
@@ -46,14 +47,15 @@ def description(plan: Plan, name: str, guid: str) -> bytes:
 
 
 def _states(plan: Plan) -> list[Element]:
-    """Return the inputs of the unit: readings of the states."""
+    """Return the inputs of the unit: readings of the states, then of exogenous inputs."""
     domain, names = plan.policy.space, variable_names(plan)
     variables = []
     for i in range(domain.n):
-        about, unit = f"State {domain.names[i]}", domain.units[i]
+        what, unit = f"{kind(plan.policy, i)} {domain.names[i]}", domain.units[i]
+        about = what[0].upper() + what[1:]
         if plan.folded:
             about = (
-                f"Reading of which state {domain.names[i]} [{unit}] is "
+                f"Reading of which {what} [{unit}] is "
                 f"reading * {float(plan.scale[i])!r} + {float(plan.offset[i])!r}"
             )
             unit = ""
@@ -74,6 +76,7 @@ def _own(plan: Plan) -> list[Element]:
     """Return the variables of every unit, and its parameters."""
     symbols = ", ".join(f"{k}: {text}" for k, text in enumerate(plan.symbol_names))
     statuses = "0: the state is in the domain, 1: outside, 2: a component is NaN or infinite"
+    statuses = spoken(plan.policy, statuses)
     times, first = times_of(plan), plan.n + plan.policy.alphabet.m
     reals = [_real("s", start=repr(s), min="0", **_display(plan)) for s in times.seconds]
     names = variable_names(plan)[first:]

@@ -1,10 +1,11 @@
 """Target ``fmu``: an FMI 2.0 co-simulation unit with its C source and binaries of platforms.
 
-Inputs are readings of the states, outputs the control vector, the symbol and the status. A step
-decides from the inputs at its begin and holds the control over it; inputs that are set afterwards
-show in the outputs at once. The parameter ``min_dwell`` overrides the policy's; where symbols and
-inputs have times of their own there is one for each, ``hold_NAME``, and ``hold_off`` where there is
-one. They are in seconds, as all time of FMI is; tools can display them in the policy's unit.
+Inputs are readings of the states, then of exogenous inputs; outputs are the control vector, the
+symbol and the status. A step decides from the inputs at its begin and holds the control over it;
+inputs that are set afterwards show in the outputs at once. The parameter ``min_dwell`` overrides
+the policy's; where symbols and inputs have times of their own there is one for each, ``hold_NAME``,
+and ``hold_off`` where there is one. They are in seconds, as all time of FMI is; tools can display
+them in the policy's unit.
 """
 
 from __future__ import annotations

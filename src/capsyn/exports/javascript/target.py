@@ -15,6 +15,7 @@ from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name
 from capsyn.exports.plan import Plan
 from capsyn.exports.target import Exported, NameOption, Target
+from capsyn.exports.text import spoken
 
 QUANTISE = """
 /** Return the lattice steps of a state of finite numbers; beyond the bounds the nearest. */
@@ -249,7 +250,7 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
         lines += [f"// {note}", f"const {constant} ="]
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
     lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text()
-    code = _code(plan).replace("[time unit]", f"[{plan.policy.time_unit}]")
+    code = spoken(plan.policy, _code(plan)).replace("[time unit]", f"[{plan.policy.time_unit}]")
     if features := features_of(plan.cells):
         code = javascript_ranks(features) + code.replace("quantise(x)", "withRanks(quantise(x))")
     text = "\n".join([*lines, "", lattice]) + code

@@ -20,6 +20,13 @@ from capsyn.version import __version__
 FORMAT = "capsyn-policy-json"
 SCHEMA, SCHEMA_3 = "capsyn-policy.schema.json", "capsyn-policy-3.schema.json"
 """Of version 2, and of 3, which has more to remember than one least time."""
+SCHEMA_4, SCHEMA_5 = "capsyn-policy-4.schema.json", "capsyn-policy-5.schema.json"
+"""The same with exogenous inputs."""
+SCHEMAS = {2: SCHEMA, 3: SCHEMA_3, 4: SCHEMA_4, 5: SCHEMA_5}
+TOLD = (
+    "A reading has a component for each of states, in order, then one for each of exogenous. "
+    "Below, a state is one of either, and n is the number of both.",
+)
 QUANTISER = (
     "All arithmetic is IEEE 754 double precision, rounded after each operation as written.",
     "A state is x = reading * scale + offset, for each component.",
@@ -121,21 +128,33 @@ def _schema(version: int) -> bytes:
     schema = folder.joinpath("schema.json").read_bytes()
     if version == 2:
         return schema
-    more, whole = json.loads(folder.joinpath("memory.json").read_bytes()), json.loads(schema)
-    properties, arrays = whole["properties"], whole["properties"]["cells"]["properties"]
-    arrays |= {"row_prices": arrays["row_starts"], "row_ratios": arrays["row_constants"]}
-    del properties["min_dwell"]
-    whole["properties"] = properties | more
-    required = {*whole["required"], *more, "dwell"} - {"min_dwell", "transitions", "price"}
+    whole, required = json.loads(schema), {"dwell"}
+    if version % 2:  # remembers
+        more = json.loads(folder.joinpath("memory.json").read_bytes())
+        arrays = whole["properties"]["cells"]["properties"]
+        arrays |= {"row_prices": arrays["row_starts"], "row_ratios": arrays["row_constants"]}
+        del whole["properties"]["min_dwell"]
+        whole["properties"] |= more
+        required |= {*more} - {"transitions", "price"}
+    if version >= 4:
+        told = whole["properties"]["states"] | {"description": "What comes after the states."}
+        whole["properties"] |= {"exogenous": told, "version": _version(version)}
+        required |= {"exogenous"}
+    required |= {*whole["required"]} & {*whole["properties"]}
     whole["required"] = [name for name in whole["properties"] if name in required]
     return (json.dumps(whole, indent=2) + "\n").encode()
+
+
+def _version(version: int) -> dict[str, Any]:
+    about = f"{version}: as {version - 2}, with exogenous inputs, which come after the states."
+    return {"description": about, "const": version}
 
 
 def document(plan: Plan) -> dict[str, Any]:
     """Return the policy as plain data."""
     policy, cells = plan.policy, plan.cells
     domain, alphabet = policy.space, policy.alphabet
-    states = zip(
+    axes = zip(
         domain.names,
         domain.units,
         domain.lower.tolist(),
@@ -146,16 +165,19 @@ def document(plan: Plan) -> dict[str, Any]:
         plan.offset.tolist(),
     )
     keys = ("name", "unit", "lower", "upper", "periodic", "steps", "scale", "offset")
-    features, version = features_of(cells), 3 if plan.has_state else 2
+    readings, n = [dict(zip(keys, axis)) for axis in axes], policy.domain.n
+    told, features = policy.exogenous is not None, features_of(cells)
+    version = 2 + plan.has_state + 2 * told
     return {
-        "$schema": SCHEMA if version == 2 else SCHEMA_3,
+        "$schema": SCHEMAS[version],
         "format": FORMAT,
         "version": version,
         "generator": f"capsyn {__version__}",
         "header": list(plan.header),
         "name": policy.name,
         "sha256": plan.sha256,
-        "states": [dict(zip(keys, state)) for state in states],
+        "states": readings[:n],
+        **({"exogenous": readings[n:]} if told else {}),
         "inputs": [
             {"name": name, "unit": unit} for name, unit in zip(alphabet.inputs, alphabet.units)
         ],
@@ -172,7 +194,7 @@ def document(plan: Plan) -> dict[str, Any]:
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "guarantee": plan.guarantee.to_json() | {"text": plan.guarantee.text},
-        "quantiser": [*QUANTISER, *(RANKS if features else ())],
+        "quantiser": [*(TOLD if told else ()), *QUANTISER, *(RANKS if features else ())],
         "walk": list(_walk(plan)),
         "dwell": list(HOLDS if plan.has_state else DWELL),
         cells.kind: _tree(cells) if isinstance(cells, SplitTree) else _cells(cells),

@@ -6,7 +6,7 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
-from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE, with_unit
+from capsyn.exports.plan import NOT_FINITE, OK, OUTSIDE
 from capsyn.exports.structured_text.block import Block
 from capsyn.exports.structured_text.cells import PLACES, cell_arrays, cell_numbers, cell_walk
 from capsyn.exports.structured_text.cuts import listed
@@ -16,7 +16,7 @@ from capsyn.exports.structured_text.lines import comment, condition, indented
 from capsyn.exports.structured_text.memory import followed, row_table
 from capsyn.exports.structured_text.pou import SHORT, Pou, Variable, element, table
 from capsyn.exports.structured_text.steps import bounds, copied, states, steps, tables
-from capsyn.exports.text import WIDTH, broken
+from capsyn.exports.text import WIDTH, broken, kind, spoken, with_unit
 
 
 def block_unit(block: Block, siemens: bool) -> Pou:
@@ -50,7 +50,8 @@ def next_units(block: Block) -> list[Pou]:
         inner.append(Variable("now", "INT"))
         body = ["now := in_force;", f"IF (now < 0) OR (now > {plan.default}) THEN"]
         body += [f"    now := {plan.default};", "END_IF;"]
-    about = ("The symbol that follows one in force at a state; nothing is kept from call to call.",)
+    told = "The symbol that follows one in force at a state; nothing is kept from call to call."
+    about = (spoken(plan.policy, told),)
     is_block = block.table or bool(tables(block))
     if is_block:
         outputs, result = _told(block), ""
@@ -89,7 +90,8 @@ def _inputs(block: Block) -> list[Variable]:
 def _readings(block: Block) -> list[Variable]:
     plan, domain, made = block.plan, block.plan.policy.space, []
     for i, reading in enumerate(block.readings):
-        about = with_unit(domain.names[i], domain.units[i])
+        about, what = with_unit(domain.names[i], domain.units[i]), kind(plan.policy, i)
+        about = about if what == "state" else f"{what} {about}"
         if block.raw[i] or block.axes:
             scale, offset = float(plan.scale[i]), float(plan.offset[i])
             about = f"reading of {about} = reading * {scale!r} + {offset!r}"

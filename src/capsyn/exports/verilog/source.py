@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from capsyn.exports.plan import OUTSIDE
-from capsyn.exports.text import broken
+from capsyn.exports.text import broken, kind
 from capsyn.exports.verilog.memory import clocks, followed, port_list
 from capsyn.exports.verilog.module import Module
 from capsyn.exports.verilog.ports import Port, fold, width_of
@@ -35,6 +35,7 @@ def source(module: Module, about: Sequence[str]) -> list[str]:
 
 def _about(module: Module) -> Iterator[str]:
     plan, domain = module.plan, module.plan.policy.space
+    kinds = [kind(plan.policy, i) for i in range(plan.n)]
     if module.renamed:
         yield from (f"Renamed: {old!r} is {new}" for old, new in module.renamed.items())
     if module.ports is None:
@@ -43,16 +44,18 @@ def _about(module: Module) -> Iterator[str]:
         yield "lower + (upper - lower) * (k / count) in double precision; the last step has the"
         yield "upper bound as well, unless the state is periodic."
         for i, count in enumerate(module.tree.counts):
-            yield f"{module.inputs[i]}: {count} steps of {domain.names[i]}"
+            what = "" if kinds[i] == "state" else f"{kinds[i]} "
+            yield f"{module.inputs[i]}: {count} steps of {what}{domain.names[i]}"
     else:
         yield "Inputs: readings in signed fixed point: v stands for v / 2^fraction, rounded"
         yield "to the nearest, up at ties, and saturated. The symbol is the policy's at the"
         yield "state of that reading, exactly."
         for i, port in enumerate(module.ports):
             unit = f" {domain.units[i]}" if domain.units[i] and not plan.folded else ""
+            what = "" if kinds[i] == "state" else f"{kinds[i]}, "
             yield (
-                f"{module.inputs[i]}: {port.bits} bits, fraction {port.fraction}, one unit is "
-                f"{2.0**-port.fraction!r}{unit}; a lattice step is "
+                f"{module.inputs[i]}: {what}{port.bits} bits, fraction {port.fraction}, one unit "
+                f"is {2.0**-port.fraction!r}{unit}; a lattice step is "
                 f"{port.step:.1f} units; domain {_bounds(module, port)}"
             )
             if domain.periodic[i]:
