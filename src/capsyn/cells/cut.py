@@ -188,8 +188,11 @@ def _cut_features(tree: FeatureTree, steps: np.ndarray) -> SplitTree:
     free = [*range(n), *range(tree.n, tree.n + len(ranks))]
     counts = tree.counts[:n]
     ranked = _followed(tree.ranked, (*counts, *ranks), free, dict(zip(range(n, tree.n), steps)))
-    planes = ranked.planes.any(axis=0)
-    used = [k for k in range(len(ranks)) if planes[n + k] or (ranked.split == n + k).any()]
+    used = [
+        k
+        for k in range(len(ranks))
+        if (ranked.split == n + k).any() or ranked.planes[:, n + k].any()
+    ]
     left = [*range(n), *(n + k for k in used)]
     ranked = _followed(ranked, (*counts, *(ranks[k] for k in used)), left, {})
     if not used:
