@@ -48,7 +48,7 @@ def expected(policy, states, outside, now=None):
     statuses = np.where(inside, INSIDE, np.where(finite, OUTSIDE, NOT_FINITE))
     symbols = np.full(len(states), -2 if isinstance(outside, str) else outside)
     known = finite if outside == "nearest" else inside
-    symbols[known] = policy(states[known], "nearest", current=now)
+    symbols[known] = policy(states[known], outside="nearest", current=now)
     return symbols, statuses
 
 

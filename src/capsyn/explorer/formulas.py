@@ -40,20 +40,25 @@ THIN = "<mspace width='0.17em'/>"
 def formulas(policy: Policy) -> dict[str, list[str]]:
     """Return what a policy's model says, as ``<math>`` elements by topic.
 
-    The topics are ``dynamics``, ``cost``, and ``target`` where it is a condition of its own;
-    without a model there are none. In each, what abbreviations stand for comes last. A program of
-    more than `LONGEST` operations, or `MOST_CHARACTERS` of MathML, is told to be too long.
+    The topics are ``dynamics``, ``cost``, ``target`` where it is a condition of its own, and
+    ``default control`` where that is a law; without a model there are none. In each, what
+    abbreviations stand for comes last. A program of more than `LONGEST` operations, or
+    `MOST_CHARACTERS` of MathML, is told to be too long.
     """
     if policy.model is None:
         return {}
-    states, inputs, model = policy.space.names, policy.alphabet.inputs, policy.model
-    rates = [_rate(name) for name in states]
+    names, inputs, model = policy.space.names, policy.alphabet.inputs, policy.model
+    rates = [_rate(name) for name in policy.domain.names]
+    told = "" if policy.exogenous is None else "<mo>,</mo><mi>w</mi>"
     topics = {
-        "dynamics": _equations(model.dynamics, rates, (*states, *inputs)),
-        "cost": _cost(model.running_cost, model.terminal_cost, states),
+        "dynamics": _equations(model.dynamics, rates, (*names, *inputs)),
+        "cost": _cost(model.running_cost, model.terminal_cost, names, told),
     }
     if isinstance(policy.target, Program):
-        topics["target"] = _equations(policy.target, [""], states)
+        topics["target"] = _equations(policy.target, [""], names)
+    if model.prediction is not None:
+        left = [name_mathml(name) for name in inputs]
+        topics["default control"] = _equations(model.prediction.law, left, names)
     return {topic: lines for topic, lines in topics.items() if lines}
 
 
@@ -127,23 +132,21 @@ def _abbreviations(taken: Sequence[str]) -> Iterator[Expression]:
         yield ("name", f"<msub><mi>{letter}</mi><mn>{k}</mn></msub>")
 
 
-def _cost(running: Program, terminal: Program, states: Sequence[str]) -> list[str]:
-    """Return eq. (3) with the costs that there are, and then these."""
+def _cost(running: Program, terminal: Program, names: Sequence[str], told: str) -> list[str]:
+    """Return eq. (3) with the costs that there are, and then these; `told` is beside x in them."""
     horizon = "<mrow><msub><mi>t</mi><mn>0</mn></msub><mo>+</mo><mi>T</mi></mrow>"
     end = f"<mrow><mi>x</mi><mo>(</mo>{horizon}<mo>)</mo></mrow>"
     integral = f"<msubsup><mo>∫</mo><msub><mi>t</mi><mn>0</mn></msub>{horizon}</msubsup>"
     both = [
-        (running, "ℓ", f"{integral}{_of('ℓ', '<mi>x</mi>')}{THIN}<mi>d</mi><mi>t</mi>"),
-        (terminal, "m", _of("m", end)),
+        (running, "ℓ", f"{integral}{_of('ℓ', f'<mi>x</mi>{told}')}{THIN}<mi>d</mi><mi>t</mi>"),
+        (terminal, "m", _of("m", f"{end}{told}")),
     ]
     parts, lines = [], []
     for program, letter, part in both:
-        zero = len(program.instructions) <= LONGEST and _read(program, 1, states)[0] == [
-            number(0.0)
-        ]
+        zero = len(program.instructions) <= LONGEST and _read(program, 1, names)[0] == [number(0.0)]
         if not zero:
             parts.append(part)
-            lines += _equations(program, [_of(letter, "<mi>x</mi>")], states)
+            lines += _equations(program, [_of(letter, f"<mi>x</mi>{told}")], names)
     return [_math("<mi>J</mi><mo>=</mo>", "<mo>+</mo>".join(parts)), *lines] if parts else []
 
 

@@ -100,16 +100,16 @@ def _drawing(policy: Policy, wanted: str | None) -> str | None:
         return None
     if wanted is None:
         usual = DRAWN.get(policy.name)
-        return usual if usual and policy.space.names == DRAWINGS[usual][0] else None
+        return usual if usual and policy.domain.names == DRAWINGS[usual][0] else None
     if wanted not in DRAWINGS:
         raise ProblemError(
             f"`drawing` must be one of {', '.join(DRAWINGS)} or none; got '{wanted}'"
         )
     states, inputs, _ = DRAWINGS[wanted]
-    if len(states) != policy.space.n:
+    if len(states) != policy.domain.n:
         raise ProblemError(
             f"`drawing` '{wanted}' is of {len(states)} states ({', '.join(states)}); the policy "
-            f"has {policy.space.n}"
+            f"has {policy.domain.n}"
         )
     if inputs != policy.alphabet.m:
         raise ProblemError(

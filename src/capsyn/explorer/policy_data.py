@@ -26,8 +26,11 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     It is what the policy's file holds (see docs/policy-format.md) but for the programs, which go to
     the page as JavaScript (`model_javascript`), with
 
+    - ``domain``: the box of readings: the states, and after them the exogenous inputs, if any,
+      which ``exogenous`` has alone;
     - ``symbols``, ``controls``: names (N + 1) and control vectors (N + 1, m), the default last; its
       name is "outside" where cells of it are gaps;
+    - ``law``, only where it is true: the default is a law, and its control that of the middle;
     - ``counts``: steps of the lattice along each axis;
     - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
     - ``tree``: arrays of a decision tree, else None;
@@ -56,7 +59,10 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         data["target"] = {"program": None}
     if needs_memory(policy):
         data |= {"memory": memory_data(policy), "min_dwell": one_hold(policy)}
+    if policy.model is not None and policy.model.prediction is not None:
+        data["law"] = True
     return data | {
+        "domain": policy.space.to_json(),
         "symbols": [*policy.alphabet.names, "outside" if policy.gaps else "default"],
         "controls": policy.controls.tolist(),
         "counts": list(policy.cells.counts),

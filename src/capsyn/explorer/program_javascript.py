@@ -36,7 +36,7 @@ def model_javascript(policy: Policy) -> str:
 
     ``model`` is null where the policy has none, else it holds ``dynamics(x, u, xdot)``,
     ``runningCost(x, cost)``, ``terminalCost(x, cost, gradient)`` and ``inside(x, inside)``, which
-    tells whether a state is in the target.
+    tells whether a state is in the target. Exogenous inputs come after the states in x.
     """
     if policy.model is None:
         return "export const model = null;\n"

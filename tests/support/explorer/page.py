@@ -150,7 +150,7 @@ class Shown:
         states = np.tile(np.array(shown["fixed"], dtype=float), (len(where), 1))
         x0, x1, y0, y1 = shown["bounds"]
         states[:, shown["axes"][0]] = x0 + where[:, 0] * (x1 - x0)
-        if self.policy.domain.n > 1:
+        if self.policy.space.n > 1:
             states[:, shown["axes"][1]] = y0 + where[:, 1] * (y1 - y0)
         return np.array(pixels), states
 
@@ -163,7 +163,9 @@ class Shown:
         shares = np.random.default_rng(3).uniform(0.001, 0.999, (count, 2))
         pixels, states = self.colors(shares)
         colors = np.array([hex_color(color) for color in self.state["colors"]])
-        painted = (pixels == colors[self.policy(states, "nearest", current=current)]).all(axis=1)
+        painted = (pixels == colors[self.policy(states, outside="nearest", current=current)]).all(
+            axis=1
+        )
         assert painted.mean() > 0.99  # a pixel's centre may round to the other side of a face
         return pixels, states
 

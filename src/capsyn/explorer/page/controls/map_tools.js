@@ -1,6 +1,7 @@
 import { byId, element, labelled } from "../dom/elements.js";
 import { short, withUnit } from "../dom/text.js";
 import { look, moved, zoom } from "../state/changes.js";
+import { makeTold } from "./told.js";
 
 /** Time between the levels of a replay [ms]. */
 const PAUSE = 800;
@@ -11,7 +12,8 @@ const PAUSE = 800;
  */
 export function makeMapTools(app) {
   const { view, lookup } = app, several = view.n > 1, replays = lookup.levels > 0;
-  const axes = makeAxes(app), levels = makeLevels(app), slices = makeSlices(app);
+  const axes = makeAxes(app), levels = makeLevels(app);
+  const told = makeTold(app), slices = makeSlices(app);
   const outlines = element("input", {
     id: "outlines", type: "checkbox", checked: view.outlines,
     onchange: () => look(app, () => (view.outlines = outlines.checked)),
@@ -33,6 +35,7 @@ export function makeMapTools(app) {
     axes.sync();
     levels.sync();
     outlines.checked = view.outlines;
+    told.sync();
     slices.sync();
   }
 
@@ -94,7 +97,7 @@ function makeSlices(app) {
     id: "follow", type: "checkbox", checked: n > 2, onchange: () => moved(app),
   });
 
-  const rows = names.map((name, i) => {
+  const rows = names.slice(0, view.states).map((name, i) => {
     const input = element("input", {
       type: "range", id: `slice-${i}`, min: lower[i], max: upper[i], value: view.fixed[i],
       step: (upper[i] - lower[i]) / 200,
@@ -112,11 +115,11 @@ function makeSlices(app) {
 
   function sync() {
     rows.forEach(({ row, input, output }, i) => {
-      row.hidden = n < 3 || view.axes.includes(i);
+      row.hidden = view.axes.includes(i);
       input.value = String(view.fixed[i]);
       output.textContent = short(view.fixed[i], 3);
     });
-    root.hidden = n < 3;
+    root.hidden = rows.every(({ row }) => row.hidden);
   }
 
   return { sync, follows: () => follow.checked };

@@ -1,6 +1,7 @@
 import { byId, element, labelled } from "../dom/elements.js";
 import { short, timeUnit } from "../dom/text.js";
 import { longest } from "../state/tracks.js";
+import { play as playOn } from "../state/trajectories.js";
 import { pace } from "./pace.js";
 
 /** Speeds of the player, in time of the system per second where runs take about ten. */
@@ -11,7 +12,7 @@ export function makePlayerBar(app) {
   const { player } = app, usual = pace(app.data), unit = timeUnit(app.data);
   const speedText = v => (unit === "s" ? `${short(v)}×` : `${short(v)} ${unit}/s`);
   player.speed = usual;
-  const toggle = () => (player.playing ? player.pause() : player.play());
+  const toggle = () => (player.playing ? player.pause() : playOn(app));
   const rewind = () => {
     player.pause();
     player.seek(0);

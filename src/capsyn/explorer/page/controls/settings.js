@@ -87,7 +87,7 @@ function complain({ fields, problem }, text, ...wrong) {
 }
 
 function optionsOf(form) {
-  const { app, fields, outside, atOnce, stop } = form, { lower, upper } = app.data.domain;
+  const { app, fields, outside, atOnce, stop } = form, { lower, upper, states } = app.view;
   const values = {};
   for (const [name, input] of Object.entries(fields)) {
     const value = input.valueAsNumber, positive = POSITIVE.includes(name);
@@ -112,7 +112,7 @@ function optionsOf(form) {
   return {
     duration,
     rate,
-    noise: lower.map((low, i) => (noise / 100) * (upper[i] - low)),
+    noise: lower.map((low, i) => (i < states ? (noise / 100) * (upper[i] - low) : 0)),
     delay: delay / delayUnit(timeUnit(app.data))[1],
     minDwell: dwell,
     outside: rule === "error" || rule === "nearest" ? rule : Number(rule),

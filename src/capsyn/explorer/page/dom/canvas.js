@@ -50,6 +50,16 @@ export function write(context, text, [x, y], color, font, align = "center", base
   context.fillText(text, x, y);
 }
 
+/** Write text with a halo that sets it off; see `write`. */
+export function writeOver(context, text, at, { ink, halo }, font, align) {
+  context.lineJoin = "round";
+  context.lineWidth = 4;
+  context.strokeStyle = halo;
+  write(context, "", at, ink, font, align);
+  context.strokeText(text, ...at);
+  context.fillText(text, ...at);
+}
+
 /** Draw an arrow along the horizontal; none where it is too short. */
 export function arrow(context, color, x, y, length) {
   if (Math.abs(length) < 2) return;

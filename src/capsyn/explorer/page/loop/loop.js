@@ -12,7 +12,9 @@ const MOST_SAMPLES = 1e7;
  * `model_javascript`. What happens at a sample is told in `capsyn.simulation.closed_loop`.
  *
  * run(x0, {duration, rate, noise, seed, delay, minDwell, outside, outsideAtOnce, substeps,
- * stopAtTarget}): the trajectory from a state, all of it at once, times in the policy's unit.
+ * stopAtTarget, exogenous}): the trajectory from a state, all of it at once, times in the policy's
+ * unit. Exogenous inputs come after the states in x; pairs [time, values] of `exogenous`, in order,
+ * change them at the first sample that is not before.
  * Defaults are the policy's own, with no noise (a standard deviation [state units], or one per
  * state) and no delay, for a time of 5. It is {t (K+1), x (K+1, n), u (K, m), symbols (K),
  * cost (K+1), terminalCost, totalCost, ended, arrived, switches, outside, rate, substeps}: K
@@ -31,6 +33,7 @@ export function makeLoop(data, lookup, model) {
 function run(system, x0, options = {}) {
   const settings = settled(system, x0, options), course = begun(system, x0, settings);
   for (let k = 0; ; k++) {
+    tell(course, settings, k);
     record(course, settings, k);
     course.ended = arrival(system, course, settings, k) ?? decide(system, course, settings, k);
     if (course.ended) return result(system, course, settings, k);
@@ -42,7 +45,7 @@ function run(system, x0, options = {}) {
 function settled({ data, lookup: { n }, widths, substeps: choose }, x0, {
   duration = 5, rate = data.rate, noise = 0, seed = 0, delay = 0, minDwell = data.min_dwell,
   outside = data.outside, outsideAtOnce = data.outside_at_once ?? false, substeps = null,
-  stopAtTarget = false,
+  stopAtTarget = false, exogenous = [],
 }) {
   const samples = roundEven(duration * rate), period = 1 / rate, { slack } = data;
   if (!(samples >= 1 && samples <= MOST_SAMPLES)) {
@@ -59,6 +62,7 @@ function settled({ data, lookup: { n }, widths, substeps: choose }, x0, {
     /** Samples that a control is late by, and from a sample the time until it acts and after it. */
     whole, rest, before: period - now, now,
     normal: deviations.some(d => d !== 0) ? gaussian(seed) : null,
+    changes: exogenous.map(([time, values]) => [Math.ceil(time * rate - slack), values]),
   };
 }
 
@@ -70,8 +74,16 @@ function begun({ data, lookup: { n } }, x0, { samples }) {
     u: new Float64Array(samples * data.controls[0].length),
     x: Float64Array.from(x0), gathered: new Float64Array(1), measured: new Float64Array(n),
     inside: new Float64Array(1), symbol: NONE, held: 0, switches: 0, away: 0,
-    arrived: NaN, ended: null,
+    arrived: NaN, ended: null, changed: 0,
   };
+}
+
+/** Change the exogenous inputs that are to change at sample k. */
+function tell(course, { changes }, k) {
+  for (; changes[course.changed]?.[0] <= k; course.changed++) {
+    const values = changes[course.changed][1];
+    course.x.set(values, course.x.length - values.length);
+  }
 }
 
 function record({ t, states, cost, x, gathered }, { rate }, k) {

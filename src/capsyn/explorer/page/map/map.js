@@ -3,9 +3,10 @@ import { byId } from "../dom/elements.js";
 import { ordered } from "../state/tracks.js";
 import { drawAxes } from "./axes.js";
 import { framed, toPixels } from "./frame.js";
+import { goalPaths } from "./goal.js";
 import { listenToKeys, listenToMouse } from "./input.js";
 import { makeLines } from "./lines.js";
-import { drawEnds, drawPointer, drawTarget, drawTrack } from "./marks.js";
+import { drawEnds, drawGoal, drawPointer, drawTarget, drawTold, drawTrack } from "./marks.js";
 import { picture } from "./picture.js";
 import { targetPaths } from "./target.js";
 
@@ -19,7 +20,7 @@ export function makeMap(app) {
   const map = {
     app, base: byId("map-base"), overlay: byId("map"),
     frame: { x: 0, y: 0, width: 1, height: 1 }, scale: 1,
-    target: null, lines: makeLines(), ticks: {},
+    target: null, goal: null, lines: makeLines(), ticks: {},
   };
   listenToMouse(map);
   listenToKeys(map);
@@ -38,18 +39,21 @@ function draw(map) {
   const [width, height] = [Math.round(frame.width * scale), Math.round(frame.height * scale)];
   const image = picture(app.lookup, app.view, app.theme, width, height);
   context.putImageData(image, frame.x * scale, frame.y * scale);
-  const target = targetPaths(app, frame, shares => toPixels(frame, shares));
-  Object.assign(map, { frame, scale, target, ticks: drawAxes(context, frame, app) });
+  const pixels = shares => toPixels(frame, shares);
+  const target = targetPaths(app, frame, pixels), goal = goalPaths(app, frame, pixels);
+  Object.assign(map, { frame, scale, target, goal, ticks: drawAxes(context, frame, app) });
   sweep(map);
 }
 
 function sweep(map) {
-  const { app, frame, target } = map, context = cleared(map.overlay, map.scale);
+  const { app, frame, target, goal } = map, context = cleared(map.overlay, map.scale);
   context.save();
   context.beginPath();
   context.rect(frame.x, frame.y, frame.width, frame.height);
   context.clip();
   if (target) drawTarget(context, target, app.theme);
+  if (goal) drawGoal(context, goal, app.theme);
+  drawTold(context, map);
   const tracks = ordered(app);
   for (const track of tracks) drawTrack(context, map, track);
   drawPointer(context, map);
@@ -65,9 +69,9 @@ function redraw({ app }, width, height) {
   return performance.now() - started;
 }
 
-function shown({ app, frame, ticks, target, lines }) {
+function shown({ app, frame, ticks, target, goal, lines }) {
   return {
-    frame: { ...frame }, ticks, target: target ? target.points : [],
+    frame: { ...frame }, ticks, target: target ? target.points : [], goal: goal ? goal.points : [],
     pieces: app.tracks.map(track => lines.whole(track, app.view, frame).pieces),
   };
 }

@@ -1,5 +1,6 @@
-import { disc, write } from "../dom/canvas.js";
+import { disc, write, writeOver } from "../dom/canvas.js";
 import { readable } from "../dom/colors.js";
+import { short } from "../dom/text.js";
 import { progress, symbolAt } from "../state/tracks.js";
 import { toPixels, within } from "./frame.js";
 
@@ -11,6 +12,32 @@ export function drawTarget(context, { edge, hatch }, theme) {
   context.setLineDash([5, 4]);
   trace(context, edge, theme.ink, 1.6);
   context.setLineDash([]);
+}
+
+/** Where the running cost is least: within a dotted line. */
+export function drawGoal(context, { edge }, theme) {
+  context.lineCap = "round";
+  context.setLineDash([0, 5]);
+  trace(context, edge, theme.halo, 4.5);
+  trace(context, edge, theme.ink, 2.4);
+  context.setLineDash([]);
+}
+
+/** Lines at the exogenous inputs on the map's axes, as they are set. */
+export function drawTold(context, { app, frame }) {
+  const { data: { domain }, theme, view } = app;
+  const [x, y] = toPixels(frame, view.place(view.fixed));
+  view.axes.forEach((axis, side) => {
+    if (axis < view.states) return;
+    const { x: left, y: top, width, height } = frame;
+    const line = new Path2D(side ? `M${left} ${y}h${width}` : `M${x} ${top}v${height}`);
+    drawLine(context, line, theme, theme.ink, 1.6);
+    const text = `${domain.names[axis]} ${short(view.fixed[axis])}`;
+    const ahead = x < left + width / 2, below = y < top + 24;
+    const at = side ? [left + width - 8, below ? y + 12 : y - 12]
+      : [x + (ahead ? 8 : -8), top + 13];
+    writeOver(context, text, at, theme, "600 12", !side && ahead ? "left" : "right");
+  });
 }
 
 function trace(context, path, color, width) {

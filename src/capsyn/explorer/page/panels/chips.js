@@ -35,14 +35,18 @@ export function makeChips(app) {
 function chipOf(app, track) {
   const badge = element("span", { class: "badge" }, String(track.number));
   badge.style.setProperty("--track", app.theme.track(track.color));
-  const from = track.start.map(v => short(v, 3)).join(", "), active = track === app.active;
+  const { states } = app.view, active = track === app.active;
+  const from = track.start.slice(0, states).map(v => short(v, 3)).join(", ");
+  const told = app.data.domain.names.slice(states)
+    .map((name, k) => `${name} ${short(track.start[states + k])}`).join(", ");
+  const words = [told && told + (track.told.length ? " at first" : ""), track.words];
   const cost = `Cost of all of it, eq. (3): ${short(track.cost.at(-1))} while running and ` +
     `${short(track.terminalCost)} at the end`;
   const chip = element("span", { class: "chip", role: "listitem", "data-number": track.number },
     element("button", { type: "button", class: "choose", title: "Make it the active one",
       "aria-pressed": String(active), onclick: () => choose(app, track) },
     badge, element("span", {}, `from (${from})`),
-    track.words ? element("small", {}, track.words) : null,
+    words.some(Boolean) ? element("small", {}, words.filter(Boolean).join(", ")) : null,
     element("span", { class: "cost", title: cost }, `J ${short(track.totalCost)}`)),
     element("button", { type: "button", class: "drop", title: "Remove",
       "aria-label": `Remove trajectory ${track.number}`, onclick: () => drop(app, track) }, "×"));

@@ -5,22 +5,27 @@ import { showOnly } from "../state/changes.js";
 import { swatch } from "../state/swatches.js";
 
 /** Show what the policy is called and how large it is, and hide what there is nothing for. */
-export function showTitle({ data, loop }) {
-  const n = data.domain.names.length, { classList } = document.body;
+export function showTitle({ data, loop, view: { n, states } }) {
+  const { classList } = document.body;
   byId("name").textContent = data.name;
   byId("summary").textContent = [
-    counted(n, "state"),
+    counted(states, "state"),
+    states < n && counted(n - states, "exogenous input"),
     counted(data.symbols.length - 1, "symbol"),
     data.tree ? counted(data.leaves, "leaf", "leaves") : counted(data.leaves, "cell"),
     data.statistics.solves && counted(data.statistics.solves, "solve"),
   ].filter(Boolean).join(" · ");
   classList.toggle("undrawn", !data.drawing);
   classList.toggle("flat", n === 1);
+  classList.toggle("told", states < n);
   classList.toggle("static", !loop);
   for (const id of ["player", "tracks", "series", "status", "settings"]) byId(id).hidden = !loop;
 }
 
-/** Fill the legend: symbols, each of which shows its cells alone, the target, and mixed cells. */
+/**
+ * Fill the legend: symbols, each of which shows its cells alone, the target, where the running cost
+ * is least, and mixed cells.
+ */
 export function showLegend(app) {
   const { data, loop, lookup, view } = app, root = byId("legend");
   const symbols = [...Array(data.symbols.length - 1).keys()];
@@ -37,23 +42,30 @@ export function showLegend(app) {
   if (loop && data.target && view.n > 1) {
     entry({ title: data.target.text }, element("span", { class: "line" }), "target");
   }
+  if (loop && view.states < view.n) {
+    entry({ class: "goal", title: "The fiftieth of the slice where the running cost is least" },
+      element("span", { class: "line" }), "least running cost");
+  }
   if (lookup.levels > 0) entry({ class: "later" }, swatch(MIXED), "still to split");
 }
 
 /** Fill the facts of the page: tables of the states and symbols, and sections of rows. */
 export function showFacts(app) {
-  const { data } = app, { names, units, lower, upper, periodic } = data.domain;
+  const { data, view } = app, { names, units, lower, upper, periodic } = data.domain;
   const { inputs, units: inputUnits } = data.alphabet;
   const card = (title, ...content) =>
     element("section", { class: "card fact" }, element("h2", {}, title), ...content);
 
-  const states = card("States", table(
-    ["state", "from", "to", "finest cells"],
+  const axes = (title, one, ...bounds) => card(title, table(
+    [one, "from", "to", "finest cells"],
     names.map((name, i) => [
       withUnit(name, units[i]) + (periodic[i] ? " ↻" : ""), short(lower[i]), short(upper[i]),
       data.counts[i].toLocaleString("en-US"),
-    ]),
-  ), periodic.some(Boolean) ? element("p", { class: "note" }, "↻ periodic") : null);
+    ]).slice(...bounds),
+  ), periodic.slice(...bounds).some(Boolean)
+    ? element("p", { class: "note" }, "↻ periodic") : null);
+  const boxes = [axes("States", "state", 0, view.states)];
+  if (view.states < view.n) boxes.push(axes("Exogenous inputs", "told", view.states));
 
   const symbols = card("Symbols", table(
     ["symbol", ...inputs.map((name, i) => withUnit(name, inputUnits[i])), "share"],
@@ -63,7 +75,8 @@ export function showFacts(app) {
         `${(100 * data.shares[k]).toFixed(2)} %`];
     }).filter((_, k) => k < data.symbols.length - 1 || data.shares[k] > 0),
   ), data.shares.at(-1) > 0 ? null : element("p", { class: "note" },
-    `Default control: ${data.controls.at(-1).map(v => short(v)).join(", ")}; no cell has it.`));
+    `Default control: ${data.controls.at(-1).map(v => short(v)).join(", ")}` +
+    `${data.law ? ", its law's in the middle" : ""}; no cell has it.`));
 
   const sections = data.facts.map(({ title, rows }) => card(
     title,
@@ -72,7 +85,7 @@ export function showFacts(app) {
       element("dt", {}, name), element("dd", name ? {} : { class: "wide" }, text),
     ])),
   ));
-  byId("facts").prepend(states, symbols, ...sections);
+  byId("facts").prepend(...boxes, symbols, ...sections);
   const formulas = byId("formulas");
   formulas.hidden = !formulas.querySelector("math");
 }

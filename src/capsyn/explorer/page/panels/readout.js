@@ -21,7 +21,10 @@ function rowsOf({ data, view }, { state, symbol, cell }) {
   const later = cell && cell.level > view.level, final = later ? "final " : "";
   const quiet = text => element("span", { class: "quiet" }, text);
   const name = one => (one === NONE ? "none" : data.symbols.at(one));
-  const rows = [["state", values(data.domain.names, data.domain.units, state)]];
+  const { domain } = data, part = (...bounds) =>
+    values(domain.names.slice(...bounds), domain.units.slice(...bounds), state.slice(...bounds));
+  const rows = [["state", part(0, view.states)]];
+  if (view.states < view.n) rows.push(["told", part(view.states)]);
   if (later) rows.push(["then", swatch(MIXED), `still to split at level ${view.level}`]);
   const { inputs, units } = data.alphabet;
   rows.push(["symbol", swatch(symbol), final, name(symbol), symbol === NONE ? ""

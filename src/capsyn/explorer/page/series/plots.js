@@ -2,7 +2,7 @@ import uPlot from "../../vendor/uPlot.esm.js";
 import { tickText, timeUnit } from "../dom/text.js";
 import { longest, ordered } from "../state/tracks.js";
 
-const HEIGHTS = { state: 96, input: 68, cost: 82 };
+const HEIGHTS = { state: 96, told: 68, input: 68, cost: 82 };
 const STRIP = 14, FOOT = 24, LEFT = 58, RIGHT = 20;
 /** Pixels beside the last time for each further letter of its unit. */
 const WIDER = 4;
@@ -39,6 +39,7 @@ export function plotOptions(row, app, key, width, last) {
       stroke: app.theme.track(track.color), width: track === app.active ? 1.8 : 1.2,
       points: { show: false }, spanGaps: true,
       ...(row.paint ? { paths: () => null } : {}),
+      ...(row.kind === "told" ? { paths: uPlot.paths.stepped({ align: 1 }) } : {}),
     }))],
     hooks: { draw: row.paint ? [row.paint] : [] },
   };

@@ -10,7 +10,7 @@ import { makeStrips } from "./strips.js";
  * as they are now, `sweep` moves the line of the present, `shown` tells what is drawn.
  */
 export function makeSeries(app) {
-  const root = byId("series"), strips = makeStrips(app), rows = rowsOf(app.data, strips);
+  const root = byId("series"), strips = makeStrips(app), rows = rowsOf(app, strips);
   const sync = uPlot.sync("time");
   const series = { app, root, strips, rows, sync, plots: [], built: "", width: 0 };
   new ResizeObserver(() => resize(series)).observe(root);
@@ -18,14 +18,17 @@ export function makeSeries(app) {
 }
 
 /**
- * Return the rows of a policy: its states, its inputs, the symbols and the cost. A curve has
- * `value(track, k)` at sample k, others `paint(plot)`; an input has the `values` that it may have,
- * ascending, for its ticks, `all` with the default control, and `of(symbol)`.
+ * Return the rows of a policy: its states, its exogenous inputs, its inputs, the symbols and the
+ * cost. A curve has `value(track, k)` at sample k, others `paint(plot)`; an input has the `values`
+ * that it may have, ascending, for its ticks, `all` with the default control, and `of(symbol)`; an
+ * exogenous input has its bounds as both.
  */
-function rowsOf({ domain, alphabet, controls }, strips) {
+function rowsOf({ data: { domain, alphabet, controls }, view: { states, lower, upper } }, strips) {
   return [
     ...domain.names.map((name, i) => ({
-      kind: "state", name: withUnit(name, domain.units[i]), value: (track, k) => track.states[k][i],
+      kind: i < states ? "state" : "told", name: withUnit(name, domain.units[i]),
+      value: (track, k) => track.states[k][i],
+      ...(i < states ? {} : { values: [lower[i], upper[i]], all: [lower[i], upper[i]] }),
     })),
     ...alphabet.inputs.map((name, i) => ({
       kind: "input", name: withUnit(name, alphabet.units[i]), paint: strips.inputs(i),

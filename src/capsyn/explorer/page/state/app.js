@@ -18,7 +18,8 @@ const NOTED = 4000;
  * @property {object[]} tracks  the trajectories that are shown, see `compute` of `trajectories.js`
  * @property {?object} active  the one that all parts show
  * @property {number} started  how many were started since there was none
- * @property {?object} pointed  what is pointed at: {state (n), cell, symbol, status}
+ * @property {?object} pointed  what is pointed at: {state (n), cell, symbol, status}. A state has
+ *   the exogenous inputs after it, if there are any: it is a reading
  * @property {object} parts  what `main.js` puts on the page. None calls another: they change the
  *   state by the functions of `changes.js` and `trajectories.js`, which have the parts show it
  */

@@ -1,6 +1,6 @@
 import { byId } from "../dom/elements.js";
 import { paintSwatches } from "./swatches.js";
-import { progress } from "./tracks.js";
+import { coming, progress } from "./tracks.js";
 
 /** Show everything anew: the plane, the level or the outlines have changed. */
 export function changed(app) {
@@ -17,12 +17,14 @@ export function drawSoon({ soon, parts }) {
 
 /** Show the present: time has gone on, or another track is the active one. */
 export function moved(app) {
-  const { view, active, parts } = app;
+  const { view, active, parts } = app, before = slice(view);
   parts.bar?.sync();
-  if (parts.tools.follows() && active) {
-    const state = active.states[progress(app, active)];
-    view.fixed = Array.from(state, (value, axis) => view.held(value, axis));
+  if (active && (view.states < view.n || parts.tools.follows())) {
+    const state = parts.tools.follows() ? active.states[progress(app, active)] : null;
+    view.follow(active.states[coming(app, active)], state);
     parts.tools.sync();
+  }
+  if (slice(view) !== before) {
     reread(app);
     parts.map.draw();
   } else parts.map.sweep();
@@ -30,6 +32,11 @@ export function moved(app) {
   parts.automaton.sweep();
   parts.drawing.draw();
   parts.chips.sweep();
+}
+
+/** What the picture of the map depends on of a reading: all but the states of the plane. */
+function slice({ axes, fixed, states }) {
+  return fixed.filter((_, axis) => axis >= states || !axes.includes(axis)).join();
 }
 
 /** Show the tracks: there are others, or others are the active one. */

@@ -8,6 +8,11 @@ export function progress({ player }, track) {
   return Math.min(Math.floor(player.time * track.rate + 1e-6), track.states.length - 1);
 }
 
+/** Return the first sample of a track that is not before the present; its last if all are. */
+export function coming({ player }, track) {
+  return Math.min(Math.ceil(player.time * track.rate - 1e-6), track.states.length - 1);
+}
+
 /** Return the symbol of a track from a sample on; undefined where it has none. */
 export function symbolAt({ symbols }, sample) {
   return symbols[Math.min(sample, symbols.length - 1)];

@@ -5,14 +5,16 @@ const FEWEST = 3;
 
 /**
  * The view of a policy's plane: which axes, the part of them that is seen, the values of the other
- * states, the level of Algorithm 1, whether cells are outlined, and the only symbol that is not
- * faded (null: none is).
+ * states and of all exogenous inputs, the level of Algorithm 1, whether cells are outlined, and the
+ * only symbol that is not faded (null: none is). Of the n axes the first are the `states`, the
+ * others exogenous inputs.
  */
 export class View {
   /** `data` is that of `page_data`, `levels` how many there are. */
-  constructor({ domain, counts }, levels) {
+  constructor({ domain, counts, exogenous }, levels) {
     const { lower, upper, periodic } = domain, n = lower.length;
     Object.assign(this, { n, lower, upper, periodic, counts, levels });
+    this.states = n - (exogenous ? exogenous.names.length : 0);
     this.axes = n > 1 ? [0, 1] : [0, 0];
     this.fixed = lower.map((low, i) => (low + upper[i]) / 2);
     this.level = levels;
@@ -74,6 +76,17 @@ export class View {
     if (this.n > 1) state[this.axes[1]] = y0 + up * (y1 - y0);
     state[this.axes[0]] = x0 + across * (x1 - x0);
     return state;
+  }
+
+  /** Return a state with the exogenous inputs as they are set. */
+  told(state) {
+    return Array.from(state, (value, axis) => (axis < this.states ? value : this.fixed[axis]));
+  }
+
+  /** Set the exogenous inputs to those of a reading, and the states to another's unless null. */
+  follow(reading, state) {
+    this.fixed = this.fixed.map((value, axis) =>
+      (axis >= this.states ? reading[axis] : state ? this.held(state[axis], axis) : value));
   }
 
   /** Return a periodic component within its bounds. */
