@@ -34,7 +34,7 @@ class CompressOptions:
         "For freedom: finest cells of disagreement that a node less is worth [default: 0.5]."
     )
     features: str | None = option(
-        "Functions of the state that splits may compare: a dict `features` in the file, by name.",
+        "Functions of x (and w) that splits may compare: a dict `features` in the file, by name.",
         metavar="FILE.py[:NAME]",
     )
     curve: bool = option("Size against agreement, by mode and level.", "--curve", default=False)

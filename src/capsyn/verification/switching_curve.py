@@ -100,7 +100,8 @@ def switching_curve(
     """Return what prices and least times do to a policy that sSAC made, in closed loop.
 
     For each price the policy is made anew, by the settings that it carries, and with its forbidden
-    transitions; loops start from the same random states of its domain.
+    transitions; loops start from the same random states of its domain. They are told the same
+    exogenous inputs, drawn from their box and constant along a loop.
 
     Parameters
     ----------
