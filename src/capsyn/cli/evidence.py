@@ -52,7 +52,7 @@ class VerifyOptions(LoopTexts):
     within: float | None = option("Time to arrive in.", before="model")
     hold: float | None = option("Time at the end to stay there [default: 0].", before="model")
     lyapunov: str | None = option(
-        "A function V of x whose decrease is proved.", metavar="FILE.py:V", before="seed"
+        "A function V of x (and w) whose decrease is proved.", metavar="FILE.py:V", before="seed"
     )
     depth: int | None = option("Bisections of a cell in the proof [default: 12].", before="seed")
     grid: str | None = option(
