@@ -316,7 +316,9 @@ def plot(
     output: Annotated[
         str, typer.Option("--output", "-o", metavar="FILE", help="A .png, .pdf or .svg file.")
     ],
-    plane: Annotated[str | None, typer.Option(metavar="X,Y", help="Two states or exogenous inputs.")] = None,
+    plane: Annotated[
+        str | None, typer.Option(metavar="X,Y", help="Two states or exogenous inputs.")
+    ] = None,
     at: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Another's value; may be repeated."),
