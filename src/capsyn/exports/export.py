@@ -112,8 +112,9 @@ def export(
     outside_at_once : bool, optional
         Whether the symbol of a state outside the domain does not wait for that, as that of a state
         that is not finite never does. Default: as the policy says.
-    scale, offset : float or (n,), optional
-        A state is ``reading * scale + offset``. Default: readings are states.
+    scale, offset : float or (n + k,), optional
+        A state or exogenous input is ``reading * scale + offset``, with one number for all, or one
+        for each of the n states and then of the k exogenous inputs. Default: 1 and 0.
     hold_off : float
         Time after the start, or a power failure, for which the safe symbol is in force, whatever
         the state [time unit of the policy].

@@ -31,7 +31,7 @@ class Options:
         Stages that the tree is cut into, with registers between them; True for 4 levels a stage.
         A new state is taken at every clock. Default: a circuit without a clock, unless there is a
         minimum dwell time.
-    bits, fraction : int, or one a state, optional
+    bits, fraction : int, or one a state and exogenous input, optional
         Of fixed-point ports: width, and bits behind the point. Default: a lattice step is 64 units
         of the last place or more, and there is room beyond the bounds.
     clock_hz : float
