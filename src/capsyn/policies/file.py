@@ -26,7 +26,7 @@ from capsyn.execution.files import atomic_write
 from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.exogenous import joined
+from capsyn.modelling.exogenous import check_exogenous, joined
 from capsyn.modelling.grid import MAX_COUNT, Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching
@@ -50,15 +50,8 @@ CELL_ENTRIES = ("entries", "mixed_cells")
 """The arrays of all cells, whatever is known of the mixed ones."""
 TRANSITIONS = {"transitions": np.uint16}
 """The rows of a transition function, (R - N - 1, N + 1), that are not constant, in order."""
-ALL_ARRAYS = {
-    **CELL_ARRAYS,
-    **ROW_ARRAYS,
-    **SPLIT_ARRAYS,
-    **SEEN_ARRAYS,
-    **TREE_ARRAYS,
-    **PRICE_ARRAYS,
-    **TRANSITIONS,
-}
+ALL_ARRAYS = CELL_ARRAYS | ROW_ARRAYS | SPLIT_ARRAYS | SEEN_ARRAYS | TREE_ARRAYS | PRICE_ARRAYS
+ALL_ARRAYS |= TRANSITIONS
 """All arrays that a file may hold, and their types."""
 ARRAYS = [
     {*arrays, *transitions}
@@ -258,19 +251,11 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
             raise PolicyFormatError(f"array '{name}' must be {words}-dimensional {np.dtype(dtype)}")
     if document["sha256"] != digest(arrays, _canonical(content)):
         raise PolicyFormatError("its content does not match its checksum")
-    known = TREE_KEYS if is_tree else CELL_KEYS
-    if (
-        set(content) - RARE_KEYS != known
-        or not all(content.get(key, True) is True for key in ("gaps", "outside_at_once"))
-        or content.get("time_unit") == "s"
-        or content.get("delay", 1.0) == 0
-        or ("features" in content and not is_tree)
-        or document["version"] < _least_version(arrays, content)
-    ):
+    if not _has_its_keys(content, is_tree) or document["version"] < _least_version(arrays, content):
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
-    exogenous = Box(**content["exogenous"]) if "exogenous" in content else None
-    space = joined(domain, exogenous)
+    told = Box(**content["exogenous"]) if "exogenous" in content else None
+    space = joined(domain, exogenous := check_exogenous(told, domain))
     settings, model = content["settings"], content["model"]
     if model is not None:
         model = Model.from_json(model, space.n, alphabet.m, len(alphabet))
@@ -287,7 +272,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         "gaps": "gaps" in content,
         "time_unit": content.get("time_unit", "s"),
         "outside_at_once": "outside_at_once" in content,
-        "switching": _switching(content.get("switching")),
+        "switching": Switching(**content["switching"]) if "switching" in content else None,
         "delay": content.get("delay", 0.0),
         "transitions": _transitions(arrays.pop("transitions", None), len(alphabet) + 1),
     }
@@ -310,6 +295,18 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     return fields | {"cells": CellTree(grid, entries, mixed, seen, affine, arrays.get("splits"))}
 
 
+def _has_its_keys(content: Any, is_tree: bool) -> bool:
+    """Return whether content has the keys of its kind, and rare ones where they say something."""
+    return (
+        set(content) - RARE_KEYS == (TREE_KEYS if is_tree else CELL_KEYS)
+        and all(content.get(key, True) is True for key in ("gaps", "outside_at_once"))
+        and content.get("time_unit") != "s"
+        and content.get("delay", 1.0) != 0
+        and (is_tree or "features" not in content)
+        and (not is_tree or content["guarantee"].get("cut", True) is True)
+    )
+
+
 def _seen(arrays: dict[str, np.ndarray], labels: int) -> np.ndarray:
     """Return the sets of so many labels seen in mixed cells, their sizes checked before."""
     if "mixed_sets" not in arrays:
@@ -322,10 +319,6 @@ def _seen(arrays: dict[str, np.ndarray], labels: int) -> np.ndarray:
         raise PolicyFormatError("the sets of labels seen in mixed cells are not there")
     check_memory(float(places.size) * 8 * sets.shape[1], "its sets of labels")
     return sets[places]
-
-
-def _switching(data: Any) -> Switching | None:
-    return None if data is None else Switching(**data)
 
 
 def _transitions(rows: np.ndarray | None, count: int) -> np.ndarray | None:
