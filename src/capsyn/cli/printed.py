@@ -146,7 +146,7 @@ def print_automaton(data: dict[str, Any]) -> None:
         bounds = (
             f"{name} = {low:g}" if axis == face["axis"] else f"{name} in [{low:g}, {high:g}]"
             for axis, (name, low, high) in enumerate(
-                zip(data["states"], face["lower"], face["upper"])
+                zip([*data["states"], *data.get("exogenous", ())], face["lower"], face["upper"])
             )
         )
         between = f"{names[face['below']]} below and {names[face['above']]} above"
