@@ -303,7 +303,7 @@ def _has_its_keys(content: Any, is_tree: bool) -> bool:
         and content.get("time_unit") != "s"
         and content.get("delay", 1.0) != 0
         and (is_tree or "features" not in content)
-        and (not is_tree or content["guarantee"].get("cut", True) is True)
+        and ("cut" not in content.get("guarantee", {}) or content["guarantee"]["cut"] is True)
     )
 
 
