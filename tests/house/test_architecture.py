@@ -21,13 +21,13 @@ errors validation random_streams statistics version
 
 programs: operations program texts builder intervals expansion model step_doubling
 native: build compiled source
-modelling: domain alphabet settings targets grid time_unit switching problem transcription
+modelling: domain exogenous alphabet settings targets grid time_unit switching problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter
-cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree faces packing work
-policies: lookup outside guarantee evidence colors in_force picture file checks policy
-    single_lookup report
+cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree cut faces packing work
+policies: lookup guarantee evidence colors in_force picture file checks cut derived policy
+    report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
@@ -37,7 +37,7 @@ synthesis: remote_labels labelling synthesize
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
 verification: bisection loop_derivative lyapunov tally agreement trials monte_carlo
     switching_curve sentences
-integrations: stepping evaluation gymnasium control
+integrations: single_lookup stepping evaluation gymnasium control
 compression: rows optimal induction freedom coarsening affine_tree
 compression.fitted: surface plane_tree oblique
 compression.features: growing space cell_fit controller_fit

@@ -11,11 +11,11 @@ import capsyn
 from capsyn import Automaton, Policy, online_controller, problems, simulate
 from capsyn.cells.feature_tree import Features
 from capsyn.errors import ProblemError
+from capsyn.integrations.single_lookup import single_lookup
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.file import content_hash, content_of
 from capsyn.policies.lookup import COMPILED_FROM
 from capsyn.policies.report import report
-from capsyn.policies.single_lookup import single_lookup
 from capsyn.programs.program import Program
 from capsyn.verification.lyapunov import lyapunov
 from support.features import exact, pendulum, walked

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.integrations.single_lookup import single_lookup
 from capsyn.integrations.stepping import has_memory, stepper
 from capsyn.policies.policy import Policy
-from capsyn.policies.single_lookup import single_lookup
 from capsyn.simulation.plant import choose_substeps, plant_of
 from capsyn.validation import describe, finite_number, whole_number
 

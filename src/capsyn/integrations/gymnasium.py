@@ -12,13 +12,13 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.integrations.evaluation import Evaluation
+from capsyn.integrations.single_lookup import single_lookup
 from capsyn.integrations.stepping import has_holds, has_memory, stepper
 from capsyn.modelling.exogenous import one_exogenous
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import target_program
 from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy
-from capsyn.policies.single_lookup import single_lookup
 from capsyn.random_streams import derived_seed
 from capsyn.simulation.closed_loop import SLACK
 from capsyn.simulation.plant import choose_substeps, plant_of

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.integrations.single_lookup import single_lookup
 from capsyn.policies.policy import Policy
-from capsyn.policies.single_lookup import single_lookup
 from capsyn.simulation.closed_loop import Holds
 
 Step = Callable[[Any, np.ndarray], tuple[int, np.ndarray]]

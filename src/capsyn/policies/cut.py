@@ -12,11 +12,10 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
 from capsyn.modelling.exogenous import one_exogenous
 from capsyn.modelling.targets import INSIDE, Target, target_axes, target_program
-from capsyn.policies.policy import DecisionTree, Policy
 from capsyn.programs.builder import restricted
 
 
-def at(policy: Policy, exogenous: Any) -> Policy:
+def at(policy: Any, exogenous: Any) -> Any:
     """Return what `Policy.at` does."""
     told = policy.exogenous
     if told is None:
@@ -33,7 +32,7 @@ def at(policy: Policy, exogenous: Any) -> Policy:
         "timings": {},
         "evidence": {},
     }
-    if isinstance(policy, DecisionTree):
+    if hasattr(policy, "guarantee"):
         changes["guarantee"] = dataclasses.replace(policy.guarantee, cut=True)
     return dataclasses.replace(policy, **changes)
 

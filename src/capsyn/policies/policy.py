@@ -15,21 +15,21 @@ from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import OutsideDomainError, ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
-from capsyn.modelling.exogenous import joined, readings
+from capsyn.modelling.exogenous import readings
 from capsyn.modelling.settings import SsacSettings
-from capsyn.modelling.switching import Switching, SwitchRules
+from capsyn.modelling.switching import Switching
 from capsyn.modelling.targets import Target
 from capsyn.policies.checks import check_fields, labels_in_force
+from capsyn.policies.derived import Derived
 from capsyn.policies.guarantee import Guarantee
-from capsyn.policies.in_force import mixed_share, volume_shares
-from capsyn.policies.lookup import GAP, OUTSIDE, row_numbers
-from capsyn.policies.outside import outside_text
+from capsyn.policies.in_force import mixed_share
+from capsyn.policies.lookup import GAP, OUTSIDE, outside_text, row_numbers
 from capsyn.programs.model import Model
-from capsyn.validation import describe, read_only
+from capsyn.validation import describe
 
 
 @dataclass(frozen=True, eq=False)
-class Policy:
+class Policy(Derived):
     """A control alphabet policy ``<U, L, T>`` (Definition 2 of the paper).
 
     Calling the policy with states (..., n), and with exogenous inputs (..., k) where it is told
@@ -111,24 +111,6 @@ class Policy:
 
     def __post_init__(self) -> None:
         check_fields(self, self._structure)
-
-    @functools.cached_property
-    def space(self) -> Box:
-        """What the cells divide: the domain, and after its axes those of the exogenous inputs.
-
-        A point of it is a reading: what the policy is asked with.
-        """
-        return joined(self.domain, self.exogenous)
-
-    @property
-    def default_control(self) -> np.ndarray:
-        """The default control (m,) [input units], as of a problem."""
-        return self.default
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the next symbol depends on the symbol in force."""
-        return len(self.transitions) > len(self.alphabet) + 1 or self.cells.priced
 
     def __call__(
         self,
@@ -273,40 +255,6 @@ class Policy:
 
         return at(self, exogenous)
 
-    @functools.cached_property
-    def controls(self) -> np.ndarray:
-        """Control vectors (N + 1, m) of the symbols, the default control last [input units]."""
-        table = np.vstack([self.alphabet.values, self.default])
-        return read_only(table)
-
-    @functools.cached_property
-    def rules(self) -> SwitchRules:
-        """What a change of symbols costs and waits for, for each symbol and the default."""
-        return SwitchRules.of(self)
-
-    def symbol_name(self, symbol: int) -> str:
-        """Return the name of a symbol index; -1 is ``default``."""
-        return "default" if symbol < 0 else self.alphabet.names[symbol]
-
-    @functools.cached_property
-    def volume_shares(self) -> np.ndarray:
-        """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
-
-        It is that of the next symbol, the mean over all symbols in force where that matters. Where
-        planes bound symbols it is estimated at random states, if they are fewer.
-        """
-        return volume_shares(self)
-
-    @property
-    def has_planes(self) -> bool:
-        """Whether planes that are oblique to the axes bound symbols: affine leaves, or splits."""
-        return self.cells.has_planes
-
-    @property
-    def title(self) -> str:
-        """The name, and of a decision tree its mode."""
-        return self.name
-
     def structure(self) -> dict[str, Any]:
         """Return what the file says of the cells beside their arrays, as plain data."""
         return self.cells.structure()
@@ -355,12 +303,6 @@ class Policy:
         from capsyn.policies.file import add_evidence
 
         return dataclasses.replace(self, evidence=add_evidence(self, kinds))
-
-    def _repr_html_(self) -> str:
-        """Return a small map for notebooks."""
-        from capsyn.policies.picture import map_html
-
-        return map_html(self)
 
     def __repr__(self) -> str:
         return (
