@@ -84,18 +84,19 @@ def list_problems(as_json: Json = False) -> None:
     from capsyn import problems
 
     built_in = [problems.get(name) for name in problems.names()]
-    rows = [
+    rows: list[dict[str, Any]] = [
         {
             "name": p.name,
             "states": p.domain.n,
-            "exogenous": p.space.n - p.domain.n,
+            "exogenous": list(p.space.names[p.domain.n :]),
             "symbols": len(p.alphabet),
             "max_level": p.max_level,
             "description": p.description,
         }
         for p in built_in
     ]
-    show(as_json, rows, lambda: print_table(rows))
+    shown = [row | {"exogenous": ", ".join(row["exogenous"])} for row in rows]
+    show(as_json, rows, lambda: print_table(shown))
 
 
 @dataclass(frozen=True)

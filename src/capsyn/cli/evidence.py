@@ -105,12 +105,15 @@ def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
 def _show_trials(data: dict[str, Any], sentence: str, file: str, options: VerifyOptions) -> None:
     """Print what came of trials, and the command that repeats the first that failed."""
     repeated = (
-        "duration rate model min_dwell outside outside_at_once target tolerance online background"
+        "duration rate model min_dwell outside outside_at_once target tolerance track online "
+        "background"
     ).split()
     values = {_option(name): getattr(options, name) for name in repeated}
     values["--no-outside-at-once"] = options.outside_at_once is False
     values["--stop-at-target"] = not options.hold
     failing = data["failing_trials"]
+    if options.delay is not None and failing and not failing[0]["delay"]:
+        values["--delay"] = 0  # that of the policy may be another
     print_monte_carlo(data, sentence, simulate_line(file, failing[0], values) if failing else None)
 
 

@@ -134,9 +134,16 @@ def _exogenous(texts: list[str] | None, one: Callable[[str, str], Any]) -> Any:
     for text in texts:
         if "=" in text:
             ((name, value),) = assignments("--exogenous", [text]).items()
-            values[name] = _steps(name, value) if _is_steps(value, one) else one(name, value)
+            label = f"exogenous {name}"
+            meant = _steps(name, value) if _is_steps(value, one) else one(label, value)
+            if isinstance(meant, list):
+                raise ProblemError(f"--exogenous {name} must be one value; got '{value}'")
+            given = {name: meant}
         else:
-            values |= steps_from_csv(text)
+            given = steps_from_csv(text)
+        if twice := [name for name in given if name in values]:
+            raise ProblemError(f"--exogenous must give each input once; got '{twice[0]}' again")
+        values |= given
     return values
 
 
@@ -150,7 +157,11 @@ def _steps(name: str, text: str) -> dict[float, float]:
     pairs = [part.split(":") for part in text.split(",")]
     if any(len(pair) != 2 for pair in pairs):
         raise ProblemError(f"--exogenous {name} must be TIME:VALUE,TIME:VALUE; got '{text}'")
-    return {number(name, time): number(name, value) for time, value in pairs}
+    label = f"exogenous {name}"
+    steps = {number(label, time): number(label, value) for time, value in pairs}
+    if len(steps) < len(pairs):
+        raise ProblemError(f"--exogenous {name} must have each time once; got '{text}'")
+    return steps
 
 
 def tracked(texts: list[str] | None) -> dict[str, str | float] | None:
@@ -158,7 +169,7 @@ def tracked(texts: list[str] | None) -> dict[str, str | float] | None:
     if not texts:
         return None
     pairs = assignments("--track", texts)
-    return {state: _name_or_number(text) for state, text in pairs.items()}
+    return {state: _name_or_number(text.strip()) for state, text in pairs.items()}
 
 
 def _name_or_number(text: str) -> str | float:
@@ -222,13 +233,15 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
     """Simulate the closed loop of a policy."""
     from capsyn.policies.policy import Policy
     from capsyn.simulation.simulate import trajectories
-    from capsyn.simulation.tracking import tracking
+    from capsyn.simulation.tracking import check_followed, tracking
     from capsyn.validation import whole_number
 
-    save = _saving(options.output)
+    track = tracked(options.track) or {}
+    save = _saving(options.output, track)
     seed = whole_number("--seed", options.seed, least=0)
     policy = Policy.load(file)
     states = _initial_states(policy, options.x0, seed)
+    check_followed(track, policy.domain.names, policy.space.names[policy.domain.n :])
     for name in ("noise", "delay", "disturbance"):
         if ":" in (getattr(options, name) or ""):
             raise ProblemError(f"--{name} must be one value here; ranges are for verify")
@@ -238,7 +251,7 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
         trajectory = trajectories(controller, states[0] if len(states) == 1 else states, loop)
     save(trajectory)
     rows = trajectory.summary()
-    for state, reference in (tracked(options.track) or {}).items():
+    for state, reference in track.items():
         figures = tracking(trajectory, state, reference).to_json()
         for k, row in enumerate(rows):
             of_trial = {name: values[k] for name, values in figures.items()}
@@ -248,8 +261,11 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
     show(as_json, rows if len(rows) > 1 else rows[0], lambda: typer.echo(text), end)
 
 
-def _saving(output: str | None) -> Callable[[Any], None]:
-    """Return what writes a trajectory to a file, by its ending; nothing for None."""
+def _saving(output: str | None, track: dict[str, str | float]) -> Callable[[Any], None]:
+    """Return what writes a trajectory to a file, by its ending; nothing for None.
+
+    A picture has what is tracked beside the states that should follow it.
+    """
     if output is None:
         return lambda trajectory: None
     from capsyn.execution.files import check_writable
@@ -259,7 +275,7 @@ def _saving(output: str | None) -> Callable[[Any], None]:
     kind = check_format(output, ("csv", "json", *FORMATS), "the output")
     check_writable(output)
     if kind in FORMATS:
-        return lambda trajectory: save_trajectory_plot(trajectory, output)
+        return lambda trajectory: save_trajectory_plot(trajectory, output, track)
     return lambda trajectory: trajectory.save(output)
 
 

@@ -32,6 +32,14 @@ def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) ->
         if data[key]:
             spread = ", ".join(f"{k} {v:.3g}" for k, v in data[key].items())
             print_line(name, f"{spread} {what}")
+    for name, figures in data.get("tracking", {}).items():
+        for key in ("rms", "bias", "overshoot", "settling"):
+            if figures[key]:
+                spread = ", ".join(f"{k} {v:.3g}" for k, v in figures[key].items())
+                what = f"{name}, {key}" if key == "rms" else key
+                print_line("tracking" if key == "rms" else "", f"{what}: {spread}")
+        if figures["unsettled"]:
+            print_line("", f"{figures['unsettled']:,} trials had not settled when they ended")
     if outside := data["trials_outside_domain"]:
         print_line("outside", f"{outside:,} trials left the domain on the way")
     trials, failed = data["failing_trials"], data["trials"] - data["successes"]

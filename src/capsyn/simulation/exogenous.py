@@ -84,17 +84,20 @@ def steps_from_csv(path: str | os.PathLike[str]) -> dict[str, dict[float, float]
     """
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
-            header, *rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it has no header"
+            lines = csv.reader(file)
+            table = [(lines.line_num, row) for row in lines if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else f"it is no CSV text ({error})"
         raise ProblemError(f"`exogenous` cannot be read from '{path}': {reason}") from None
-    names = [name.strip() for name in header]
-    if names[0] != "time" or len(names) < 2 or not rows:
+    if not table:
+        raise ProblemError(f"`exogenous` cannot be read from '{path}': it has no header")
+    names = [name.strip() for name in table[0][1]]
+    if names[0] != "time" or not 2 <= len(names) == len(set(names)) or len(table) < 2:
         raise ProblemError(
             f"`exogenous` in '{path}' must have a column 'time', then one for each input, and rows"
         )
     steps: dict[str, dict[float, float]] = {name: {} for name in names[1:]}
-    for line, row in enumerate(rows, 2):
+    for line, row in table[1:]:
         try:
             if len(row) != len(names):
                 raise ValueError
@@ -106,9 +109,25 @@ def steps_from_csv(path: str | os.PathLike[str]) -> dict[str, dict[float, float]
                 f"`exogenous` in '{path}' must have {len(names)} numbers in row {line}; got {row}"
             ) from None
         for name, cell in zip(names[1:], cells):
-            if cell is not None:
-                steps[name][time] = cell
+            if cell is None:
+                continue
+            if time in steps[name]:
+                raise ProblemError(
+                    f"`exogenous` in '{path}' must have each time once; row {line} has {time:g} "
+                    "again"
+                )
+            steps[name][time] = cell
     return steps
+
+
+def pairs_of_steps(value: Any) -> list[Any] | None:
+    """Return the pairs (time, value) of an input that steps; None of one that does not."""
+    if isinstance(value, Mapping):
+        return list(value.items())
+    if not isinstance(value, Sequence) or isinstance(value, str) or not value:
+        return None
+    paired = all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in value)
+    return list(value) if paired else None
 
 
 def _of(start: np.ndarray, rows: np.ndarray | None, told: Box) -> ExogenousSignal:
@@ -133,14 +152,8 @@ def _signal(name: str, value: Any, period: float, samples: int) -> np.ndarray | 
     """Return what one input is at every sample (samples + 1,), of a function or steps."""
     if callable(value):
         return _sampled(name, value, period, samples, 1)[:, 0]
-    pairs: Any = list(value.items()) if isinstance(value, Mapping) else value
-    stepped = isinstance(value, Mapping) or (
-        isinstance(value, Sequence)
-        and not isinstance(value, str)
-        and len(value) > 0
-        and all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in value)
-    )
-    if not stepped:
+    pairs = pairs_of_steps(value)
+    if pairs is None:
         return None
     table = numbers(name, pairs).reshape(-1, 2)
     times = table[:, 0]

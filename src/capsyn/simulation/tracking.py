@@ -62,6 +62,20 @@ def check_tracked(track: Any) -> None:
         )
 
 
+def check_followed(track: Mapping[str, Any], states: Sequence[str], told: Sequence[str]) -> None:
+    """Raise `ProblemError` where a name of `track` is none of the states or exogenous inputs."""
+    for state, reference in track.items():
+        one_of("state", state, states)
+        if not isinstance(reference, str):
+            finite_number("reference", reference)
+        elif not told:
+            raise ProblemError(
+                f"`reference` must be a number, since nothing is told; got {describe(reference)}"
+            )
+        else:
+            one_of("reference", reference, told)
+
+
 def tracking(
     trajectory: Trajectory, state: str, reference: str | float, band: float | None = None
 ) -> Tracking:
@@ -103,11 +117,10 @@ def followed(
     reference: str | float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a state of states (..., n) and what it should follow, of the names of both."""
-    one_of("state", state, names)
+    check_followed({state: reference}, names, told)
     values = states[..., names.index(state)]
     if not isinstance(reference, str):
-        return values, np.full_like(values, finite_number("reference", reference))
-    one_of("reference", reference, told)
+        return values, np.full_like(values, float(reference))
     return values, exogenous[..., told.index(reference)]
 
 

@@ -20,10 +20,17 @@ from capsyn.modelling.targets import describe_target, with_tolerance
 from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy
 from capsyn.simulation.closed_loop import Noise, new_record
+from capsyn.simulation.exogenous import pairs_of_steps
 from capsyn.simulation.experiment import Experiment, described, padded, sampling, set_up
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
-from capsyn.simulation.tracking import Tracking, figures, followed, joined_figures
+from capsyn.simulation.tracking import (
+    Tracking,
+    check_followed,
+    figures,
+    followed,
+    joined_figures,
+)
 from capsyn.statistics import TOLD, clopper_pearson
 from capsyn.validation import one_line
 from capsyn.verification.trials import (
@@ -317,6 +324,9 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     if target is None:
         raise ProblemError("`target` must be given: neither policy nor problem has one")
     target = with_tolerance(target, options.tolerance)
+    if options.track is not None:
+        names = plant.space.names
+        check_followed(options.track, names[: plant.states], names[plant.states :])
     rate, samples = sampling(controller, options.loop)
     told = drawn_exogenous(options, plant.exogenous, 1 / rate, samples)
     drawn = draw(options, plant, parameters, told.start)
@@ -481,8 +491,8 @@ def _plain(value: Any) -> Any:
         return {"low": _plain(value.low), "high": _plain(value.high)}
     if callable(value):
         return "a function of time"
-    if isinstance(value, Mapping):
-        return {f"{time:g}": _plain(step) for time, step in value.items()}
+    if (pairs := pairs_of_steps(value)) is not None:  # no other quantity has pairs
+        return {repr(float(time)).removesuffix(".0"): _plain(step) for time, step in pairs}
     return np.asarray(value).tolist()
 
 

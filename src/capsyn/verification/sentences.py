@@ -78,6 +78,8 @@ def circumstances(conditions: dict[str, Any]) -> str:
         elif isinstance(value, dict) and name == "holds":
             unit = units.get("min_dwell", "")
             value = ", ".join(f"{key} for {_short(time)}{unit}" for key, time in value.items())
+        elif isinstance(value, dict) and name == "exogenous":
+            value = ", ".join(f"{key} {_signal(one)}" for key, one in value.items())
         elif isinstance(value, dict):
             value = circumstances(value)
         said = "" if value is True else f" {_short(value)}{units.get(name, '')}"
@@ -103,7 +105,8 @@ def failing_trial(trial: dict[str, Any], time_unit: str) -> str:
 def simulate_line(file: str, trial: dict[str, Any], options: Mapping[str, Any]) -> str:
     """Return the command that repeats a trial of ``capsyn verify``, from `MonteCarlo.trial`.
 
-    `options` are what both commands take in the same way; None and False were not given.
+    `options` are what both commands take in the same way; None and False were not given, a list
+    was given once for each of its values.
     """
 
     def values(numbers: list[float]) -> str:
@@ -121,9 +124,17 @@ def simulate_line(file: str, trial: dict[str, Any], options: Mapping[str, Any]) 
         if any(trial[name]):
             words += [f"--{name}", values(trial[name])]
     for option, value in options.items():
-        if value is not None and value is not False:
-            words += [option] if value is True else [option, str(value)]
+        for one in value if isinstance(value, list) else [value]:
+            if one is not None and one is not False:
+                words += [option] if one is True else [option, str(one)]
     return shlex.join(words)
+
+
+def _signal(value: Any) -> str:
+    """Return what an exogenous input does in trials: drawn, steps, or the same."""
+    if isinstance(value, dict) and set(value) == {"low", "high"}:
+        return f"{_short(value['low'])} to {_short(value['high'])}"
+    return _steps(value) if isinstance(value, dict) else _short(value)
 
 
 def _steps(value: Any, text: Callable[[float], str] = "{:.6g}".format) -> str:
