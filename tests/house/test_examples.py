@@ -12,6 +12,11 @@ PROMISES = {
     "mountain_car": ["cells: 100 of 100 reach the flag", "tree: 100 of 100 reach the flag"],
     "evidence": ["100.0% of the trials", "online sSAC around the policy: there after 10.05 s"],
     "pendulum": ["4314 solves, 1710 cells", "99.5"],
+    "ramp": [
+        "belt +0.5 m/s, told: offset -0.00",
+        "belt +0.5 m/s, not told: offset -0.38",
+        "turns back, told: offset +0.0",
+    ],
     "small": ["exact: 471 nodes", "linear: ", "coast -> ahead"],
     "thermostat": ["default 0.0, horizon 5.0 s: 22.4", "default 0.6, horizon 5.0 s: 21.0"],
 }
