@@ -140,7 +140,10 @@ class OnlineController:
         )
 
     def __call__(self, time: float, states: Any, exogenous: Any = None) -> np.ndarray:
-        """Return the controls (..., m) that act at once in states (..., n) at a time."""
+        """Return the controls (..., m) that act at once in states (..., n) at a time.
+
+        `exogenous` are the inputs (..., k) where there are some.
+        """
         planned = self.actions(states, exogenous, time)
         acts = np.asarray((planned.duration > 0) & (planned.start <= 0))
         return np.where(acts[..., None], planned.control, planned.base)

@@ -175,6 +175,11 @@ class Problem:
         """The default control (m,) as a constant; of a law that at the middle of the space.
 
         It is what a policy calls its default: before the first decision, and where none is found.
+
+        Raises
+        ------
+        ProblemError
+            A law that is not finite there.
         """
         if not self.has_law:
             return np.asarray(self.default)

@@ -178,7 +178,7 @@ class Policy(Derived):
         backend: str = "auto",
         in_force: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the next labels (B,) of readings (B, n): symbols, N for the default, or negative.
+        """Return the next labels (B,) of readings `states`: symbols, N the default, or negative.
 
         It is negative where there is none. With `nearest` a finite state outside the domain has
         that of the nearest cell; `backend` is that of a call; `in_force` (B,) are the labels in
@@ -236,7 +236,7 @@ class Policy(Derived):
     ) -> np.ndarray:
         """Return the control vectors (..., m) [input units] of states (..., n).
 
-        Arguments and errors are those of a call of the policy.
+        `exogenous`, `outside`, `current` and errors are those of a call of the policy.
         """
         return self.controls[self(states, exogenous, outside, current=current)]
 
