@@ -11,12 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from capsyn import Box, Problem, SsacSettings, synthesize
+from capsyn import Box, Policy, Problem, SsacSettings, synthesize
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import bind_default
+from capsyn.controllers.ssac import policy_controller
 from capsyn.modelling.transcription import transcribe
 from capsyn.synthesis.synthesize import problem_controller
 from support.backends import backends
+from support.processes.command_line import capsyn, error_of
 
 STEPS = 6
 
@@ -243,9 +245,6 @@ def test_formulations_with_a_law_are_told_to_other_processes():
 
 
 def test_the_model_of_a_law_is_in_the_file_and_decides_there(tmp_path):
-    from capsyn import Policy
-    from capsyn.controllers.ssac import policy_controller
-
     problem = random_problem(8, 2, 1).replace(partitions=3, max_level=1)
     policy = synthesize(problem)
     policy.save(tmp_path / "law.cap")
@@ -254,3 +253,28 @@ def test_the_model_of_a_law_is_in_the_file_and_decides_there(tmp_path):
     z = problem.space.sample(200)
     one, two = problem_controller(problem, policy.model), policy_controller(again)
     assert np.array_equal(one.masks(z), two.masks(z))
+
+
+ROOM = """
+import capsyn
+problem = capsyn.Problem(
+    name="room", dynamics=lambda x, u, w: [(w[0] - x[0]) / 300 - 0.05 * u[0]],
+    domain=capsyn.Box([18], [28]), exogenous=capsyn.Box([20], [38], names=["outdoor"]),
+    alphabet=[0, 1, 2], default=lambda x, w: [0.1 * (x[0] - 22)], horizon=20.0,
+    running_cost=lambda x, w: (x[0] - 22) ** 2, partitions=3, max_level=1,
+)
+"""
+
+
+def test_a_default_on_the_command_line_takes_the_place_of_a_law(tmp_path):
+    (tmp_path / "room.py").write_text(ROOM)
+    capsyn("synth", "room.py:problem", "-o", "law.cap", cwd=tmp_path)
+    capsyn("synth", "room.py:problem", "--default", "0.5", "-o", "constant.cap", cwd=tmp_path)
+    law, constant = (Policy.load(tmp_path / f"{name}.cap") for name in ("law", "constant"))
+    assert law.model.prediction is not None and law.default.tolist() == [0.1 * (23 - 22)]
+    assert constant.model.prediction is None and constant.default.tolist() == [0.5]
+    to_default = ("synth", "room.py:problem", "--on-no-descent", "default", "-o", "x.cap")
+    assert "`on_no_descent` must be 'best' where" in error_of(*to_default, cwd=tmp_path)
+    loop = ("simulate", "law.cap", "--x0", "25", "--exogenous", "outdoor=30", "--online", "ssac")
+    assert "`default` must be given, a constant or a policy" in error_of(*loop, cwd=tmp_path)
+    capsyn(*loop, "--background", "--duration", "10", cwd=tmp_path)

@@ -79,7 +79,8 @@ def test_functions_of_w_where_nothing_is_told(name):
     }
     problem = ROOMS.replace(exogenous=None, partitions=3, refinement=2, **changes)
     wrong = (lambda x, u, w: x) if name == "dynamics" else (lambda x, w: x[0])
-    refused(lambda: problem.replace(**{name: wrong}), f"`{name}` failed", "must be a function of x")
+    text = "and of w where there is `exogenous`"
+    refused(lambda: problem.replace(**{name: wrong}), f"`{name}` failed", "function of x", text)
 
 
 def test_inputs_that_there_are_not():

@@ -85,7 +85,11 @@ BAD = [
     ("running_cost", {"running_cost": lambda x: x}, r"a scalar; got shape \(2, 1\)"),
     ("running_cost", {"running_cost": lambda x: [x[0], x[1]]}, r"a scalar; got shape \(2, 1\)"),
     ("running_cost", {"running_cost": lambda x: None}, "a scalar; got None"),
-    ("running_cost", {"running_cost": lambda x, u: x[0]}, "must be a function of x$"),
+    (
+        "running_cost",
+        {"running_cost": lambda x, u: x[0]},
+        "must be a function of x, and of w where there is `exogenous`$",
+    ),
     ("running_cost", {"running_cost": lambda x: x[2]}, "failed on symbols with sizes .x: 2.: "),
     ("terminal_cost", {"terminal_cost": lambda x: x.T}, r"a scalar; got shape \(1, 2\)"),
     ("terminal_cost", {"terminal_cost": lambda x: FREE * x[0]}, "undeclared symbol 'p'"),

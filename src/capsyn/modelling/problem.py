@@ -279,7 +279,8 @@ def expression(
         reason = next((text for words, text in _MEANINGS if words in reason), reason)
         if "positional argument" in reason:
             reason = f"it must be a function of {' and '.join(arguments)}" + (
-                ", and of p where there are `parameters`" if parameters else ""
+                ("" if "w" in arguments else ", and of w where there is `exogenous`")
+                + (", and of p where there are `parameters`" if parameters else "")
             )
         shapes = ", ".join(
             f"{symbol}: {argument.numel()}" for symbol, argument in arguments.items()
