@@ -10,6 +10,13 @@ from capsyn.exports.plan import Plan
 from capsyn.exports.sequence import golden_sequence
 
 RUNS, STEPS = 1000, 1000
+COARSE = {"leaves": "affine", "max_level": 0}
+HOW = {
+    "inverter": COARSE | {"partitions": (4, 4, 12, 2, 2)},
+    "building": COARSE | {"partitions": (8, 8, 5, 2)},
+    "docking": COARSE | {"partitions": (1, 1, 8, 1, 1, 4, 2)},
+}
+"""How the policies of problems are made whose own grid is not that of their dimension."""
 DRIVER = """
 #include <stdio.h>
 #include "policy.h"
@@ -33,7 +40,9 @@ def held(name):
     problem = problems.get(name)
     own, names = problem.switching or Switching(), problem.alphabet.names
     time = problem.settings.sample_time
-    acts = (problem.alphabet.values != problem.default).any(axis=1)  # not the safe symbol's control
+    acts = (problem.alphabet.values != problem.default_control).any(
+        axis=1
+    )  # not the safe symbol's control
     last = [symbol for symbol, other in zip(names, acts) if other][-1]
     switching = Switching(
         price=own.price or "1%",
@@ -60,10 +69,10 @@ def rule_breaks(labels, plan, period, statuses):
 @pytest.mark.parametrize("name", problems.names())
 def test_a_million_steps_of_each(name, tmp_path):
     problem = held(name)
-    n = problem.domain.n
+    n = problem.space.n
     how = {2: {"max_level": 3}, 4: {"max_level": 0}}.get(n)
     how = how or {"leaves": "affine", "max_level": 1, "max_solves": 6000}
-    policy = synthesize(problem, **how)
+    policy = synthesize(problem, **HOW.get(name, how))
     plan = Plan.of(policy)
     runs = golden_sequence(plan, RUNS, STEPS, seed=5)
     forbidden, broken, switches = rule_breaks(runs.labels, plan, runs.period, runs.statuses)

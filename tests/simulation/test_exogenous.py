@@ -192,7 +192,7 @@ def test_trials_say_how_closely_states_follow():
     one = {"wanted": {0: 0.8, 40: 1.2}, "load": found.exogenous[7, 1]}
     alone = tracking(simulate(POLICY, found.initial[7], 80.0, exogenous=one), "h", "wanted")
     for name in ("rms", "bias", "overshoot", "settling"):
-        assert getattr(figures, name)[7] == getattr(alone, name)
+        np.testing.assert_equal(getattr(figures, name)[7], getattr(alone, name))
     data = found.to_json()
     assert data["tracking"]["h - wanted"]["bias"]["max"] < 0.02
     trial = found.trial(7)

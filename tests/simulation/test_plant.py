@@ -83,7 +83,7 @@ REFUSED = [
     (
         relay(),
         {"model": problems.plain("cart-pendulum")},
-        "`model` must have 1 state(s) and 1 input(s) like the controller; got 2 state(s) and 1 input(s)",
+        "`model` must have 1 state(s) and 1 input(s) like the controller; got 2 state(s)",
     ),
 ]
 

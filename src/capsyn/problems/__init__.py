@@ -19,6 +19,9 @@ _MAKERS = {
     "spacecraft": ("spacecraft", "spacecraft"),
     "double-pendulum": ("double_pendulum", "double_pendulum"),
     "boost-converter": ("boost_converter", "boost_converter"),
+    "inverter": ("inverter", "inverter"),
+    "building": ("building", "building"),
+    "docking": ("docking", "docking"),
 }
 
 
