@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from capsyn import Box, Policy, online_controller, problems, simulate, synthesize
-from capsyn.verification.monte_carlo import Uniform, monte_carlo
+from capsyn.verification.monte_carlo import monte_carlo
 from capsyn.verification.sentences import circumstances
+from capsyn.verification.trials import Uniform
 from support.processes.command_line import capsyn
 
 FUNCTIONS = """

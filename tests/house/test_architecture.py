@@ -24,7 +24,7 @@ native: build compiled source
 modelling: domain exogenous alphabet settings targets grid time_unit switching problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
-    boost_converter
+    boost_converter inverter building docking
 cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree cut faces packing work
 policies: lookup guarantee evidence colors in_force picture file checks cut derived policy
     report
@@ -32,11 +32,12 @@ controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
 automata: rectangles regions face_rates row_faces switching automaton
-simulation: plant options kernel closed_loop policy_loop trial_job experiment simulate
+simulation: plant options exogenous kernel closed_loop policy_loop trial_job experiment simulate
+    tracking
 synthesis: remote_labels labelling synthesize
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
-verification: bisection loop_derivative lyapunov tally agreement trials monte_carlo
-    switching_curve sentences
+verification: bisection loop_derivative lyapunov tally agreement trials outcome
+    conditions monte_carlo switching_curve sentences
 integrations: single_lookup stepping evaluation gymnasium control
 compression: rows optimal induction freedom coarsening affine_tree
 compression.fitted: surface plane_tree oblique

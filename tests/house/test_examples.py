@@ -17,6 +17,10 @@ PROMISES = {
         "belt +0.5 m/s, not told: offset -0.38",
         "turns back, told: offset +0.0",
     ],
+    "rotating_reference": [
+        "314 rad/s, amplitude 4.0 A: rms error 0.17 A, mean +0.01",
+        "157 rad/s, amplitude 8.0 A: rms error 0.20 A, mean +0.01",
+    ],
     "small": ["exact: 471 nodes", "linear: ", "coast -> ahead"],
     "thermostat": ["default 0.0, horizon 5.0 s: 22.4", "default 0.6, horizon 5.0 s: 21.0"],
 }

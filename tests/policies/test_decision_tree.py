@@ -22,7 +22,8 @@ from capsyn.policies.lookup import COMPILED_FROM
 from capsyn.policies.report import hints, report
 from capsyn.verification.agreement import agreement
 from capsyn.verification.lyapunov import lyapunov, lyapunov_grid
-from capsyn.verification.monte_carlo import Uniform, monte_carlo
+from capsyn.verification.monte_carlo import monte_carlo
+from capsyn.verification.trials import Uniform
 from support.backends import backends, needs_compiler
 from support.closed_loops import BACKENDS, assert_same_trials, linear_problem, random_grid_policy
 from support.split_trees import all_points, leaf_of, random_split_tree

@@ -17,7 +17,7 @@ from capsyn import Alphabet, Box, Policy, Problem, SsacSettings, Switching, prob
 from capsyn.cells.cell_tree import CellTree
 from capsyn.modelling.grid import Grid
 from capsyn.modelling.transcription import transcribe, transcribe_target
-from capsyn.verification.monte_carlo import MonteCarlo
+from capsyn.verification.outcome import MonteCarlo
 
 BACKENDS = ["c", "numpy"]
 

@@ -12,7 +12,8 @@ from capsyn import Ball, Box, online_controller, problems, simulate
 from capsyn.controllers.command import ENDINGS, LEFT_DOMAIN, NOT_FINITE, TARGET, TIME
 from capsyn.errors import ProblemError
 from capsyn.statistics import clopper_pearson
-from capsyn.verification.monte_carlo import Uniform, monte_carlo
+from capsyn.verification.monte_carlo import monte_carlo
+from capsyn.verification.trials import Uniform
 from support.closed_loops import (
     BACKENDS,
     assert_same_trials,

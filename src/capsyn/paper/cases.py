@@ -11,7 +11,7 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.settings import SsacSettings
 from capsyn.policies.policy import Policy
 from capsyn.synthesis.synthesize import synthesize
-from capsyn.verification.monte_carlo import MonteCarlo
+from capsyn.verification.outcome import MonteCarlo
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from capsyn.plots.policy import plot_policy
 from capsyn.policies.policy import Policy
 from capsyn.simulation.simulate import simulate
 from capsyn.synthesis.synthesize import synthesize
-from capsyn.verification.monte_carlo import MonteCarlo, default_costs, monte_carlo
+from capsyn.verification.monte_carlo import default_costs, monte_carlo
+from capsyn.verification.outcome import MonteCarlo
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

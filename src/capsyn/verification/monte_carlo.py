@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from capsyn.controllers.command import ENDINGS, TIME
+from capsyn.controllers.command import TIME
 from capsyn.controllers.online import OnlineController
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Outside
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.switching import DEFAULT
-from capsyn.modelling.targets import describe_target, with_tolerance
-from capsyn.modelling.time_unit import NAMES
+from capsyn.modelling.targets import with_tolerance
 from capsyn.policies.policy import Policy
 from capsyn.simulation.closed_loop import Noise, new_record
-from capsyn.simulation.exogenous import pairs_of_steps
 from capsyn.simulation.experiment import Experiment, described, padded, sampling, set_up
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
@@ -31,12 +27,12 @@ from capsyn.simulation.tracking import (
     followed,
     joined_figures,
 )
-from capsyn.statistics import TOLD, clopper_pearson
-from capsyn.validation import one_line
+from capsyn.statistics import clopper_pearson
+from capsyn.verification.conditions import conditions
+from capsyn.verification.outcome import MonteCarlo
 from capsyn.verification.trials import (
     Drawn,
     TrialOptions,
-    Uniform,
     draw,
     drawn_exogenous,
     drawn_parameters,
@@ -46,169 +42,6 @@ ROUNDING, SLACK = 1e-12, 1e-6
 """What rounding may add to a time of arrival, relative, and to a time to stay [samples]."""
 RECORDED = 1 << 26
 """Bytes of the trials that are recorded at a time, for what is told of tracking."""
-
-
-@dataclass(frozen=True, eq=False)
-class MonteCarlo:
-    """What happened in T trials.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of everything that was drawn.
-    conditions : dict
-        What the trials had in common, as plain data.
-    confidence, low, high : float
-        Clopper-Pearson interval of the success rate.
-    success : (T,) booleans
-        Whether each trial succeeded.
-    initial, final : (T, n)
-        Its first and last states [state units].
-    ended : (T,)
-        Why it ended, as numbers into `capsyn.controllers.command.ENDINGS`.
-    times : (T,)
-        How long it ran [time unit].
-    arrived : (T,)
-        When it first was in the target [time unit]; NaN where never.
-    switches, outside : (T,)
-        Changes of the control, and samples measured outside the domain.
-    initial_cost, final_cost : (T,)
-        Cost of the default prediction from its first and last states, eq. (3); NaN without a
-        model of the cost.
-    parameters : mapping of name to (T,)
-        What was drawn of the plant's parameters.
-    delays : (T,)
-        What was drawn of the input delay [time unit].
-    disturbances, noises : (T, n)
-        What was drawn of the constant disturbance [state units / time unit], and of the standard
-        deviation of the measurement noise [state units].
-    exogenous : (T, k)
-        Exogenous inputs at the start of each trial [their units].
-    tracking : mapping of name to Tracking
-        How closely each state of `track` followed its reference, (T,) figures each.
-    """
-
-    seed: int
-    conditions: dict[str, Any]
-    confidence: float
-    low: float
-    high: float
-    success: np.ndarray
-    initial: np.ndarray
-    final: np.ndarray
-    ended: np.ndarray
-    times: np.ndarray
-    arrived: np.ndarray
-    switches: np.ndarray
-    outside: np.ndarray
-    initial_cost: np.ndarray
-    final_cost: np.ndarray
-    parameters: Mapping[str, np.ndarray]
-    delays: np.ndarray
-    disturbances: np.ndarray
-    noises: np.ndarray
-    exogenous: np.ndarray
-    tracking: Mapping[str, Tracking] = field(default_factory=dict)
-
-    @property
-    def success_rate(self) -> float:
-        """Share of the trials that succeeded."""
-        return float(self.success.mean())
-
-    @property
-    def failures(self) -> np.ndarray:
-        """Initial states (F, n) of the trials that failed."""
-        return self.initial[~self.success]
-
-    def trial(self, index: int) -> dict[str, Any]:
-        """Return what was drawn for trial `index` as plain data; of the noise, its deviation."""
-        return {
-            "trial": index,
-            "initial": self.initial[index].tolist(),
-            "parameters": {name: float(drawn[index]) for name, drawn in self.parameters.items()},
-            "delay": float(self.delays[index]),
-            "disturbance": self.disturbances[index].tolist(),
-            "noise": self.noises[index].tolist(),
-            **self._told(index),
-        }
-
-    def _told(self, index: int) -> dict[str, Any]:
-        """Return the exogenous inputs of a trial as plain data, by name; steps as they were."""
-        conditions = self.conditions.get("exogenous")
-        if not isinstance(conditions, dict):
-            return {} if conditions is None else {"exogenous": self.exogenous[index].tolist()}
-        steps = {k: v for k, v in conditions.items() if isinstance(v, dict) and "low" not in v}
-        start = zip(conditions, self.exogenous[index].tolist())
-        return {"exogenous": {name: steps.get(name, value) for name, value in start}}
-
-    def __repr__(self) -> str:
-        return (
-            f"MonteCarlo({int(self.success.sum())} of {len(self.success)} trials succeed, "
-            f"{self.low:.3%} to {self.high:.3%} with {self.confidence:.0%} confidence)"
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the figures as plain data, with the first `TOLD` failing trials.
-
-        Times and rates are in the time unit of the plant, which ``conditions`` name unless it is s.
-        """
-        unit = NAMES[self.conditions.get("time_unit", "s")]
-        moved = self.times > 0
-        known = np.isfinite(self.initial_cost) & np.isfinite(self.final_cost)
-        fallen = self.final_cost[known] < self.initial_cost[known]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            left = self.final_cost[known] / self.initial_cost[known]
-        return {
-            "trials": len(self.success),
-            "successes": int(self.success.sum()),
-            "success_rate": self.success_rate,
-            "confidence": self.confidence,
-            "low": self.low,
-            "high": self.high,
-            "seed": self.seed,
-            "conditions": self.conditions,
-            "ended": {
-                name: int((self.ended == k).sum())
-                for k, name in enumerate(ENDINGS)
-                if (self.ended == k).any()
-            },
-            "time_to_target": _spread(self.arrived[self.success]),
-            f"switches_per_{unit}": _spread(self.switches[moved] / self.times[moved]),
-            "trials_outside_domain": int((self.outside > 0).sum()),
-            "cost_decreased": float(fallen.mean()) if known.any() else None,
-            "cost_left": _spread(left),
-            "failing_initial_states": self.failures[:TOLD].tolist(),
-            "failing_trials": [self.trial(int(k)) for k in np.flatnonzero(~self.success)[:TOLD]],
-            **({"tracking": _tracked(self.tracking)} if self.tracking else {}),
-        }
-
-
-def _tracked(tracking: Mapping[str, Tracking]) -> dict[str, Any]:
-    """Return the figures of each tracked state over the trials, biases by their size."""
-    return {
-        name: {
-            "rms": _spread(figures.rms),
-            "bias": _spread(np.abs(figures.bias)),
-            "overshoot": _spread(figures.overshoot),
-            "settling": _spread(figures.settling),
-            "unsettled": int(np.isnan(figures.settling).sum()),
-        }
-        for name, figures in tracking.items()
-    }
-
-
-def _spread(values: np.ndarray) -> dict[str, float] | None:
-    """Return least, median, mean, 95th percentile and greatest of the finite values."""
-    values = values[np.isfinite(values)]
-    if not values.size:
-        return None
-    return {
-        "min": float(values.min()),
-        "median": float(np.median(values)),
-        "mean": float(values.mean()),
-        "95%": float(np.percentile(values, 95)),
-        "max": float(values.max()),
-    }
 
 
 def monte_carlo(
@@ -406,7 +239,7 @@ def _result(
     low, high = clopper_pearson(int(success.sum()), count, options.confidence)
     return MonteCarlo(
         seed=options.loop.seed,
-        conditions=_conditions(controller, options, experiment),
+        conditions=conditions(controller, options, experiment),
         confidence=options.confidence,
         low=low,
         high=high,
@@ -422,78 +255,6 @@ def _result(
         tracking=tracked,
         **vars(drawn),
     )
-
-
-def _conditions(controller: Any, options: TrialOptions, experiment: Experiment) -> dict[str, Any]:
-    """Return what trials have in common, as plain data."""
-    loop, rule = options.loop, experiment.outside
-    domain, space = experiment.plant.domain, experiment.plant.space
-    assert experiment.target is not None
-    unit = experiment.plant.time_unit
-    return {
-        **({} if unit == "s" else {"time_unit": unit}),
-        "duration": loop.duration,
-        "rate": experiment.rate,
-        "within": options.within,
-        "hold": options.hold,
-        "target": describe_target(experiment.target, space),
-        "initial": describe_target(options.initial or domain, domain),
-        **_holds(experiment),
-        "substeps": experiment.loop.substeps,
-        "controller": _controller_name(controller),
-        "model": "its own" if loop.model is None else _name(loop.model),
-        "outside": rule if rule is None or isinstance(rule, str) else controller.symbol_name(rule),
-        **({"outside_at_once": True} if experiment.loop.outside_at_once else {}),
-        "noise": _plain(loop.noise),
-        "delay": _plain(loop.delay),
-        "disturbance": _plain(loop.disturbance),
-        "parameters": {name: _plain(value) for name, value in loop.parameters.items()},
-        **_told(loop.exogenous, experiment.plant.exogenous),
-    }
-
-
-def _told(given: Any, told: Box | None) -> dict[str, Any]:
-    """Return what was told exogenous inputs along trials, by name."""
-    if told is None:
-        return {}
-    if given is None or isinstance(given, Mapping):
-        drawn = dict(zip(told.names, map(Uniform, told.lower, told.upper))) | dict(given or {})
-        return {"exogenous": {name: _plain(value) for name, value in drawn.items()}}
-    return {"exogenous": _plain(given)}
-
-
-def _holds(experiment: Experiment) -> dict[str, Any]:
-    """Return the least times of symbols and inputs, of all symbols where they have the same."""
-    holds, rate = experiment.loop.holds, experiment.rate
-    each = (holds.symbols / rate).tolist()
-    if len(set(each)) == 1 and not holds.inputs.any():
-        return {"min_dwell": each[0]}
-    alphabet = experiment.controller.alphabet
-    names = (*alphabet.names, DEFAULT, *alphabet.inputs)
-    times = zip(names, [*each, *(holds.inputs / rate).tolist()])
-    return {"min_dwell": 0.0, "holds": {name: time for name, time in times if time}}
-
-
-def _name(value: Any) -> str:
-    """Return the name of a problem, a policy or a function."""
-    return one_line(str(getattr(value, "name", getattr(value, "__name__", "a function"))))
-
-
-def _controller_name(controller: Any) -> str:
-    if isinstance(controller, Policy):
-        return f"policy {controller.name}"
-    return repr(controller) if isinstance(controller, OnlineController) else _name(controller)
-
-
-def _plain(value: Any) -> Any:
-    """Return a quantity of the trials as plain data."""
-    if isinstance(value, Uniform):
-        return {"low": _plain(value.low), "high": _plain(value.high)}
-    if callable(value):
-        return "a function of time"
-    if (pairs := pairs_of_steps(value)) is not None:  # no other quantity has pairs
-        return {repr(float(time)).removesuffix(".0"): _plain(step) for time, step in pairs}
-    return np.asarray(value).tolist()
 
 
 def default_costs(controller: Any, states: np.ndarray, backend: str = "auto") -> np.ndarray:

@@ -78,7 +78,7 @@ class TrialOptions:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What trials draw; the fields are those of `capsyn.verification.monte_carlo.MonteCarlo`."""
+    """What trials draw; the fields are those of `capsyn.verification.outcome.MonteCarlo`."""
 
     initial: np.ndarray
     parameters: Mapping[str, np.ndarray]

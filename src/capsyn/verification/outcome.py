@@ -1,0 +1,177 @@
+"""What happened in trials: figures of each, and over all of them as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from capsyn.controllers.command import ENDINGS
+from capsyn.modelling.time_unit import NAMES
+from capsyn.simulation.tracking import Tracking
+from capsyn.statistics import TOLD
+
+
+@dataclass(frozen=True, eq=False)
+class MonteCarlo:
+    """What happened in T trials.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of everything that was drawn.
+    conditions : dict
+        What the trials had in common, as plain data.
+    confidence, low, high : float
+        Clopper-Pearson interval of the success rate.
+    success : (T,) booleans
+        Whether each trial succeeded.
+    initial, final : (T, n)
+        Its first and last states [state units].
+    ended : (T,)
+        Why it ended, as numbers into `capsyn.controllers.command.ENDINGS`.
+    times : (T,)
+        How long it ran [time unit].
+    arrived : (T,)
+        When it first was in the target [time unit]; NaN where never.
+    switches, outside : (T,)
+        Changes of the control, and samples measured outside the domain.
+    initial_cost, final_cost : (T,)
+        Cost of the default prediction from its first and last states, eq. (3); NaN without a
+        model of the cost.
+    parameters : mapping of name to (T,)
+        What was drawn of the plant's parameters.
+    delays : (T,)
+        What was drawn of the input delay [time unit].
+    disturbances, noises : (T, n)
+        What was drawn of the constant disturbance [state units / time unit], and of the standard
+        deviation of the measurement noise [state units].
+    exogenous : (T, k)
+        Exogenous inputs at the start of each trial [their units].
+    tracking : mapping of name to Tracking
+        How closely each state of `track` followed its reference, (T,) figures each.
+    """
+
+    seed: int
+    conditions: dict[str, Any]
+    confidence: float
+    low: float
+    high: float
+    success: np.ndarray
+    initial: np.ndarray
+    final: np.ndarray
+    ended: np.ndarray
+    times: np.ndarray
+    arrived: np.ndarray
+    switches: np.ndarray
+    outside: np.ndarray
+    initial_cost: np.ndarray
+    final_cost: np.ndarray
+    parameters: Mapping[str, np.ndarray]
+    delays: np.ndarray
+    disturbances: np.ndarray
+    noises: np.ndarray
+    exogenous: np.ndarray
+    tracking: Mapping[str, Tracking] = field(default_factory=dict)
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the trials that succeeded."""
+        return float(self.success.mean())
+
+    @property
+    def failures(self) -> np.ndarray:
+        """Initial states (F, n) of the trials that failed."""
+        return self.initial[~self.success]
+
+    def trial(self, index: int) -> dict[str, Any]:
+        """Return what was drawn for trial `index` as plain data; of the noise, its deviation."""
+        return {
+            "trial": index,
+            "initial": self.initial[index].tolist(),
+            "parameters": {name: float(drawn[index]) for name, drawn in self.parameters.items()},
+            "delay": float(self.delays[index]),
+            "disturbance": self.disturbances[index].tolist(),
+            "noise": self.noises[index].tolist(),
+            **self._told(index),
+        }
+
+    def _told(self, index: int) -> dict[str, Any]:
+        """Return the exogenous inputs of a trial as plain data, by name; steps as they were."""
+        conditions = self.conditions.get("exogenous")
+        if not isinstance(conditions, dict):
+            return {} if conditions is None else {"exogenous": self.exogenous[index].tolist()}
+        steps = {k: v for k, v in conditions.items() if isinstance(v, dict) and "low" not in v}
+        start = zip(conditions, self.exogenous[index].tolist())
+        return {"exogenous": {name: steps.get(name, value) for name, value in start}}
+
+    def __repr__(self) -> str:
+        return (
+            f"MonteCarlo({int(self.success.sum())} of {len(self.success)} trials succeed, "
+            f"{self.low:.3%} to {self.high:.3%} with {self.confidence:.0%} confidence)"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as plain data, with the first `TOLD` failing trials.
+
+        Times and rates are in the time unit of the plant, which ``conditions`` name unless it is s.
+        """
+        unit = NAMES[self.conditions.get("time_unit", "s")]
+        moved = self.times > 0
+        known = np.isfinite(self.initial_cost) & np.isfinite(self.final_cost)
+        fallen = self.final_cost[known] < self.initial_cost[known]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = self.final_cost[known] / self.initial_cost[known]
+        return {
+            "trials": len(self.success),
+            "successes": int(self.success.sum()),
+            "success_rate": self.success_rate,
+            "confidence": self.confidence,
+            "low": self.low,
+            "high": self.high,
+            "seed": self.seed,
+            "conditions": self.conditions,
+            "ended": {
+                name: int((self.ended == k).sum())
+                for k, name in enumerate(ENDINGS)
+                if (self.ended == k).any()
+            },
+            "time_to_target": _spread(self.arrived[self.success]),
+            f"switches_per_{unit}": _spread(self.switches[moved] / self.times[moved]),
+            "trials_outside_domain": int((self.outside > 0).sum()),
+            "cost_decreased": float(fallen.mean()) if known.any() else None,
+            "cost_left": _spread(left),
+            "failing_initial_states": self.failures[:TOLD].tolist(),
+            "failing_trials": [self.trial(int(k)) for k in np.flatnonzero(~self.success)[:TOLD]],
+            **({"tracking": _tracked(self.tracking)} if self.tracking else {}),
+        }
+
+
+def _tracked(tracking: Mapping[str, Tracking]) -> dict[str, Any]:
+    """Return the figures of each tracked state over the trials, biases by their size."""
+    return {
+        name: {
+            "rms": _spread(figures.rms),
+            "bias": _spread(np.abs(figures.bias)),
+            "overshoot": _spread(figures.overshoot),
+            "settling": _spread(figures.settling),
+            "unsettled": int(np.isnan(figures.settling).sum()),
+        }
+        for name, figures in tracking.items()
+    }
+
+
+def _spread(values: np.ndarray) -> dict[str, float] | None:
+    """Return least, median, mean, 95th percentile and greatest of the finite values."""
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return None
+    return {
+        "min": float(values.min()),
+        "median": float(np.median(values)),
+        "mean": float(values.mean()),
+        "95%": float(np.percentile(values, 95)),
+        "max": float(values.max()),
+    }
