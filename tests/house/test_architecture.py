@@ -21,7 +21,7 @@ errors validation random_streams statistics version
 
 programs: operations program texts builder intervals expansion model step_doubling
 native: build compiled source
-modelling: domain exogenous alphabet settings targets grid time_unit switching problem transcription
+modelling: domain alphabet exogenous settings targets grid time_unit switching problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter inverter building docking

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from capsyn import Ball, Box, SsacSettings, synthesize
+from capsyn import Alphabet, Ball, Box, SsacSettings, synthesize
 from capsyn.errors import OutsideDomainError, ProblemError
 from capsyn.modelling.exogenous import exogenous_array, joined, readings
 from capsyn.modelling.problem import Problem
@@ -50,6 +50,15 @@ def test_names_that_states_have():
         "`exogenous` must have names",
         "'w2' is a state, too",
     )
+
+
+def test_names_that_control_inputs_have():
+    alphabet = Alphabet(ROOMS.alphabet.values, inputs=["stage", "valve"])
+    box = Box([20, 20], [25, 38], names=["setpoint", "valve"])
+    text = "`exogenous` must have names that no control input has; '{0}' is a control input, too"
+    refused(lambda: ROOMS.replace(alphabet=alphabet, exogenous=box), text.format("valve"))
+    unnamed = Box([20, 20], [25, 38], names=["setpoint", "u2"])
+    refused(lambda: ROOMS.replace(exogenous=unnamed), text.format("u2"))
 
 
 WRONG = {

@@ -118,6 +118,11 @@ TAMPERED = {
         at("exogenous", "names")(["setpoint", "T1"]),
         "`exogenous` must have names that no state has; 'T1' is a state, too",
     ),
+    "the name of a control input": (
+        "plain",
+        at("exogenous", "names")(["setpoint", "u1"]),
+        "`exogenous` must have names that no control input has; 'u1' is a control input, too",
+    ),
     "a name twice": ("plain", at("exogenous", "names")(["a", "a"]), "non-empty and distinct"),
     "a name with an escape": ("plain", at("exogenous", "names", 0)("\x1b[31m"), "printable"),
     "a null box": ("plain", at("exogenous")(None), "TypeError"),

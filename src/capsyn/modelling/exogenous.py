@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
 from capsyn.validation import describe, numbers, state_array
 
 
-def check_exogenous(exogenous: Any, domain: Box) -> Box | None:
+def check_exogenous(exogenous: Any, domain: Box, alphabet: Alphabet) -> Box | None:
     """Return the box of the exogenous inputs with names of its own; None: there are none.
 
     Names that boxes have unless told become ``w1 .. wk``. Something else than a box, or names that
-    states have, is a `ProblemError`.
+    states or control inputs have, is a `ProblemError`.
     """
     if exogenous is None:
         return None
@@ -30,11 +31,12 @@ def check_exogenous(exogenous: Any, domain: Box) -> Box | None:
     if exogenous.names == Box.unnamed(exogenous.n):
         names = tuple(f"w{i + 1}" for i in range(exogenous.n))
         exogenous = dataclasses.replace(exogenous, names=names)
-    shared = [name for name in exogenous.names if name in domain.names]
-    if shared:
-        raise ProblemError(
-            f"`exogenous` must have names that no state has; '{shared[0]}' is a state, too"
-        )
+    for kind, others in (("state", domain.names), ("control input", alphabet.inputs)):
+        shared = [name for name in exogenous.names if name in others]
+        if shared:
+            raise ProblemError(
+                f"`exogenous` must have names that no {kind} has; '{shared[0]}' is a {kind}, too"
+            )
     return exogenous
 
 

@@ -113,9 +113,9 @@ class Problem:
             raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
         if not isinstance(self.domain, Box):
             raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
-        keep(self, exogenous=check_exogenous(self.exogenous, self.domain))
         if not isinstance(self.alphabet, Alphabet):
             keep(self, alphabet=Alphabet(self.alphabet))
+        keep(self, exogenous=check_exogenous(self.exogenous, self.domain, self.alphabet))
         check_time_unit(self.time_unit)
         true_or_false("outside_at_once", self.outside_at_once)
         if not callable(self.default):

@@ -23,7 +23,7 @@ def check_fields(policy: Any, structure: type) -> None:
     """
     if not isinstance(policy.name, str) or not policy.name.isprintable():
         raise ProblemError(f"`name` must be a printable string; got {describe(policy.name)}")
-    keep(policy, exogenous=check_exogenous(policy.exogenous, policy.domain))
+    keep(policy, exogenous=check_exogenous(policy.exogenous, policy.domain, policy.alphabet))
     keep(policy, default=policy.alphabet.control("default", policy.default))
     keep(policy, outside=check_outside(policy.outside, policy.alphabet))
     check_time_unit(policy.time_unit)

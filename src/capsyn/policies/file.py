@@ -255,7 +255,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         raise PolicyFormatError("its keys are not those of this format version")
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
     told = Box(**content["exogenous"]) if "exogenous" in content else None
-    space = joined(domain, exogenous := check_exogenous(told, domain))
+    space = joined(domain, exogenous := check_exogenous(told, domain, alphabet))
     settings, model = content["settings"], content["model"]
     if model is not None:
         model = Model.from_json(model, space.n, alphabet.m, len(alphabet))
