@@ -21,6 +21,8 @@ PROMISES = {
         "314 rad/s, amplitude 4.0 A: rms error 0.17 A, mean +0.01",
         "157 rad/s, amplitude 8.0 A: rms error 0.20 A, mean +0.01",
     ],
+    "measured_load": ["  50 V       -0.0", "at least 26.4 V, within 0.5 V after 1.0 ms"],
+    "setpoint": ["law as default: mean error at most 0.07 K", "constant default: at most 0.24 K"],
     "small": ["exact: 471 nodes", "linear: ", "coast -> ahead"],
     "thermostat": ["default 0.0, horizon 5.0 s: 22.4", "default 0.6, horizon 5.0 s: 21.0"],
 }
