@@ -35,7 +35,11 @@ def test_list_names_every_problem():
         "spacecraft",
         "double-pendulum",
         "boost-converter",
+        "inverter",
+        "building",
+        "docking",
     ]
+    assert [row["leaves"] for row in rows[-4:]] == ["constant", "affine", "affine", "affine"]
     assert "cart-pole" in capsyn("list")[0]
 
 
@@ -62,6 +66,15 @@ def test_synth_takes_overrides(tmp_path):
     assert policy.statistics["test_points"] == "vertices+random:2"
     assert policy.statistics["leaf_error"] == 0.1
     assert policy.statistics["refine"] == "adaptive" and policy.cells.splits is not None
+
+
+def test_synth_makes_the_leaves_that_the_problem_asks_for(tmp_path):
+    capsyn("synth", "building", "-o", "own.cap", cwd=tmp_path)
+    coarse = "--leaves constant --partitions 2 --max-level 0".split()
+    capsyn("synth", "building", "-o", "constant.cap", *coarse, cwd=tmp_path)
+    own, constant = (Policy.load(tmp_path / f"{name}.cap") for name in ("own", "constant"))
+    assert own.cells.affine is not None and own.cells.leaf_count == 640
+    assert constant.cells.affine is None and constant.cells.leaf_count == 16
 
 
 def test_synth_alpha_d_replaces_the_problems_gamma(tmp_path):

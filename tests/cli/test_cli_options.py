@@ -49,9 +49,9 @@ def test_commands_have_the_options_of_closed_loops():
     loop, texts = defaults(LoopOptions), defaults(LoopTexts)
     plain = "duration rate min_dwell outside outside_at_once seed backend threads".split()
     assert [texts[name] for name in plain] == [loop[name] for name in plain]
-    as_texts = {"model", "parameter", "disturbance", "noise", "delay", "target"}
+    as_texts = {"model", "parameter", "disturbance", "noise", "delay", "target", "exogenous"}
     assert {name for name in as_texts if texts[name] is not None} == set()
-    own = {"tolerance", "online", "background"}
+    own = {"tolerance", "online", "background", "track"}
     assert set(texts) == {*plain} | as_texts | own
     # the number of steps is the library's to choose
     assert set(loop) - {*plain} - as_texts == {

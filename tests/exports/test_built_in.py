@@ -8,15 +8,11 @@ import pytest
 from capsyn import Switching, export, problems, synthesize
 from capsyn.exports.plan import Plan
 from capsyn.exports.sequence import golden_sequence
+from capsyn.modelling.time_unit import to_seconds
 
 RUNS, STEPS = 1000, 1000
-COARSE = {"leaves": "affine", "max_level": 0}
-HOW = {
-    "inverter": COARSE | {"partitions": (4, 4, 12, 2, 2)},
-    "building": COARSE | {"partitions": (8, 8, 5, 2)},
-    "docking": COARSE | {"partitions": (1, 1, 8, 1, 1, 4, 2)},
-}
-"""How the policies of problems are made whose own grid is not that of their dimension."""
+HOW = {"inverter": {}, "building": {}, "docking": {"partitions": (1, 1, 8, 1, 1, 4, 2)}}
+"""How the policies of problems are made that have a grid for affine leaves."""
 DRIVER = """
 #include <stdio.h>
 #include "policy.h"
@@ -77,7 +73,8 @@ def test_a_million_steps_of_each(name, tmp_path):
     runs = golden_sequence(plan, RUNS, STEPS, seed=5)
     forbidden, broken, switches = rule_breaks(runs.labels, plan, runs.period, runs.statuses)
     assert (forbidden, broken) == (0, 0) and switches > 50_000
-    export(policy, "c", tmp_path, name="policy", tick=runs.period)
+    tick = to_seconds(runs.period, policy.time_unit)
+    export(policy, "c", tmp_path, name="policy", tick=tick)
     (tmp_path / "driver.c").write_text(DRIVER)
     own = [f"-DSTATES={n}", f"-DSTEPS={STEPS}", "-O2", "-o", "driver", "driver.c", "policy.c"]
     subprocess.run(["gcc", *own, "-lm"], cwd=tmp_path, check=True)

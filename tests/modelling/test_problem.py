@@ -80,6 +80,8 @@ BAD = [
     ("max_level", {"max_level": -1}, ">= 0 .*got -1"),
     ("max_level", {"max_level": 2.0}, "got 2.0"),
     ("max_level", {"max_level": 30}, "<= 27; got 30"),
+    ("leaves", {"leaves": "linear"}, "one of 'constant', 'affine'; got 'linear'"),
+    ("leaves", {"leaves": None}, "got None"),
     ("running_cost` and `terminal_cost", {"running_cost": None}, "both be None"),
     ("running_cost", {"running_cost": 3.0}, "must be a function; got 3.0"),
     ("running_cost", {"running_cost": lambda x: x}, r"a scalar; got shape \(2, 1\)"),

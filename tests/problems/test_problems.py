@@ -8,7 +8,15 @@ import pytest
 
 from capsyn import Ball, Box, SsacSettings, problems
 from capsyn.errors import ProblemError
-from capsyn.problems import cart_pendulum, double_pendulum, double_tank, spacecraft
+from capsyn.problems import (
+    building,
+    cart_pendulum,
+    docking,
+    double_pendulum,
+    double_tank,
+    inverter,
+    spacecraft,
+)
 
 TANK = {
     "bounds": ([0.0, 0.0], [1.0, 1.0]),
@@ -30,6 +38,10 @@ PENDULUM = {
     "max_level": 4,
     "target": cart_pendulum.has_upright_energy,
 }
+HEXAGON = [
+    np.round([360 * np.cos(k * np.pi / 3), 360 * np.sin(k * np.pi / 3)], 9).tolist()
+    for k in range(6)
+]
 EXPECTED = {
     "cart-pendulum": PENDULUM | {"symbols": [[5.0], [-5.0]]},
     "cart-pendulum-4": PENDULUM | {"symbols": [[-5.0], [-2.0], [2.0], [5.0]]},
@@ -112,6 +124,51 @@ EXPECTED = {
         "max_level": 4,
         "target": Box([3.5, 39.0], [4.5, 41.0], names=["current", "voltage"]),
     },
+    "inverter": {
+        "bounds": ([-3.0, -3.0, 0.0], [3.0, 3.0, 2 * np.pi]),
+        "periodic": (False, False, True),
+        "exogenous": {"speed": (0.0, 400.0), "current": (-15.0, 15.0)},
+        "outside": "nearest",
+        "symbols": [[0.0, 0.0], *HEXAGON, [0.0, 0.0]],
+        "default": [0.0, 0.0],
+        "horizon": 50e-6,
+        "settings": SsacSettings(rule="steepest", control_weight=0.5, steps=1, sample_time=50e-6),
+        "partitions": (4, 4, 12, 2, 2),
+        "max_level": 0,
+        "leaves": "affine",
+        "target": None,
+    },
+    "building": {
+        "bounds": ([19.0, 21.0], [27.0, 27.0]),
+        "periodic": (False, False),
+        "exogenous": {"setpoint": (20.0, 25.0), "outdoor": (26.0, 38.0)},
+        "outside": "nearest",
+        "symbols": [list(v) for v in itertools.product((0.0, 1.0, 2.0), (0.0, 1.0))],
+        "default": building.holding,
+        "horizon": 10.0,
+        "settings": SsacSettings(rule="steepest", steps=8, sample_time=1.0),
+        "partitions": (8, 8, 5, 2),
+        "max_level": 0,
+        "leaves": "affine",
+        "target": building.is_comfortable,
+    },
+    "docking": {
+        "bounds": (
+            [-1.6, -1.6, -np.pi, -0.15, -0.15, -0.25],
+            [1.6, 1.6, np.pi, 0.15, 0.15, 0.25],
+        ),
+        "periodic": (False, False, True, False, False, False),
+        "exogenous": {"wait": (0.0, 1.0)},
+        "outside": "nearest",
+        "symbols": [list(map(float, flags)) for flags in docking.thrusters()],
+        "default": [0.0] * 8,
+        "horizon": 8.0,
+        "settings": SsacSettings(rule="steepest", control_weight=0.25, steps=16, sample_time=0.05),
+        "partitions": (1, 1, 24, 1, 1, 12, 4),
+        "max_level": 0,
+        "leaves": "affine",
+        "target": docking.has_arrived,
+    },
 }
 
 
@@ -122,25 +179,28 @@ def test_names_are_those_of_the_issues():
 @pytest.mark.parametrize("name", EXPECTED)
 def test_parameters(name):
     problem = problems.get(name)
+    told = problem.exogenous
     assert {
+        "leaves": problem.leaves,
+        "exogenous": told and dict(zip(told.names, zip(told.lower, told.upper))),
         "bounds": (problem.domain.lower.tolist(), problem.domain.upper.tolist()),
         "periodic": problem.domain.periodic,
         "outside": problem.outside,
         "symbols": problem.alphabet.values.tolist(),
-        "default": problem.default.tolist(),
+        "default": problem.default if problem.has_law else problem.default.tolist(),
         "horizon": problem.horizon,
         "settings": problem.settings,
         "partitions": problem.partitions,
         "max_level": problem.max_level,
         "target": problem.target,
-    } == EXPECTED[name]
-    assert problem.name == name and problem.refinement == (2,) * problem.domain.n
+    } == {"leaves": "constant", "exogenous": None} | EXPECTED[name]
+    assert problem.name == name and problem.refinement == (2,) * problem.space.n
     assert problem.description and "\n" not in problem.description
-    assert all(problem.domain.units) and all(problem.domain.names)
+    assert all(problem.space.units) and all(problem.space.names)
 
 
 def values(name, state, control):
-    """Return the rates, the running and the terminal cost of a built-in problem."""
+    """Return the rates, the running and the terminal cost of a built-in problem at a reading."""
     functions = problems.get(name).functions()
     rates = np.array(functions["dynamics"](state, control)).ravel()
     costs = (float(functions[f"{kind}_cost"](state)) for kind in ("running", "terminal"))
@@ -244,6 +304,49 @@ def test_boost_converter_rests_at_its_averaged_steady_state():
     assert np.allclose(off, [(20 - 30) / 1e-3, (3 - 30 / 20) / 100e-6])
     stored = 0.5 * (1e-3 * 1.0**2 + 100e-6 * 10.0**2)  # J
     assert np.isclose(values("boost-converter", [3.0, 30.0], [0.0])[2], 1000 * stored)
+
+
+def test_inverter_keeps_a_current_on_its_reference():
+    (speed, size, angle), error = (300.0, 8.0, 0.7), np.array([0.5, -1.2])
+    axis = np.array([-np.sin(angle), np.cos(angle)])
+    turned = -np.array([np.cos(angle), np.sin(angle)])
+    needed = 10e-3 * speed * size * turned + 0.5 * size * axis + 0.4 * speed * axis
+    reading = [*error, angle, speed, size]
+    rates, running, terminal = values("inverter", reading, needed)
+    assert np.allclose(rates, [*(-0.5 / 10e-3 * error), speed, 0, 0])
+    assert running == 0.0 and np.isclose(terminal, error @ error)
+    legs = inverter.COMMUTATIONS
+    assert legs[0].tolist() == [0, 1, 2, 1, 2, 1, 2, 3] and (legs == legs.T).all()
+
+
+@pytest.mark.parametrize(("outdoor", "second"), [(26.0, None), (33.0, 25.5)])
+def test_building_rests_at_its_setpoint_under_its_law(outdoor, second):
+    told = np.array([23.0, outdoor])
+    free = (0.002 * outdoor + 0.0025 * 23.0 + 0.004) / 0.0045  # without cold for the second room
+    assert (free < 25.5) is (second is None)
+    x = np.array([23.0, free if second is None else second])
+    stage, valve = np.array(problems.get("building").functions()["default"]([*x, *told])).ravel()
+    assert 0 < stage < 2 and (abs(valve) < 1e-9 if second is None else 0 < valve < 1)
+    rates, running, terminal = values("building", [*x, *told], [stage, valve])
+    assert np.allclose(rates, 0, atol=1e-12) and running == terminal == 0.0
+    assert np.isclose(values("building", [24.0, 26.5, *told], [0, 0])[1], 1.0 + 10 * 1.0)
+
+
+def test_docking_moves_in_axes_that_turn():
+    x, w = np.array([0.7, -0.4, 0.9, 0.1, -0.05, 0.2]), 0.5
+    flags = docking.thrusters()
+    forces = [docking.wrench(flag) for flag in flags]
+    assert len(flags) == 27 and len({tuple(force) for force in forces}) == 27
+    assert max(map(sum, flags)) == 2
+    spin = x[5] * np.array([[0, -1], [1, 0]])
+    for flag, (ahead, left, moment) in zip(flags, forces):
+        rates = values("docking", [*x, w], flag)[0]
+        assert np.allclose(rates[:2] + spin @ x[:2], x[3:5])
+        assert np.allclose(10 * (rates[3:5] + spin @ x[3:5]), [0.25 * ahead, 0.25 * left])
+        assert np.allclose(rates[[2, 5, 6]], [x[5], 0.25 * 0.25 * moment / 0.5, 0])
+    before = [-w * np.cos(x[2]), w * np.sin(x[2])]  # the port, in the axes of the satellite
+    cost = values("docking", [*before, x[2], 0, 0, 0, w], flags[0])[1]
+    assert np.isclose(cost, 1.2 * (1 - np.cos(x[2])))
 
 
 def test_signed_root_is_odd_smooth_and_a_root():

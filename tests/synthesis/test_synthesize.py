@@ -242,6 +242,23 @@ def test_overrides_reach_the_policy():
     assert zero.cells.max_level == 0 and len(zero.cells.entries) == 4**4
 
 
+def test_leaves_are_the_problems_own_unless_told():
+    constant = problems.plain("cart-pendulum").replace(max_level=1)
+    affine = constant.replace(leaves="affine")
+    for problem, options, leaves in (
+        (constant, {}, "constant"),
+        (affine, {}, "affine"),
+        (constant, {"leaves": "affine"}, "affine"),
+        (affine, {"leaves": "constant"}, "constant"),
+    ):
+        policy = synthesize(problem, **options)
+        assert policy.statistics.get("leaves", "constant") == leaves
+        assert (policy.cells.affine is not None) is (leaves == "affine")
+    assert synthesize(affine.replace(delay=0.1), leaves="constant").delay == 0.1
+    with pytest.raises(ProblemError, match="`leaves` must be constant for a problem with a delay"):
+        synthesize(affine.replace(delay=0.1))
+
+
 def test_settings_change_the_policy(pendulum):
     steepest = synthesize(
         problems.plain("cart-pendulum"), settings=SsacSettings(rule="steepest", control_weight=0.3)
@@ -273,6 +290,7 @@ def test_max_solves_gives_a_coarser_policy(pendulum):
         ("min_dwell", {"min_dwell": -1}),
         ("settings", {"settings": {"gamma": -1}}),
         ("test_points", {"test_points": "center"}),
+        ("leaves", {"leaves": "linear"}),
         ("max_solves", {"max_solves": 0}),
         ("threads", {"threads": 0}),
         ("threads", {"threads": 1.0}),

@@ -153,7 +153,8 @@ def test_functions_label_readings():
         seen.append(z.shape[1])
         return (z[:, 0] > z[:, 2]).astype(int) * 3
 
-    policy = problem_policy(label, ROOMS, max_level=2)
+    policy = problem_policy(label, ROOMS.replace(leaves="affine"), max_level=2)
+    assert policy.cells.affine is None  # a function's leaves are constant
     assert set(seen) == {4} and policy.exogenous == ROOMS.exogenous
     assert policy([26, 20], [21, 30]) == 3 and policy([20, 20], [24, 30]) == 0
     assert policy([[26, 20], [20, 20]], {"setpoint": [21, 24], "outdoor": 30}).tolist() == [3, 0]

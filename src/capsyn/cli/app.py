@@ -91,6 +91,7 @@ def list_problems(as_json: Json = False) -> None:
             "exogenous": list(p.space.names[p.domain.n :]),
             "symbols": len(p.alphabet),
             "max_level": p.max_level,
+            "leaves": p.leaves,
             "description": p.description,
         }
         for p in built_in
@@ -109,6 +110,7 @@ class ProblemOptions:
     max_level: int | None = option("Most times that a cell is split along an axis.")
     partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
     refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
+    leaves: str | None = option("constant, or affine for far fewer solves.")
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,6 @@ class SubdivisionOptions:
         "vertices or center+faces, then +center, +edge_midpoints, +random:R.",
         default="vertices+center",
     )
-    leaves: str = option("constant, or affine for far fewer solves.", default="constant")
     leaf_error: float = option("Of affine leaves, accepted share.", default=0.01)
     refine: str = option(
         "isotropic, or adaptive: split along the axes that matter.", default="isotropic"
@@ -202,6 +203,7 @@ def synth(
             partitions=whole_number_list("--partitions", changes.partitions),
             refinement=whole_number_list("--refinement", changes.refinement),
             max_level=changes.max_level,
+            leaves=changes.leaves,
             settings=settings.of(chosen.settings),
             outside=outside,
             min_dwell=min_dwell,

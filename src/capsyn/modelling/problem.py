@@ -17,12 +17,12 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.exogenous import check_exogenous, joined, of_states
-from capsyn.modelling.grid import Grid
+from capsyn.modelling.grid import LEAVES, Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching, check_switching
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
-from capsyn.validation import describe, finite_number, keep, one_line, true_or_false
+from capsyn.validation import describe, finite_number, keep, one_line, one_of, true_or_false
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +79,10 @@ class Problem:
         units: setpoints, references, measured disturbances. They are constant over the horizon, and
         the policy is one of states and exogenous inputs, ``policy(x, w)``. What the controller is
         not told is a parameter of the plant; see ``parameters`` of `capsyn.simulate`.
+    leaves : "constant" or "affine"
+        One symbol for each cell, or rows that are affine in the state for cells on a switching
+        surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
+        `partitions` and `max_level` are those for such leaves.
 
     Raises
     ------
@@ -107,6 +111,7 @@ class Problem:
     switching: Switching | None = None
     delay: float = 0.0
     exogenous: Box | None = None
+    leaves: str = "constant"
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
@@ -139,6 +144,7 @@ class Problem:
             check_target(self.target, self.space)
         grid = Grid.of(self.partitions, self.refinement, self.max_level, self.space.n)
         keep(self, **vars(grid))
+        one_of("leaves", self.leaves, LEAVES)
         if self.running_cost is None and self.terminal_cost is None:
             raise ProblemError(
                 "`running_cost` and `terminal_cost` must not both be None: there is no goal"

@@ -192,7 +192,8 @@ def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **optio
         unless it returns symbols for each symbol in force (``in_force=True``); a `FiniteControlSet`
         of the same problem does.
     options
-        Those of `capsyn.subdivide` that are not given by the problem, or override it.
+        Those of `capsyn.subdivide` that are not given by the problem, or override it. Leaves are
+        constant whatever those of the problem, unless told: functions need not give scores.
 
     Raises
     ------

@@ -10,13 +10,12 @@ from typing import Any
 from capsyn.cells.cell_tree import MAX_MASKED
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
-from capsyn.modelling.grid import Grid
+from capsyn.modelling.grid import LEAVES, Grid
 from capsyn.subdivision.cell_points import FINE, CellPoints
 from capsyn.subdivision.growing_cells import row_grid
 from capsyn.subdivision.limits import Limits, block_room, check_memory
 from capsyn.validation import finite_number, one_of, whole_number
 
-LEAVES = ("constant", "affine")
 REFINE = ("isotropic", "adaptive")
 
 

@@ -50,7 +50,7 @@ def synthesize(
     outside_at_once: bool | None = None,
     switching: Switching | None = None,
     delay: float | None = None,
-    leaves: str = "constant",
+    leaves: str | None = None,
     leaf_error: float = 0.01,
     refine: str = "isotropic",
     test_points: str = "vertices+center",
@@ -71,13 +71,12 @@ def synthesize(
     ----------
     problem : Problem
         System, goal and alphabet, with their own settings.
-    partitions, refinement, max_level, settings, outside, min_dwell, outside_at_once : optional
+    partitions, refinement, max_level, leaves : optional
         Override the problem's own.
+    settings, outside, min_dwell, outside_at_once : optional
+        Likewise.
     switching, delay : optional
         Likewise, of a policy that depends on the symbol in force. Affine leaves have no delay.
-    leaves : "constant" or "affine"
-        One symbol for each cell, or rows that are affine in the state for cells on a switching
-        surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
     leaf_error : float
         Largest estimated share of a cell where its rows may be wrong; see `subdivide`.
     refine : "isotropic" or "adaptive"
@@ -140,12 +139,13 @@ def synthesize(
         outside_at_once=outside_at_once,
         switching=switching,
         delay=delay,
+        leaves=leaves,
     )
     threads = processors(threads)
     plan = SubdivisionPlan.of(
         problem.grid,
         Limits.of(max_solves, max_seconds, max_memory, memory_limit),
-        leaves=leaves,
+        leaves=problem.leaves,
         leaf_error=leaf_error,
         refine=refine,
         test_points=test_points,
