@@ -81,6 +81,7 @@ EXPECTED = {
         "settings": SsacSettings(rule="steepest", steps=16),
         "partitions": (3,) * 6,
         "max_level": 1,
+        "leaves": "affine",
         "target": Ball([0.0] * 6, 0.2),
     },
     "spacecraft": {
@@ -96,6 +97,7 @@ EXPECTED = {
         "settings": SsacSettings(rule="steepest", control_weight=0.1, steps=16),
         "partitions": (3,) * 6,
         "max_level": 1,
+        "leaves": "affine",
         "target": Ball([0.0] * 6, 0.05),
     },
     "double-pendulum": {

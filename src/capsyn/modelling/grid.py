@@ -15,7 +15,7 @@ from capsyn.validation import plain, whole_number, whole_numbers
 MAX_COUNT = 2**31 - 1
 """Most finest cells along one axis."""
 LEAVES = ("constant", "affine")
-"""What finest cells may hold: one symbol each, or rows that are affine in the state."""
+"""What cells may hold: one symbol each, or rows that are affine in the state."""
 
 
 @dataclass(frozen=True)

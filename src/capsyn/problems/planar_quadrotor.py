@@ -69,5 +69,6 @@ def planar_quadrotor() -> Problem:
         settings=SsacSettings(rule="steepest", steps=16),
         partitions=3,
         max_level=1,
-        description="hover of a planar quadrotor by two thrusts of each rotor; use affine leaves",
+        leaves="affine",
+        description="hover of a planar quadrotor by two thrusts of each rotor",
     )

@@ -77,5 +77,6 @@ def spacecraft() -> Problem:
         settings=SsacSettings(rule="steepest", control_weight=0.1, steps=16),
         partitions=3,
         max_level=1,
-        description="detumbling and pointing by six thrusters, one at a time; use affine leaves",
+        leaves="affine",
+        description="detumbling and pointing by six thrusters, one at a time",
     )
