@@ -1,15 +1,13 @@
 """A three-phase inverter at 20 kHz: predictive control that pays for commutations, as a policy.
 
-The state is the error of the current in stator coordinates and the angle of its reference, whose
-speed and size are told: one policy is for all of them. One move is foreseen; a switch costs a price
-for each leg that commutates, and the two zero vectors are two symbols. The yardstick is the same
-predictive control in a loop of its own, tried out online, where it commutates as much. At a speed
-and size that are fixed a policy can also answer a delay of one sample.
+The policy is told the speed and the size of the current's reference, which rotates. The yardstick
+is the same control solved online by trying out all symbols, in the same loop, where it commutates
+as much, which its price decides. With speed and size fixed a tree is made, and a policy that
+compensates a delay of one sample, as those with affine cells cannot.
 """
 
 import json
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +25,14 @@ TOLD = {
     "-12 A": (FULL, -12.0),
     "10 A at half speed": (FULL / 2, 10.0),
 }
-FACTORS = (1.4, 1.2, 1.0, 0.8, 0.6)
+"""Speed [rad / s] and size [A] of references."""
+W = np.array(list(TOLD.values()))
+PRICES = model.PRICE * np.array([1.4, 1.2, 1.0, 0.8, 0.6])
 VECTORS = np.zeros((8, 2))
 ANGLES = np.arange(6) * np.pi / 3
 VECTORS[1:7] = 2 / 3 * model.SUPPLY * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
-AFFINE = {"leaves": "affine", "partitions": (1, 1, 12, 2, 2), "max_level": 0}
+COUNTS = [6 / 8192, 6 / 8192, 2 * np.pi / 8192, 400 / 4096, 30 / 4096]
+"""What a count of a 16-bit reading stands for, by state and exogenous input."""
 rows = []
 
 
@@ -56,139 +57,120 @@ def moved(x, u, w):
     return x + model.PERIOD / 6 * (k1 + 2 * k2 + 2 * k3 + slope(x + model.PERIOD * k3))
 
 
-def online(prices, w, delayed=False, foreseen=True):
-    """Return rms error [A] and commutations / s (B, 2) of predictive control solved online.
+def online(prices):
+    """Return predictive control that tries out all symbols, at prices (B,)."""
 
-    Prices are (B,), what is told (B, 2). It begins with v0 in force. Its controls may be `delayed`
-    by a sample, which may be `foreseen`.
-    """
-    prices, w = np.asarray(prices), np.asarray(w, dtype=float)
-    count = len(prices)
-    x, now, errors, taken = np.zeros((count, 3)), np.zeros(count, dtype=int), [], []
-    for _ in range(SAMPLES):
-        start = moved(x, VECTORS[now], w) if delayed and foreseen else x
-        ends = moved(start.repeat(8, 0), np.tile(VECTORS, (count, 1)), w.repeat(8, 0))[:, :2]
-        cost = (ends**2).sum(axis=1).reshape(count, 8)
+    def choose(x, w, now):
+        ends = moved(x.repeat(8, 0), np.tile(VECTORS, (len(x), 1)), w.repeat(8, 0))[:, :2]
+        cost = (ends**2).sum(axis=1).reshape(-1, 8)
         cost += prices[:, None] * model.PERIOD * model.COMMUTATIONS[now]
-        stays = cost[np.arange(count), now] <= cost.min(axis=1) * (1 + 1e-9)
-        best = np.where(stays, now, cost.argmin(axis=1))
-        x = moved(x, VECTORS[now if delayed else best], w)
-        now = best
-        errors.append(x[:, :2])
-        taken.append(best)
-    return np.array(
-        [figures(*pair) for pair in zip(np.moveaxis(errors, 1, 0), np.transpose(taken))]
-    )
+        stays = cost[np.arange(len(x)), now] <= cost.min(axis=1) * (1 + 1e-9)
+        return np.where(stays, now, cost.argmin(axis=1))
+
+    return choose
 
 
-def figures(errors, symbols):
-    rms = np.sqrt((errors[SETTLED:] ** 2).sum(axis=1).mean())
-    commutations = model.COMMUTATIONS[symbols[:-1], symbols[1:]].sum()
-    return rms, commutations / (SAMPLES * model.PERIOD)
+def lookup(policy):
+    """Return the choice of a policy, which may be told nothing."""
+    told = policy.exogenous is not None
+    return lambda x, w, now: policy(x, w if told else None, current=now)
 
 
-def looped(policy, w=None):
-    run = capsyn.simulate(policy, [0.0, 0.0, 0.0], SAMPLES * model.PERIOD, exogenous=w)
-    return figures(run.states[1:, :2], run.symbols)
+def loop(choose, w, delayed=False):
+    """Return rms errors [A] and commutations / s (B,) of loops told (B, 2), from v0 and no error.
+
+    ``choose(x, w, now)`` gives symbols (B,) at states (B, 3) with symbols (B,) in force. They act a
+    sample later where they are `delayed`.
+    """
+    x, now, squares, commutations = np.zeros((len(w), 3)), np.zeros(len(w), dtype=int), 0, 0
+    for k in range(SAMPLES):
+        symbols = choose(x, w, now)
+        x = moved(x, VECTORS[now if delayed else symbols], w)
+        commutations = commutations + model.COMMUTATIONS[now, symbols]
+        squares = squares + (k >= SETTLED) * (x[:, :2] ** 2).sum(axis=1)
+        now = symbols
+    return np.sqrt(squares / (SAMPLES - SETTLED)), commutations / (SAMPLES * model.PERIOD)
 
 
-def fixed(problem, w, delay=0.0):
-    """Return a problem whose exogenous inputs are constants."""
-    return problem.replace(
+def online_curves():
+    """Return commutations / s and rms errors [A] by price, (P,) each, of each of what is told."""
+    rms, rate = loop(online(np.tile(PRICES, len(W))), W.repeat(len(PRICES), 0))
+    return list(zip(rate.reshape(len(W), -1), rms.reshape(len(W), -1)))
+
+
+def directions(w):
+    """Return features: the error that the zero vector leaves after a sample, along directions."""
+
+    def along(direction):
+        def feature(x):
+            rates = model.dynamics(x, [0.0, 0.0], w)
+            error = [x[i] + model.PERIOD * rates[i] for i in range(2)]
+            return np.cos(direction) * error[0] + np.sin(direction) * error[1]
+
+        return feature
+
+    return {f"along{30 * k}": along(k * np.pi / 6) for k in range(6)}
+
+
+def exported(policy):
+    """Add rows of what C of a policy takes, where compilers and emulators are installed."""
+    what = "inverter told, C of 16-bit readings"
+    with tempfile.TemporaryDirectory() as folder:
+        capsyn.export(policy, "c", folder, readings="int16", scale=COUNTS, cycles=True)
+        measured = json.loads(Path(folder, "measured.json").read_text())
+    if "cortex-m4" in measured:
+        row(f"{what}, cortex-m4", measured["cortex-m4"]["with_library"], "bytes", "<= 10000")
+    for processor, unit in (("cortex-m3", "instructions"), ("avr", "cycles")):
+        worst = measured.get("worst", {}).get(processor, {})
+        if "next" in worst:  # a sample is 3,600 cycles of a Cortex-M3 at 72 MHz
+            wanted = "<= 1200" if processor == "cortex-m3" else ""
+            row(f"{what}, {processor}, longest decision seen", worst["next"]["most"], unit, wanted)
+
+
+def compensating(problem, w):
+    """Return predictive control that compensates a sample of delay, as a policy told nothing."""
+    fixed = problem.replace(
         exogenous=None,
         dynamics=lambda x, u: problem.dynamics(x, u, w),
         terminal_cost=lambda x: problem.terminal_cost(x, w),
-        delay=delay,
+        delay=model.PERIOD,
+        leaves="constant",
         partitions=9,
+        refinement=2,
         max_level=3,
     )
-
-
-def along(direction):
-    """Return the error that the zero vector leaves after a sample, along a direction."""
-
-    def feature(x, w):
-        rates = model.dynamics(x, [0.0, 0.0], w)
-        error = [x[i] + model.PERIOD * rates[i] for i in range(2)]
-        return np.cos(direction) * error[0] + np.sin(direction) * error[1]
-
-    return feature
-
-
-def exported(name, policy, **options):
-    """Write the C of a policy, and rows of what it takes where compilers and emulators are."""
-    with tempfile.TemporaryDirectory() as folder:
-        capsyn.export(policy, "c", folder, safe="v0", **options)
-        measured = json.loads(Path(folder, "measured.json").read_text())
-    if "cortex-m4" in measured:
-        row(f"{name}, C for a Cortex-M4", measured["cortex-m4"]["with_library"], "B")
-    if "cortex-m3" in measured.get("worst", {}):
-        most = measured["worst"]["cortex-m3"]["next"]["most"]
-        row(
-            f"{name}, C: from 16-bit readings to a symbol, Cortex-M3",
-            most,
-            "instructions",
-            "<= 4200",
-        )
+    control = finite_control_set(fixed, 1, sample_time=model.PERIOD, control_weight=0.0)
+    return problem_policy(control, fixed)
 
 
 if __name__ == "__main__":
-    problem = capsyn.problems.get("inverter")
-    told = np.array(list(TOLD.values()))
-    repeated = told.repeat(len(FACTORS), axis=0)
-    curves = online(np.tile(np.array(FACTORS) * model.PRICE, len(told)), repeated)
-    curves = dict(zip(TOLD, curves.reshape(len(told), len(FACTORS), 2)))
-    unpriced = dict(zip(TOLD, online(np.zeros(len(told)), told)))
+    problem, curves = capsyn.problems.get("inverter"), online_curves()
 
-    def report(name, policy, where, bound, w=None):
-        rms, rate = looped(policy, w)
-        alike = np.interp(rate, curves[where][:, 1], curves[where][:, 0])
-        row(f"{name}: rms error", rms, "A")
-        row(f"{name}: commutations a second", rate)
-        row(f"{name}: rms over that of online control that commutates as much", rms / alike,
-            "ratio", bound)  # fmt: skip
-        return rms
+    def ratios(found, curves):
+        """Return the rms errors (B,) over those of online control that commutates as much."""
+        return [rms / np.interp(rate, *curve) for rms, rate, curve in zip(*found, curves)]
 
-    control = finite_control_set(problem, 1, sample_time=model.PERIOD)
-    policy = capsyn.synthesize(problem, **AFFINE)
-    control = finite_control_set(problem, 1, sample_time=model.PERIOD)
-    found = capsyn.agreement(policy, 50_000, controller=control)
-    share = found.agreeing / found.states
-    row("inverter told, affine cells: agreement with one-step control", share, "share")
-    row("inverter told, affine cells: cells", policy.cells.leaf_count, "", "<= 100")
-    free = capsyn.synthesize(problem.replace(switching=None), **AFFINE)
-    for name, w in TOLD.items():
-        report(f"inverter told {name}, affine cells", policy, name, "<= 1.03", w)
-        row(f"inverter told {name}, affine cells, no price: rms over that of online control",
-            looped(free, w)[0] / unpriced[name][0], "ratio", "<= 1.03")  # fmt: skip
-    counts = [6 / 8192, 6 / 8192, 2 * np.pi / 8192, 400 / 4096, 30 / 4096]
-    exported("inverter told, affine cells", policy, readings="int16", scale=counts, cycles=True)
-
-    begin = time.perf_counter()
     policy = capsyn.synthesize(problem)
-    row("inverter told, as built in: synthesis", time.perf_counter() - begin, "s", "<= 30")
-    for name, w in TOLD.items():
-        report(f"inverter told {name}, as built in", policy, name, "<= 1.1", w)
+    found = loop(lookup(policy), W)
+    for name, rms, rate, ratio in zip(TOLD, *found, ratios(found, curves)):
+        row(f"inverter told {name}: rms error", rms, "A")
+        row(f"inverter told {name}: commutations a second", rate)
+        row(f"inverter told {name}: rms error over that of online control", ratio, "", "<= 1.03")
+    row("inverter told: cells", policy.cells.leaf_count, "", "<= 100")
+    exported(policy)
+    free = loop(lookup(capsyn.synthesize(problem.replace(switching=None))), W)[0]
+    row("inverter told, without prices: rms error over that of online control, at most",
+        (free / loop(online(np.zeros(len(W))), W)[0]).max(), "", "<= 1.03")  # fmt: skip
 
-    directions = {f"along{30 * k}": along(k * np.pi / 6) for k in range(6)}
-    tree = capsyn.compress(
-        capsyn.synthesize(problem, **AFFINE), "linear", agreement=0.985, features=directions,
-        states=20_000,
-    )  # fmt: skip
-    for name, w in TOLD.items():
-        report(f"inverter told {name}, tree", tree, name, "<= 1.03", w)
-    row("inverter told, tree: nodes", tree.node_count, "", "<= 200")
-    exported("inverter told, tree", tree)
-
-    at_once = {}
-    for name, delay in (("cells", 0.0), ("cells, one sample of delay", model.PERIOD)):
-        one = fixed(problem, TOLD["10 A"], delay)
-        one = problem_policy(finite_control_set(one, 1, sample_time=model.PERIOD), one)
-        at_once[name] = report(f"inverter fixed 10 A, {name}", one, "10 A", "<= 1.02")
-    soon, late = at_once.values()
-    row("inverter fixed 10 A, cells: rms with a sample of delay over that without", late / soon,
-        "ratio", "<= 1.05")  # fmt: skip
-    row("inverter, online, no price: rms error", unpriced["10 A"][0], "A")
-    unforeseen = online([0.0], [TOLD["10 A"]], True, False)[0, 0]
-    row("inverter, online, no price, a delay that is not foreseen: rms error", unforeseen, "A")
+    ten = W[1:2]
+    one = policy.at(ten[0])
+    tree = capsyn.compress(one, "linear", agreement=0.97, features=directions(ten[0]), states=5000)
+    row("inverter of 10 A, tree: nodes", tree.node_count, "", "<= 200")
+    row("inverter of 10 A, tree: rms error over that of online control",
+        ratios(loop(lookup(tree), ten), curves[1:2])[0], "", "<= 1.02")  # fmt: skip
+    late = compensating(problem, ten[0])
+    for what, policy, wanted in (("", late, "<= 1.05"), (" that is not foreseen", one, "")):
+        ratio = loop(lookup(policy), ten, delayed=True)[0][0] / found[0][1]
+        row(f"inverter of 10 A, a sample of delay{what}: rms error over that without", ratio, "",
+            wanted)  # fmt: skip
     print(json.dumps(rows))

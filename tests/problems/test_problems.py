@@ -135,7 +135,7 @@ EXPECTED = {
         "default": [0.0, 0.0],
         "horizon": 50e-6,
         "settings": SsacSettings(rule="steepest", control_weight=0.5, steps=1, sample_time=50e-6),
-        "partitions": (4, 4, 12, 2, 2),
+        "partitions": (1, 1, 12, 2, 2),
         "max_level": 0,
         "leaves": "affine",
         "target": None,
