@@ -177,11 +177,11 @@ def plain(line):
 
 def model_only(problem):
     """Return a policy of one cell with the model of a problem."""
-    n = problem.domain.n
+    n = problem.space.n
     tree = random_tree((1,) * n, (2,) * n, 0)
     return Policy(
-        problem.name, problem.domain, problem.alphabet, problem.default, tree,
-        model=transcribe(problem), target=transcribe_target(problem),
+        problem.name, problem.domain, problem.alphabet, problem.default_control, tree,
+        model=transcribe(problem), target=transcribe_target(problem), exogenous=problem.exogenous,
     )  # fmt: skip
 
 
