@@ -169,12 +169,6 @@ def test_exogenous_inputs_are_inputs_of_both_blocks(policy, of_policy):
     np.testing.assert_array_equal(found.outputs[2, :-1], run.controls[:, 0])
 
 
-def test_a_signal_cannot_be_control_and_exogenous_input():
-    told = Box([18.0, -5.0], [24.0, 15.0], names=["setpoint", "u1"])
-    with pytest.raises(ProblemError, match="'u1' is both"):
-        plant_system(room().replace(exogenous=told))
-
-
 def test_a_plant_in_continuous_time_has_its_own_dynamics():
     plant = plant_system(room())
     rates = plant.dynamics(0.0, [20.0, 1.0], [0.5, 22.0, 4.0])

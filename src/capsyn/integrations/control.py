@@ -118,11 +118,6 @@ def plant_system(
         substeps = choose_substeps(plant, controls, np.zeros((0, 1)), dt)
     none, n, m = np.zeros((0, 1)), plant.states, plant.m
     names, inputs = plant.space.names, plant.alphabet.inputs
-    if shared := sorted(set(names[n:]) & set(inputs)):
-        raise ProblemError(
-            f"`model` must have exogenous inputs named otherwise than its controls; '{shared[0]}' "
-            "is both"
-        )
 
     def update(time: float, x: Any, u: Any, params: Any) -> np.ndarray:
         held, told = np.split(np.atleast_1d(u)[:, None], [m])
