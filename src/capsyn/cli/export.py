@@ -168,7 +168,7 @@ def print_export(
         words = [f"{k.replace('_', ' ')} {v:,}" for k, v in sizes.items() if k != "compiler"]
         typer.echo(f"c, {processor}, {sizes['compiler']}, bytes: {', '.join(words)}")
     for processor, found in worst.items():
-        for what, start in (("symbol", "steps"), ("decide", "readings")):
+        for what, start in (("symbol", "steps"), ("decide", "readings"), ("next", "readings")):
             if what in found:
                 typer.echo(f"c, {processor}, {_longest(found[what], found['unit'], start)}")
     for name in files:

@@ -56,7 +56,7 @@ def inverter() -> Problem:
     sample, as in finite-control-set control, plus a price for each leg that commutates. Scores are
     affine in the error, whose axes are not divided: with 48 cells of affine leaves the error in
     closed loop is at most 1.1 % above that of the same control solved online. With 238,340 of
-    constant ones, ``partitions=(16, 16, 12, 2, 2), max_level=1``, it is 1 to 7 % above it.
+    constant ones, ``partitions=(16, 16, 12, 2, 2), max_level=1``, it is up to 7 % above it.
     """
     return Problem(
         name="inverter",

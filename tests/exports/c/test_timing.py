@@ -16,7 +16,7 @@ from capsyn.exports.export import export
 from capsyn.exports.golden import decide
 from capsyn.exports.plan import Plan
 from support.exports.c_machines import need
-from support.exports.c_plans import STYLES, files, golden_of, made, plan_of, policy
+from support.exports.c_plans import STYLES, files, golden_of, made, plan_of, policy, remembering
 from support.processes.command_line import capsyn, error_of
 from support.trees import random_affine_policy, random_policy
 
@@ -188,6 +188,11 @@ def test_the_command_says_how_long_a_decision_takes(tmp_path):
     worst = json.loads((tmp_path / "made" / "measured.json").read_text())["worst"]
     assert f"c, avr, from steps to a symbol {worst['avr']['symbol']['most']} cycles, at most" in out
     assert "c, cortex-m3, from readings to a symbol" in out and "longest of 1,200 seen, at (" in out
+    remembering().save(tmp_path / "r.cap")
+    out, _ = capsyn("export", tmp_path / "r.cap", "--to", "c", "--cycles", *where)
+    worst = json.loads((tmp_path / "made" / "measured.json").read_text())["worst"]
+    seen = worst["cortex-m3"]["next"]
+    assert f"from readings to a symbol {seen['most']:,} instructions, the longest of " in out
     told = error_of("export", tmp_path / "p.cap", "--to", "json", "--cycles", *where[:2])
     assert "`cycles` is no option of target json, which has name" in told
 
