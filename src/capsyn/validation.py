@@ -149,9 +149,8 @@ def texts(name: str, value: Any, count: int, default: Sequence[str]) -> tuple[st
 
 def distinct(name: str, value: Sequence[str]) -> None:
     """Raise unless the strings are non-empty and all different."""
-    for i, text in enumerate(value):
-        if not text or text in value[:i]:
-            raise ProblemError(f"`{name}` must be non-empty and distinct; got {describe(value)}")
+    if not all(value) or len(set(value)) < len(value):
+        raise ProblemError(f"`{name}` must be non-empty and distinct; got {describe(value)}")
 
 
 def true_or_false(name: str, value: Any) -> None:

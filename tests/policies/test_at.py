@@ -268,7 +268,6 @@ def test_the_prediction_is_the_prediction_there(w):
 def compare(whole, at, w, names):
     """Assert that programs of the states alone give what those of readings do at w."""
     rng, x = np.random.default_rng(3), ROOMS.domain.sample(200).T
-    rest = {"x": np.tile(np.array(w, float)[:, None], 200), "rho": rng.normal(size=(2, 200))}
     for name in names:
         one, other = getattr(at, name), getattr(whole, name)
         assert [port for port, _ in one.inputs] == [port for port, _ in other.inputs]

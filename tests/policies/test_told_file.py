@@ -169,6 +169,11 @@ TAMPERED = {
         ),
         "`target` must be a program of 4 state",
     ),
+    "exogenous inputs without names": (
+        "plain",
+        at("exogenous", "names")(["x1", "x2"]),
+        "its exogenous inputs have no names of their own",
+    ),
     "not cut": ("cut tree", at("guarantee", "cut")(False), "its keys are not those"),
     "cut in words": ("cut tree", at("guarantee", "cut")("yes"), "its keys are not those"),
     "cut once": ("cut tree", at("guarantee", "cut")(1), "its keys are not those"),

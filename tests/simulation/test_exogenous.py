@@ -17,7 +17,7 @@ from capsyn import (
     synthesize,
     tracking,
 )
-from capsyn.errors import ProblemError
+from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.simulation.exogenous import exogenous_signal, steps_from_csv
 
 
@@ -76,6 +76,7 @@ def test_steps_are_taken_at_their_sample(exogenous, backend):
     np.testing.assert_array_equal(found.symbols[:, 100:], second.symbols)
 
 
+@pytest.mark.filterwarnings("ignore:`exogenous` leaves its box")
 @given(st.integers(0, 2**32 - 1))
 def test_compiled_and_numpy_loops_agree(seed):
     rng = np.random.default_rng(seed)
@@ -103,6 +104,35 @@ def test_functions_and_other_plants_are_told():
     np.testing.assert_allclose(
         leaky.states, simulate(POLICY, [0.3], 4, exogenous=[1.2, 0.3]).states, atol=1e-12
     )
+
+
+LEAVES = "`exogenous` leaves its box, which counts as outside the domain: "
+
+
+@pytest.mark.parametrize(
+    ("exogenous", "text"),
+    [
+        ([7, 0.3], "wanted = 7 is not in [0.5, 1.5]"),
+        ({"wanted": {0: 1, 2: 0.25, 99: 9}, "load": 0.3}, "wanted = 0.25 is not in [0.5, 1.5]"),
+        (
+            lambda t: [1.5 + t, 0.1 - t],
+            "wanted = 5.5 is not in [0.5, 1.5], load = -3.9 is not in [0.1, 0.4]",
+        ),
+    ],
+)
+def test_what_leaves_its_box_is_named_once(exogenous, text):
+    with pytest.warns(CapsynWarning) as caught:
+        found = simulate(POLICY, [0.3], 4, exogenous=exogenous)
+    assert [str(one.message) for one in caught] == [LEAVES + text]
+    assert found.outside > 0
+
+
+def test_trials_name_what_leaves_its_box():
+    drawn = {"wanted": Uniform(0.5, 1.5), "load": Uniform(0.0, 0.1)}
+    with pytest.warns(CapsynWarning) as caught:
+        monte_carlo(POLICY, 20, duration=1.0, exogenous=drawn)
+    (message,) = (str(one.message) for one in caught)
+    assert message.startswith(f"{LEAVES}load = 0.0") and message.endswith("not in [0.1, 0.4]")
 
 
 def test_files_hold_exogenous_inputs(tmp_path):
@@ -201,3 +231,34 @@ def test_trials_say_how_closely_states_follow():
         monte_carlo(POLICY, 4, track={"h": "level"}, **options)
     with pytest.raises(ProblemError, match="`track` must be a mapping"):
         monte_carlo(POLICY, 4, track="h", **options)
+
+
+def test_pairs_are_tuples_and_lists_are_numbers_for_each_trial():
+    x0 = np.full((2, 2, 1), 0.5)
+    lists = {"wanted": [[0.8, 0.9], [1.0, 1.1]], "load": 0.2}
+    run = simulate(POLICY, x0, 1, exogenous=lists)
+    assert (run.exogenous[:, :, 0, 0] == lists["wanted"]).all()
+    steps = simulate(POLICY, x0, 1, exogenous={"wanted": [(0.0, 0.8), (0.5, 0.9)], "load": 0.2})
+    assert (steps.exogenous[..., 0, 0] == 0.8).all() and (steps.exogenous[..., -1, 0] == 0.9).all()
+
+
+def test_constants_take_no_memory_for_each_sample():
+    constants = {"wanted": 1.0, "load": 0.2}
+    assert exogenous_signal(constants, TOLD, (3,), 1.0, 10**15).samples is None
+
+
+def test_conditions_do_not_repeat_what_each_trial_was_told():
+    each = np.linspace(0.8, 1.0, 500)
+    found = monte_carlo(POLICY, 500, duration=1, exogenous={"wanted": each})
+    assert found.conditions["exogenous"]["wanted"] == "given for each trial"
+    assert (found.exogenous[:, 0] == each).all()
+    one = monte_carlo(POLICY, 5, duration=1, exogenous=[0.9, 0.2])
+    assert one.conditions["exogenous"] == [0.9, 0.2]
+
+
+def test_trials_may_measure_exogenous_inputs_with_noise():
+    run = monte_carlo(POLICY, 50, duration=20, noise=[0.0, 0.3, 0.0], seed=1)
+    none = monte_carlo(POLICY, 50, duration=20, noise=[0.0, 0.0, 0.0], seed=1)
+    plain = monte_carlo(POLICY, 50, duration=20, seed=1)
+    assert run.noises.shape == (50, 3) and (none.switches == plain.switches).all()
+    assert run.switches.sum() > 2 * plain.switches.sum()

@@ -71,6 +71,46 @@ def test_samples_after_the_end_do_not_count():
     assert tracking(ended, "x", "w").rms == 0.0
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_has_no_figures(bad):
+    values = np.r_[np.full(50, 0.9), bad]
+    found = tracking(response(values, 1.0), "x", "w")
+    assert np.isnan([found.rms, found.bias, found.overshoot, found.settling]).all()
+    assert found.to_json() == dict.fromkeys(("rms", "bias", "overshoot", "settling"), [None])
+
+
+def test_nothing_answers_a_change_at_the_last_sample():
+    values, wanted = np.full(101, 0.9), np.r_[np.full(100, 1.0), 2.0]
+    found = tracking(response(values, wanted), "x", "w", band=0.2)
+    assert found.bias == pytest.approx(-0.1) and found.settling == 0.0
+    assert found.rms == pytest.approx(0.1)
+
+
+def test_a_ramp_that_then_holds_is_one_move():
+    wanted = np.minimum(0.3 * TIMES, 0.8)  # moves for less than half of the time
+    found = tracking(response(wanted - 0.1, wanted), "x", "w", band=0.2)
+    assert found.bias == pytest.approx(-0.1) and found.settling == 0.0
+
+
+def test_the_band_is_a_share_of_the_largest_step():
+    values = np.r_[1.0, np.full(99, 1.005), 1.0, np.full(99, 2.0)]  # begins on the reference
+    wanted = np.r_[np.full(100, 1.0), np.full(100, 2.0)]
+    found = tracking(response(values, wanted), "x", "w")
+    assert found.settling == pytest.approx(0.01)
+
+
+def test_periodic_states_go_the_shorter_way():
+    run = Trajectory(**{**vars(response(np.full(50, 6.2), 0.1)), "periods": (2 * np.pi,)})
+    assert tracking(run, "x", "w").bias == pytest.approx(6.1 - 2 * np.pi)
+
+
+def test_no_trajectories_have_no_figures():
+    one = vars(response(TIMES, 1.0))
+    empty = {name: one[name][None][:0] for name in ("states", "exogenous")}
+    found = tracking(Trajectory(**{**one, **empty, "last": np.zeros(0, int)}), "x", "w")
+    assert found.rms.shape == found.settling.shape == (0,)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -40,6 +40,8 @@ def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) ->
                 print_line("tracking" if key == "rms" else "", f"{what}: {spread}")
         if figures["unsettled"]:
             print_line("", f"{figures['unsettled']:,} trials had not settled when they ended")
+        if figures["not_finite"]:
+            print_line("", f"{figures['not_finite']:,} trials have no figures: not finite")
     if outside := data["trials_outside_domain"]:
         print_line("outside", f"{outside:,} trials left the domain on the way")
     trials, failed = data["failing_trials"], data["trials"] - data["successes"]

@@ -99,6 +99,11 @@ class Box:
         """``upper - lower`` [state units], (n,)."""
         return self.upper - self.lower
 
+    @property
+    def periods(self) -> np.ndarray:
+        """Widths of the periodic axes, (n,) [state units], 0 of the others."""
+        return np.where(self.periodic, self.widths, 0.0)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Box) and self.to_json() == other.to_json()
 

@@ -73,6 +73,17 @@ def exogenous_text(told: Box | None) -> str:
     )
 
 
+def beyond_text(box: Box, lowest: Any, highest: Any) -> str:
+    """Return which values (n,), from lowest to highest, leave a box, with its bounds; else ""."""
+    beyond = []
+    for i, name in enumerate(box.names):
+        low, high = box.lower[i], box.upper[i]
+        value = lowest[i] if lowest[i] < low else highest[i]
+        if not box.periodic[i] and not low <= value <= high:
+            beyond.append(f"{name} = {value:g} is not in [{low:g}, {high:g}]")
+    return ", ".join(beyond)
+
+
 def readings(states: Any, exogenous: Any, domain: Box, told: Box | None) -> np.ndarray:
     """Return readings (..., n + k) of states (..., n) and exogenous inputs (..., k), checked.
 

@@ -256,6 +256,8 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     domain, alphabet = Box(**content["domain"]), Alphabet(**content["alphabet"])
     told = Box(**content["exogenous"]) if "exogenous" in content else None
     space = joined(domain, exogenous := check_exogenous(told, domain, alphabet))
+    if told is not None and exogenous is not None and told.names != exogenous.names:
+        raise PolicyFormatError("its exogenous inputs have no names of their own")
     settings, model = content["settings"], content["model"]
     if model is not None:
         model = Model.from_json(model, space.n, alphabet.m, len(alphabet))

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.errors import ProblemError
+from capsyn.errors import ProblemError, warn
 from capsyn.modelling.domain import Box
-from capsyn.modelling.exogenous import exogenous_array
+from capsyn.modelling.exogenous import beyond_text, exogenous_array
 from capsyn.validation import called, describe, numbers
 
 
@@ -50,7 +50,7 @@ def exogenous_signal(
     if not isinstance(value, Mapping):
         return _of(_broadcast(exogenous_array(value, told), shape, told.n), None, told)
     check_names(value, told)
-    rows = np.full((samples + 1, told.n), np.nan)
+    signals = {}
     start = np.empty((*shape, told.n))
     for i, name in enumerate(told.names):
         one = value[name]
@@ -59,8 +59,13 @@ def exogenous_signal(
             constant = numbers(f"exogenous {name}", one)
             start[..., i] = _broadcast(constant[..., None], shape, 1)[..., 0]
         else:
-            rows[:, i], start[..., i] = signal, signal[0]
-    return _of(start, None if np.isnan(rows).all() else rows, told)
+            signals[i], start[..., i] = signal, signal[0]
+    if not signals:
+        return _of(start, None, told)
+    rows = np.full((samples + 1, told.n), np.nan)
+    for i, signal in signals.items():
+        rows[:, i] = signal
+    return _of(start, rows, told)
 
 
 def check_names(value: Mapping[str, Any], told: Box) -> None:
@@ -126,17 +131,24 @@ def pairs_of_steps(value: Any) -> list[Any] | None:
         return list(value.items())
     if not isinstance(value, Sequence) or isinstance(value, str) or not value:
         return None
-    paired = all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in value)
+    paired = all(isinstance(pair, tuple) and len(pair) == 2 for pair in value)
     return list(value) if paired else None
 
 
 def _of(start: np.ndarray, rows: np.ndarray | None, told: Box) -> ExogenousSignal:
-    """Return the signal of starts (..., k), which must be finite."""
+    """Return the signal of starts (..., k), which must be finite, and should be in the box."""
     start = start.reshape(-1, told.n)
     finite = np.isfinite(start).all(axis=0)
     if not finite.all():
         raise ProblemError(f"`exogenous` must be finite; '{told.names[np.argmin(finite)]}' is not")
+    if beyond := _beyond(start if rows is None else np.vstack([start, rows]), told):
+        warn(f"`exogenous` leaves its box, which counts as outside the domain: {beyond}")
     return ExogenousSignal(start, rows)
+
+
+def _beyond(values: np.ndarray, told: Box) -> str:
+    """Return which values (B, k) leave the box; NaN does not."""
+    return beyond_text(told, np.nanmin(values, axis=0), np.nanmax(values, axis=0))
 
 
 def _broadcast(values: np.ndarray, shape: tuple[int, ...], k: int) -> np.ndarray:

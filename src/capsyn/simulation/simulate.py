@@ -60,6 +60,8 @@ class Trajectory:
         Names and units of the states, then of the inputs.
     exogenous_names, exogenous_units : tuples of str
         Those of the exogenous inputs.
+    periods : tuple of n floats
+        Widths of the axes of periodic states [state units], 0 of others.
     time_unit : str
         That of the plant, see `Problem`.
     """
@@ -81,6 +83,7 @@ class Trajectory:
     exogenous: np.ndarray = field(default_factory=lambda: np.empty(0))
     exogenous_names: tuple[str, ...] = ()
     exogenous_units: tuple[str, ...] = ()
+    periods: tuple[float, ...] = ()
 
     @property
     def cost(self) -> Any:
@@ -347,4 +350,5 @@ def _trajectory(
         exogenous=shaped(record.states[..., n:]),
         exogenous_names=plant.space.names[n:],
         exogenous_units=plant.space.units[n:],
+        periods=tuple(plant.domain.periods.tolist()),
     )

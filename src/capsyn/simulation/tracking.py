@@ -13,7 +13,7 @@ from capsyn.simulation.simulate import Trajectory
 from capsyn.validation import describe, finite_number, one_of
 
 BAND = 0.02
-"""Share of a step within which a state has settled, unless told."""
+"""Share of the largest step within which a state has settled, unless told."""
 MOVING = 0.5
 """Share of the samples at which a reference changes from which on it moves, and does not step."""
 
@@ -22,8 +22,11 @@ MOVING = 0.5
 class Tracking:
     """How closely a state follows its reference; the shapes (...) are those of the trajectories.
 
-    The error is state minus reference. A reference that steps cuts a trajectory into segments, each
-    of which begins at a change; the first begins with the trajectory and its initial state.
+    The error is state minus reference, of a periodic state by the shorter way round. A reference
+    that steps cuts a trajectory into segments, each of which begins at a change; the first begins
+    with the trajectory and its initial state. Changes at successive samples are one move, and
+    nothing answers a change at the last sample, which is left out. All figures are NaN where the
+    error is not finite.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ class Tracking:
         Largest excursion beyond the reference, on the far side of where a segment began [state
         unit]; 0 where there is none.
     settling : (...)
-        Longest time from the beginning of a segment until the error stays within `band` [time
+        Longest time from the beginning of a segment until the error stays within the band [time
         unit]; NaN where it does not within some segment.
     """
 
@@ -46,9 +49,9 @@ class Tracking:
     settling: np.ndarray
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures as plain data; what is NaN is null."""
+        """Return the figures as plain data; what is not finite is null."""
         return {
-            f.name: [None if np.isnan(v) else float(v) for v in np.ravel(getattr(self, f.name))]
+            f.name: [float(v) if np.isfinite(v) else None for v in np.ravel(getattr(self, f.name))]
             for f in fields(self)
         }
 
@@ -90,8 +93,8 @@ def tracking(
     reference : str or float
         Name of the exogenous input that it should follow, or a constant [state unit].
     band : float, optional
-        Largest error of a state that has settled [state unit]. Default: 2 % of the distance to the
-        reference at the beginning of each segment.
+        Largest error of a state that has settled [state unit]. Default: 2 % of the largest error at
+        the beginning of a segment.
 
     Raises
     ------
@@ -103,9 +106,10 @@ def tracking(
     if band is not None:
         band = finite_number("band", band, above=0.0)
     n = trajectory.states.shape[-1]
-    own = (trajectory.names[:n], trajectory.exogenous_names)
-    values, wanted = followed(trajectory.states, trajectory.exogenous, *own, state, reference)
-    return figures(trajectory.times, values, wanted, trajectory.last, band)
+    periods = trajectory.periods or (0.0,) * n
+    own = (trajectory.names[:n], trajectory.exogenous_names, periods)
+    pair = followed(trajectory.states, trajectory.exogenous, *own, state, reference)
+    return figures(trajectory.times, *pair, trajectory.last, band)
 
 
 def followed(
@@ -113,29 +117,38 @@ def followed(
     exogenous: np.ndarray,
     names: Sequence[str],
     told: Sequence[str],
+    periods: Sequence[float],
     state: str,
     reference: str | float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a state of states (..., n) and what it should follow, of the names of both."""
+    """Return the error of a state of states (..., n), and what it should follow.
+
+    Both are named by `names` and `told`; `periods` (n,) are those of the states, 0 of others.
+    """
     check_followed({state: reference}, names, told)
-    values = states[..., names.index(state)]
-    if not isinstance(reference, str):
-        return values, np.full_like(values, float(reference))
-    return values, exogenous[..., told.index(reference)]
+    i = names.index(state)
+    values = states[..., i]
+    wanted = np.full_like(values, reference if not isinstance(reference, str) else 0.0)
+    if isinstance(reference, str):
+        wanted = exogenous[..., told.index(reference)]
+    error = values - wanted
+    if periods[i]:
+        with np.errstate(invalid="ignore"):
+            error = error - periods[i] * np.round(error / periods[i])
+    return error, wanted
 
 
 def figures(
-    times: np.ndarray, values: np.ndarray, wanted: np.ndarray, last: Any, band: float | None = None
+    times: np.ndarray, error: np.ndarray, wanted: np.ndarray, last: Any, band: float | None = None
 ) -> Tracking:
-    """Return `tracking` of values (..., K + 1) that should follow others, up to samples `last`."""
-    shape, size = values.shape[:-1], len(times)
+    """Return `tracking` of errors (..., K + 1) from what is wanted, up to samples `last`."""
+    shape, size = error.shape[:-1], len(times)
     rows = [
-        _figures(times, value[: end + 1], want[: end + 1], band)
-        for value, want, end in zip(
-            values.reshape(-1, size), wanted.reshape(-1, size), np.ravel(last)
-        )
+        _figures(times, one[: end + 1], want[: end + 1], band)
+        for one, want, end in zip(error.reshape(-1, size), wanted.reshape(-1, size), np.ravel(last))
     ]
-    return Tracking(*(np.array(column).reshape(shape)[()] for column in zip(*rows)))
+    columns = np.array(rows).reshape(-1, len(fields(Tracking))).T
+    return Tracking(*(column.reshape(shape)[()] for column in columns))
 
 
 def joined_figures(parts: Sequence[Tracking]) -> Tracking:
@@ -145,14 +158,19 @@ def joined_figures(parts: Sequence[Tracking]) -> Tracking:
 
 
 def _figures(
-    times: np.ndarray, value: np.ndarray, wanted: np.ndarray, band: float | None
+    times: np.ndarray, error: np.ndarray, wanted: np.ndarray, band: float | None
 ) -> tuple[float, float, float, float]:
     """Return rms, bias, overshoot and settling time of one trajectory."""
-    error = value - wanted
+    if len(wanted) > 1 and wanted[-1] != wanted[-2]:
+        error, wanted = error[:-1], wanted[:-1]
+    if not np.isfinite(error).all():
+        return (np.nan,) * 4
     changes = np.flatnonzero(np.diff(wanted)) + 1
     if len(changes) > MOVING * len(wanted):
         changes = changes[:0]
-    starts, stops = np.append(0, changes), np.append(changes, len(wanted))
+    begins = changes[np.diff(changes, prepend=-1) > 1]
+    starts, stops = np.append(0, begins), np.append(begins, len(wanted))
+    allowed = BAND * np.abs(error[starts]).max() if band is None else band
     bias, overshoot, settling = 0.0, 0.0, 0.0
     for start, stop in zip(starts, stops):
         part = error[start:stop]
@@ -160,9 +178,9 @@ def _figures(
         bias = mean if abs(mean) > abs(bias) else bias
         beyond = -np.sign(part[0]) * part
         overshoot = max(overshoot, float(beyond.max()))
-        allowed = BAND * abs(part[0]) if band is None else band
         away = np.flatnonzero(np.abs(part) > allowed)
         settled = start if not len(away) else start + away[-1] + 1
         time = times[settled] - times[start] if settled < stop else np.nan
         settling = time if np.isnan(time) else max(settling, time)
-    return float(np.sqrt((error**2).mean())), bias, overshoot, settling
+    with np.errstate(over="ignore"):
+        return float(np.sqrt((error**2).mean())), bias, overshoot, settling

@@ -52,8 +52,15 @@ def _told(given: Any, told: Box | None) -> dict[str, Any]:
         return {}
     if given is None or isinstance(given, Mapping):
         drawn = dict(zip(told.names, map(Uniform, told.lower, told.upper))) | dict(given or {})
-        return {"exogenous": {name: _plain(value) for name, value in drawn.items()}}
-    return {"exogenous": _plain(given)}
+        return {"exogenous": {name: _plain_told(value) for name, value in drawn.items()}}
+    return {"exogenous": _plain_told(given, axes=1)}
+
+
+def _plain_told(value: Any, axes: int = 0) -> Any:
+    """Return what is told as plain data; numbers for each trial, of more `axes`, only as words."""
+    if isinstance(value, Uniform) or callable(value) or pairs_of_steps(value) is not None:
+        return _plain(value)
+    return "given for each trial" if np.ndim(value) > axes else _plain(value)
 
 
 def _holds(experiment: Experiment) -> dict[str, Any]:

@@ -98,8 +98,9 @@ def monte_carlo(
         The components of `p` of the model, in order.
     disturbance : float, (n,) or Uniform, or callable ``time -> (n,)``, optional
         Added to the rates of the states [state units / time unit].
-    noise : float, (n,) or Uniform, optional
-        Standard deviation of Gaussian noise on the measured states [state units].
+    noise : float, (n,), (n + k,) or Uniform, optional
+        Standard deviation of Gaussian noise on the measured states [state units], and on k
+        exogenous inputs [their units].
     delay : float or Uniform, optional
         Time from a sample until its control acts [time unit]. Default: that of the plant, which the
         policy compensates.
@@ -178,7 +179,8 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     noise = None
     if loop.noise is not None:
         seeds = [(loop.seed, 5, k + 1) for k in range(options.trials)]
-        noise = Noise(padded(plant, drawn.noises), seeds)
+        whole = drawn.noises.shape[1] == plant.n
+        noise = Noise(drawn.noises if whole else padded(plant, drawn.noises), seeds)
     tracked = _run(experiment, trials, noise, options.track)
     return _result(controller, options, experiment, drawn, trials, tracked)
 
@@ -199,7 +201,8 @@ def _run(
     plant, samples = experiment.plant, experiment.loop.samples
     size = max(1, RECORDED // (8 * (samples + 1) * (plant.n + plant.m + 2)))
     times = np.arange(samples + 1) / experiment.rate
-    names = plant.space.names
+    names, n = plant.space.names, plant.states
+    named = names[:n], names[n:], tuple(plant.domain.periods.tolist())
     parts: dict[str, list[Tracking]] = {
         f"{state} - {wanted}": [] for state, wanted in track.items()
     }
@@ -210,9 +213,9 @@ def _run(
         record = new_record(len(some), samples, plant.n, plant.m)
         experiment.run(some, own, record)
         trials[part] = some
-        x, w = record.states[..., : plant.states], record.states[..., plant.states :]
+        x, w = record.states[..., :n], record.states[..., n:]
         for key, (state, wanted) in zip(parts, track.items()):
-            pair = followed(x, w, names[: plant.states], names[plant.states :], state, wanted)
+            pair = followed(x, w, *named, state, wanted)
             parts[key].append(figures(times, *pair, some["end"]))
     return {key: joined_figures(some) for key, some in parts.items()}
 

@@ -158,6 +158,7 @@ def _tracked(tracking: Mapping[str, Tracking]) -> dict[str, Any]:
             "overshoot": _spread(figures.overshoot),
             "settling": _spread(figures.settling),
             "unsettled": int(np.isnan(figures.settling).sum()),
+            "not_finite": int(np.isnan(figures.rms).sum()),
         }
         for name, figures in tracking.items()
     }

@@ -129,7 +129,9 @@ def draw(
         disturbances = _draw("disturbance", loop.disturbance, count, n, [seed, 2])
     delays = _draw("delay", loop.delay, count, 1, [seed, 3], least=0.0)[:, 0]
     if loop.noise is not None:
-        noises = _draw("noise", loop.noise, count, n, [seed, 4], least=0.0)
+        given = loop.noise.low if isinstance(loop.noise, Uniform) else loop.noise
+        size = plant.n if np.shape(given) == (plant.n,) else n
+        noises = _draw("noise", loop.noise, count, size, [seed, 4], least=0.0)
     return Drawn(states, parameters, delays, disturbances, noises, exogenous)
 
 
