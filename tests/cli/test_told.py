@@ -206,6 +206,39 @@ def test_tracking_of_names_that_are_none_writes_nothing(folder):
     assert not (folder / "never.png").exists()
 
 
+def test_query_says_what_is_outside(run):
+    assert "outside" not in run("query rooms.cap 26 25 22 30")
+    out = run("query rooms.cap 26 29 22 50")
+    left = "T2 = 29 is not in [18, 28], outdoor = 50 is not in [20, 38]"
+    assert out.splitlines()[1:] == [f"outside: {left}"]
+    assert json.loads(run("query rooms.cap 26 29 22 50 --json"))["outside"] == left
+
+
+def test_at_writes_the_policy_that_is_left(run, policy, folder):
+    out = run("at rooms.cap -o warm.cap --exogenous outdoor=30 --exogenous setpoint=21.5")
+    fixed, wanted = Policy.load(folder / "warm.cap"), policy.at([21.5, 30])
+    assert out == f"wrote warm.cap: {wanted!r}\n"
+    states = policy.domain.sample(200)
+    np.testing.assert_array_equal(fixed(states), policy(states, [21.5, 30]))
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("rooms.cap --exogenous outdoor=30", "`exogenous` must give setpoint, outdoor; got outd"),
+        ("rooms.cap --exogenous 30", "--exogenous must be NAME=VALUE, once for a name; got '30'"),
+        (
+            "rooms.cap --exogenous outdoor=30 --exogenous setpoint=40",
+            "`exogenous` must be one of each: setpoint in [20, 25], outdoor in [20, 38]; got",
+        ),
+        ("fixed.cap --exogenous outdoor=30", "`exogenous` must be left out: the policy is"),
+    ],
+)
+def test_what_a_policy_cannot_be_fixed_at_is_one_line(folder, line, message):
+    error = error_of("at", *line.split(), "-o", "no.cap", cwd=folder)
+    assert error.startswith(f"error: {message}") and not (folder / "no.cap").exists()
+
+
 def test_list_names_exogenous_inputs():
     rows = {row["name"]: row for row in json.loads(capsyn("list", "--json")[0])}
     told = {name: problems.get(name).exogenous for name in problems.names()}

@@ -60,7 +60,7 @@ exports: python_module dot export
 explorer: packed memory_data policy_data program_javascript expression formulas facts page_data
     explore
 paper: cases figures pendulum tanks reproduction
-cli: options console printed problem_finder loop paper evidence compression export explore
+cli: options console printed problem_finder loop paper evidence compression export look
     import_table doctor app
 
 __main__

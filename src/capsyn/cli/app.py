@@ -14,9 +14,9 @@ from capsyn.cli.compression import automaton, compress
 from capsyn.cli.console import notes, print_table, progress_bars, show, working
 from capsyn.cli.doctor import doctor
 from capsyn.cli.evidence import switching, verify
-from capsyn.cli.explore import explore
 from capsyn.cli.export import export
 from capsyn.cli.import_table import import_table
+from capsyn.cli.look import at, explore, query
 from capsyn.cli.loop import simulate
 from capsyn.cli.options import (
     Backend,
@@ -277,42 +277,6 @@ def info(
     show(as_json, data, lambda: print_report(data))
 
 
-@app.command(context_settings={"ignore_unknown_options": True})  # a negative number is no option
-def query(
-    file: File,
-    state: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="X1 X2 .. W1 ..", help="A state, then the exogenous inputs if there are any."
-        ),
-    ],
-    outside: Outside = None,
-    current: Current = None,
-    as_json: Json = False,
-) -> None:
-    """Look up the symbol of a state, and of exogenous inputs if there are any."""
-    from capsyn.policies.policy import Policy
-
-    policy = Policy.load(file)
-    names, n = policy.space.names, policy.domain.n
-    if len(state) != len(names):
-        what = "the state" if n == len(names) else "the state and the exogenous inputs"
-        raise ProblemError(
-            f"{what} must be {len(names)} number(s) ({', '.join(names)}); got {len(state)}"
-        )
-    values = [number(name, text) for name, text in zip(names, state)]
-    symbol = int(policy(values, outside=outside, current=current))
-    control, own_name = policy.controls[symbol].tolist(), policy.symbol_name(symbol)
-    told = {} if policy.exogenous is None else {"exogenous": values[n:]}
-    found = {"symbol": symbol, "name": own_name, "control": control}
-    data = {"state": values[:n], **told, **found}
-    pairs = [
-        f"{name} = {value:g} {unit}".rstrip()
-        for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)
-    ]
-    show(as_json, data, lambda: typer.echo(f"symbol {symbol} '{own_name}': {', '.join(pairs)}"))
-
-
 @app.command()
 def plot(
     file: File,
@@ -345,6 +309,8 @@ def plot(
     typer.echo(f"wrote {output}")
 
 
+app.command(context_settings={"ignore_unknown_options": True})(query)  # -1 is no option
+app.command()(at)
 app.command("import")(import_table)
 app.command()(compress)
 app.command()(automaton)
