@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from capsyn.errors import CapsynError as CapsynError
     from capsyn.explorer.explore import explore as explore
     from capsyn.exports.export import export as export
+    from capsyn.improvement.improve import improve as improve
     from capsyn.modelling.alphabet import Alphabet as Alphabet
     from capsyn.modelling.domain import Ball as Ball
     from capsyn.modelling.domain import Box as Box
@@ -49,6 +50,7 @@ _PUBLIC = {
     "compress": "compression.compress",
     "explore": "explorer.explore",
     "export": "exports.export",
+    "improve": "improvement.improve",
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",
     "online_controller": "controllers.online",

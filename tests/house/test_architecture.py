@@ -36,6 +36,7 @@ simulation: plant options exogenous kernel closed_loop policy_loop trial_job exp
     tracking
 synthesis: remote_labels labelling synthesize
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
+improvement: charged_loop judged rollouts rounds improve
 verification: bisection loop_derivative lyapunov tally agreement trials outcome
     conditions monte_carlo switching_curve sentences
 integrations: single_lookup stepping evaluation gymnasium control
@@ -61,7 +62,9 @@ explorer: packed memory_data policy_data program_javascript expression formulas 
     explore
 paper: cases figures pendulum tanks reproduction
 cli: options console printed problem_finder loop paper evidence compression export look
-    import_table doctor app
+    import_table doctor
+cli.better: improve
+cli: app
 
 __main__
 """

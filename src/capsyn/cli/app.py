@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from capsyn.cli.better.improve import improve
 from capsyn.cli.compression import automaton, compress
 from capsyn.cli.console import notes, print_table, progress_bars, show, working
 from capsyn.cli.doctor import doctor
@@ -312,6 +313,7 @@ def plot(
 app.command(context_settings={"ignore_unknown_options": True})(query)  # -1 is no option
 app.command()(at)
 app.command("import")(import_table)
+app.command()(improve)
 app.command()(compress)
 app.command()(automaton)
 app.command()(export)

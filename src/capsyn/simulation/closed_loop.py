@@ -105,6 +105,7 @@ class Loop:
         None  # (samples, n) added to the rates, held [state units / time unit]
     )
     told: np.ndarray | None = None  # (samples + 1, k) exogenous inputs, NaN where one stays
+    paid: np.ndarray | None = None  # (N + 1, N + 1) cost of a sample, by label before and taken
 
 
 @dataclass(frozen=True)
@@ -200,6 +201,7 @@ def run(
         if draw and k < last and k % chunk == 0:
             drawn = draw(min(chunk, last - k))
         ended = _look(loop, trials, live, k)
+        before = np.maximum(trials["symbol"], -1)
         see = ended == TIME
         if k < last and see.any():
             measured = trials["state"][live[see]]
@@ -218,6 +220,9 @@ def run(
         live = live[~done]
         if not len(live):
             continue
+        if loop.paid is not None:
+            taken = np.maximum(trials["symbol"][live], -1)
+            trials["cost"][live] += loop.paid[before[live], taken]
         if record:
             record.symbols[live, k] = trials["symbol"][live]
             record.controls[live, k] = queue[-1][0][live, 0]

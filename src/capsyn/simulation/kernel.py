@@ -35,6 +35,7 @@ class LoopArguments(ctypes.Structure):
         ("gap", ctypes.c_int64),
         ("exogenous", ctypes.c_int64),
         ("told", ctypes.c_void_p),
+        ("paid", ctypes.c_void_p),
         ("cells", TreeArguments),
     ]
 

@@ -208,9 +208,13 @@ def _sizes(n: int, m: int, told: int) -> str:
 
 
 def choose_substeps(
-    plant: Plant, controls: np.ndarray, parameters: np.ndarray, period: float
+    plant: Plant,
+    controls: np.ndarray,
+    parameters: np.ndarray,
+    period: float,
+    accuracy: float = ACCURACY,
 ) -> int:
-    """Return the fewest Runge-Kutta steps per sample whose error is at most `ACCURACY`.
+    """Return the fewest Runge-Kutta steps per sample whose error is at most `accuracy`.
 
     The error is the 95th percentile, over seeded states of the domain under every control
     (N, m), with parameters (P, K) in turn, of the difference that twice the steps make after one
@@ -236,11 +240,11 @@ def choose_substeps(
             errors = errors[finite | np.isfinite(fine).all(axis=0)]
             return float(np.percentile(errors, PERCENTILE)) if errors.size else np.inf
 
-    best, least = fewest_steps(LADDER, error_of, ACCURACY * period)
-    if least <= ACCURACY * period:
+    best, least = fewest_steps(LADDER, error_of, accuracy * period)
+    if least <= accuracy * period:
         return best
     warn(
         f"the closed loop is integrated with {best} steps per sample, to {least:.2g} widths of "
-        f"the domain, not {ACCURACY * period:.2g}: give `substeps`, or a higher `rate`"
+        f"the domain, not {accuracy * period:.2g}: give `substeps`, or a higher `rate`"
     )
     return best

@@ -92,6 +92,8 @@ def _run_compiled(
         arrays["inputs"] = np.ascontiguousarray(holds.inputs, dtype=np.int64)
     if loop.told is not None:
         arrays["told"] = np.ascontiguousarray(loop.told)
+    if loop.paid is not None:
+        arrays["paid"] = np.ascontiguousarray(loop.paid)
     if len(policy.transitions) > symbols + 1:
         arrays["transitions"] = np.ascontiguousarray(policy.transitions)
     arguments = LoopArguments(
@@ -113,6 +115,7 @@ def _run_compiled(
             own = trials[start:stop]
             kernel(own, first, samples, arguments, draw and draw(samples), pushes, views)
 
+    trials["symbol"][trials["symbol"] == -1] = symbols
     blocks = -(-len(trials) // SIMULATION_LANES)
     size = max(1, -(-blocks // threads)) * SIMULATION_LANES
     parts = [(k, min(k + size, len(trials))) for k in range(0, len(trials), size)]

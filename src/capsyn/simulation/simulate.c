@@ -29,6 +29,7 @@ typedef struct {
     int64_t gap;                /* the label of cells that are outside, or -1 */
     int64_t exogenous;          /* how many of the STATES are exogenous inputs, the last ones */
     const double *told;         /* (last + 1, exogenous), NaN where one stays, or NULL */
+    const double *paid;         /* (symbols + 1, symbols + 1), from each to each, or NULL */
     tree cells;
 } loop;
 
@@ -240,6 +241,7 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
                 for (int i = 0; i < STATES; ++i)
                     one->state[i] = b.x[i][lane];
                 one->cost = b.cost[lane];
+                const int64_t label = one->symbol == NONE ? l.symbols : one->symbol;
                 const double *own_noise =
                     noise ? noise + ((start + lane) * samples + (k - first)) * STATES : NULL;
                 sample(one, &l, &m, k, k < l.last ? own_noise : NULL, target[0][lane] != 0 && isfinite(target[0][lane]));
@@ -250,6 +252,8 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
                     costs[(start + lane) * (l.last + 1) + k] = one->cost;
                 if (one->end >= 0)
                     continue;
+                if (l.paid)
+                    b.cost[lane] += l.paid[label * (l.symbols + 1) + one->symbol];
                 if (symbols)
                     symbols[(start + lane) * l.last + k] = one->symbol;
                 running = 1;

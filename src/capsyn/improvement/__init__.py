@@ -1,0 +1,1 @@
+"""Better policies from policies, judged in closed loop."""

@@ -1,0 +1,128 @@
+"""The closed loop of a policy with all that it costs: running cost, effort, and prices."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.controllers.command import TIME
+from capsyn.execution.processors import pool_of
+from capsyn.modelling.alphabet import Outside, check_outside
+from capsyn.modelling.targets import target_program
+from capsyn.policies.policy import Policy
+from capsyn.programs.program import Program
+from capsyn.simulation.closed_loop import Holds, Loop, new_trials
+from capsyn.simulation.plant import Plant, choose_substeps, plant_of
+from capsyn.simulation.policy_loop import run_policy
+
+ACCURACY = 1e-6
+"""Error of a sample that is allowed, in widths of the domain per time unit."""
+PIECE = 1 << 18
+"""Runge-Kutta steps that a thread goes without looking whether it is to stop."""
+SAMPLES = 256
+"""Random states at which a running cost shows that it is one."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChargedLoop:
+    """The closed loop of a policy, whose trials are charged for all that they do.
+
+    A trial is charged its running cost, or where a problem has none its terminal cost as one; the
+    effort ``u^T R u`` times the time that symbols are held; and for each switch its price times a
+    sample, which is what it costs the decision. Effort and prices are charged times a scale.
+    """
+
+    policy: Policy
+    plant: Plant  # whose running cost is what trials are charged
+    loop: Loop  # with `paid`: effort and prices of a sample
+    prices: np.ndarray  # (N + 1, N + 1) of switches [cost / time unit], infinite: forbidden
+    end: Program | None  # x -> cost of where a trial ends, if any
+    outside: Outside
+    backend: str
+    threads: int
+    stopped: threading.Event  # set when work is to end
+
+    @staticmethod
+    def of(policy: Policy, rate: float, backend: str, threads: int) -> ChargedLoop:
+        """Return the loop of a policy with its own model, at a rate [samples per time unit].
+
+        It charges no effort and no prices; see `charging`.
+        """
+        plant = plant_of(policy)
+        end: Program | None = first_output(plant.terminal_cost)
+        states = plant.space.sample(SAMPLES, 0).T
+        if not np.any(plant.running_cost.evaluate(states)[0]):
+            assert end is not None
+            plant, end = dataclasses.replace(plant, running_cost=end), None
+        period, rules = 1 / rate, policy.rules
+        none = np.zeros((0, 1))
+        loop = Loop(
+            period,
+            1,
+            choose_substeps(plant, policy.controls, none, period, ACCURACY),
+            Holds.of(rules, period),
+            policy.outside_at_once,
+            target_program(None, plant.space),
+            False,
+            policy.default_control,
+        )
+        rule = check_outside(policy.outside, policy.alphabet)
+        return ChargedLoop(policy, plant, loop, rules.prices, end, rule, backend, threads,
+                           threading.Event()).charging(0.0)  # fmt: skip
+
+    def charging(self, scale: float) -> ChargedLoop:
+        """Return the loop that charges effort and prices times a scale."""
+        policy = self.policy
+        efforts = np.zeros(len(policy.controls))
+        if policy.settings is not None:
+            efforts = policy.settings.efforts(policy.controls)
+        known = policy.rules.prices
+        prices = np.where(np.isfinite(known), scale * known, known)
+        paid = (np.where(np.isfinite(known), prices, 0.0) + scale * efforts) * self.loop.period
+        return dataclasses.replace(
+            self, loop=dataclasses.replace(self.loop, paid=paid), prices=prices
+        )
+
+    def new(self, states: np.ndarray) -> np.ndarray:
+        """Return trials (B,) before their first sample, from readings (B, n)."""
+        none = np.zeros((len(states), 0))
+        delays, push = np.zeros(len(states)), np.zeros_like(states)
+        return new_trials(states, self.plant.m, delays, none, push, self.loop.period)
+
+    def costs(self, trials: np.ndarray, samples: int) -> np.ndarray:
+        """Return what trials (B,) have cost after some samples, infinite where they ended before.
+
+        They run in place, in this thread, and go on from what they have cost so far.
+
+        Raises
+        ------
+        InterruptedError
+            It was `stopped` meanwhile.
+        """
+        loop = dataclasses.replace(self.loop, samples=samples)
+        size = max(8, PIECE // max(1, samples * loop.substeps) // 8 * 8)
+        for start in range(0, len(trials), size):
+            if self.stopped.is_set():
+                raise InterruptedError
+            part = trials[start : start + size]
+            run_policy(
+                self.policy, self.outside, self.plant, loop, part, None, None, self.backend, 1
+            )
+        costs = np.where(trials["ended"] == TIME, trials["cost"], np.inf)
+        return np.where(np.isnan(costs), np.inf, costs)
+
+    def costs_from(self, states: np.ndarray, samples: int) -> np.ndarray:
+        """Return what trials (B,) from readings (B, n) cost over some samples, by all threads."""
+        trials, size = self.new(states), max(8, -(-len(states) // (8 * self.threads)))
+        parts = [trials[k : k + size] for k in range(0, len(trials), size)]
+        with pool_of(self.threads) as pool:
+            return np.concatenate(list(pool.map(lambda part: self.costs(part, samples), parts)))
+
+
+def first_output(program: Program) -> Program:
+    """Return a program with the first of its outputs alone."""
+    outputs, results = program.outputs[:1], program.results[:1]
+    return Program(program.name, program.inputs, outputs, program.instructions, results)
