@@ -14,7 +14,7 @@ help:
 	@echo "make demo     synthesise the paper's two-symbol pendulum policy and draw it"
 	@echo "make test     install what the tests need and run them all"
 	@echo "make check    formatting, lint, types"
-	@echo "make bench    measure, and write benchmarks/README.md and results.json"
+	@echo "make bench    measure (ONLY="solve told": some of it), and write benchmarks/README.md and results.json"
 	@echo "make docs     draw the figures and build the site in build/docs; a warning is an error"
 	@echo "make figures  draw the figures of README and guides again"
 	@echo "make page     bundle the explorer's page again from its modules (Node)"
@@ -51,7 +51,7 @@ check: $(VENV)/developed
 
 bench: $(VENV)/developed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
-	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/run.py $(ONLY)
 
 page: node_modules/.package-lock.json
 	npm run --silent page

@@ -1,4 +1,7 @@
-"""Run every benchmark in its own process; write README.md and results.json beside this file."""
+"""Run every benchmark in its own process; write README.md and results.json beside this file.
+
+``run.py QUESTION ..`` measures some of them again, and keeps the others' rows.
+"""
 
 import json
 import platform
@@ -48,31 +51,49 @@ def met(value, wanted):
     return "yes" if (value <= float(bound) if sign == "<=" else value >= float(bound)) else "**no**"
 
 
-def main():
-    """Measure and write."""
+def measured(question):
+    """Return the rows of a question."""
+    print(f"{question} ...", flush=True)
+    run = subprocess.run(
+        [sys.executable, str(HERE / f"{question}.py")], capture_output=True, text=True
+    )
+    if run.returncode:
+        sys.exit(f"{question} failed:\n{run.stderr}")
+    return [{"question": question, **row} for row in json.loads(run.stdout.splitlines()[-1])]
+
+
+def page(setting, rows):
+    """Return the lines of README.md: a table for each question."""
+    lines = [INTRODUCTION, *(f"- {key}: {value}" for key, value in setting.items())]
+    for question in QUESTIONS:
+        title = question.replace("_", " ").capitalize()
+        lines += ["", f"## {title}", "", "| what | figure | wanted | met |", "|---|---|---|---|"]
+        for row in rows:
+            if row["question"] != question:
+                continue
+            value, wanted = row["value"], row.get("wanted") or ""
+            figure = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+            lines.append(
+                f"| {row['what']} | {figure} {row['unit']} | {wanted} | {met(value, wanted)} |"
+            )
+    return lines
+
+
+def main(questions):
+    """Measure some questions, or all, and write; what is not measured again stays."""
+    unknown = [question for question in questions if question not in QUESTIONS]
+    if unknown:
+        sys.exit(f"questions are {', '.join(QUESTIONS)}; got {unknown[0]}")
+    results = HERE / "results.json"
+    old = json.loads(results.read_text())["rows"] if questions else []
     setting, rows = machine(), []
     for question in QUESTIONS:
-        print(f"{question} ...", flush=True)
-        run = subprocess.run(
-            [sys.executable, str(HERE / f"{question}.py")], capture_output=True, text=True
-        )
-        if run.returncode:
-            sys.exit(f"{question} failed:\n{run.stderr}")
-        rows += json.loads(run.stdout.splitlines()[-1])
-    lines = [INTRODUCTION]
-    lines += [f"- {key}: {value}" for key, value in setting.items()]
-    lines += ["", "| what | figure | wanted | met |", "|---|---|---|---|"]
-    for row in rows:
-        value = row["value"]
-        figure = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
-        wanted = row.get("wanted") or ""
-        lines.append(
-            f"| {row['what']} | {figure} {row['unit']} | {wanted} | {met(value, wanted)} |"
-        )
-        print(lines[-1])
-    (HERE / "README.md").write_text("\n".join(lines) + "\n")
-    (HERE / "results.json").write_text(json.dumps({**setting, "rows": rows}, indent=2) + "\n")
+        again = not questions or question in questions
+        kept = [row for row in old if row["question"] == question]
+        rows += measured(question) if again else kept
+    (HERE / "README.md").write_text("\n".join(page(setting, rows)) + "\n")
+    results.write_text(json.dumps({**setting, "rows": rows}, indent=2) + "\n")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

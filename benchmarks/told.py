@@ -15,7 +15,8 @@ rows = []
 
 
 def row(what, value, unit="", wanted=""):
-    rows.append({"what": what, "value": float(value), "unit": unit, "wanted": wanted})
+    value = value if isinstance(value, int) else float(value)
+    rows.append({"what": what, "value": value, "unit": unit, "wanted": wanted})
 
 
 def told_only(problem, names):
