@@ -28,7 +28,7 @@ def casadi_function(problem, options):
     end, total = x, ca.SX(0)
     for _ in range(STEPS):
         end, cost = runge_kutta_step(
-            functions["dynamics"], functions["running_cost"], end, default, dt
+            functions["dynamics"], functions["running_cost"], end, [default], dt
         )
         total += cost
     total += functions["terminal_cost"](end)
