@@ -206,6 +206,18 @@ def test_tracking_of_names_that_are_none_writes_nothing(folder):
     assert not (folder / "never.png").exists()
 
 
+def test_simulate_says_how_it_read_exogenous_inputs(run, folder):
+    line = f"simulate rooms.cap --x0 26,25 --x0 22,22 {LOOP} --exogenous"
+    out = run(f"{line} setpoint=21:24 --exogenous outdoor=30").splitlines()
+    assert out[:2] == ["setpoint: 24 from 21 min", "outdoor: 30 throughout"]
+    assert len(out) == 4 and all(text.startswith("from (") for text in out[2:])
+    rows = [f"{t},{20 + t / 10},{30 + t / 10}\n" for t in range(12)]
+    (folder / "many.csv").write_text("time,setpoint,outdoor\n" + "".join(rows))
+    first = ", ".join(f"{20 + t / 10:g} from {t} min" for t in range(5))
+    wanted = f"setpoint: {first}, .., 21.1 from 11 min (12 steps)"
+    assert run(f"{line} many.csv").splitlines()[0] == wanted
+
+
 def test_query_says_what_is_outside(run):
     assert "outside" not in run("query rooms.cap 26 25 22 30")
     out = run("query rooms.cap 26 29 22 50")

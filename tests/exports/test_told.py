@@ -44,7 +44,7 @@ def problem():
         name="rooms",
         dynamics=rates,
         domain=Box([15, 15], [27, 26], names=["T1", "T2"], units=["degC", "degC"]),
-        exogenous=Box([18, 0], [23, 24], ["set point", "time"], ["degC", "h"], [False, True]),
+        exogenous=Box([18, 0], [23, 24], ["set point", "hour"], ["degC", "h"], [False, True]),
         alphabet=Alphabet([[0, 0], [1, 0], [0, 1]], ["off", "one", "two"], ["h1", "h2"]),
         default=[0.25, 0.25],
         horizon=10.0,
@@ -66,7 +66,7 @@ def policy(kind):
     if kind == "tree":
         return compress(policy("constant"), "linear", agreement=0.8, states=2000)
     if kind == "cut":
-        return policy("constant").at({"set point": 20.1, "time": 7.0})
+        return policy("constant").at({"set point": 20.1, "hour": 7.0})
     return synthesize(problem())
 
 
@@ -238,7 +238,7 @@ def test_headers_say_what_stands_where(tmp_path):
         "State 0: T1 in [15.0, 27.0] degC",
         "State 1: T2 in [15.0, 26.0] degC",
         "Exogenous input 2: set point in [18.0, 23.0] degC",
-        "Exogenous input 3: time in [0.0, 24.0] h, periodic",
+        "Exogenous input 3: hour in [0.0, 24.0] h, periodic",
         "State 0 = 0.05 * reading + 20.0",
         "State 1 = 1.0 * reading + 0.0",
         "Exogenous input 2 = -0.04 * reading + 30.0",
@@ -255,10 +255,10 @@ def test_constants_and_comments(tmp_path):
     names = list(all_targets(policy("constant")))
     export(policy("constant"), names, tmp_path)
     made_module = module(tmp_path / "python" / "rooms.py")
-    assert made_module.STATES == ("T1", "T2") and made_module.EXOGENOUS == ("set point", "time")
+    assert made_module.STATES == ("T1", "T2") and made_module.EXOGENOUS == ("set point", "hour")
     assert made_module.UNITS == ("degC", "degC", "degC", "h")
     script = (tmp_path / "javascript" / "rooms.mjs").read_text()
-    assert 'export const EXOGENOUS = ["set point", "time"];' in script
+    assert 'export const EXOGENOUS = ["set point", "hour"];' in script
     for text in (script, (tmp_path / "python" / "rooms.py").read_text()):
         assert "quantise(reading)" in text and not re.search(r"\(.*\bstate\b.*\)", text)
     header = (tmp_path / "c" / "rooms.h").read_text()
@@ -266,7 +266,7 @@ def test_constants_and_comments(tmp_path):
     assert "/* Return the symbol of readings. */" in header
     assert "/* states, then exogenous inputs */" in (tmp_path / "c/example/main.c").read_text()
     block = (tmp_path / "structured-text" / "rooms.st").read_text()
-    for line in ("T1 : LREAL; (* T1 [degC] *)", "time_2 : LREAL; (* exogenous input time [h] *)"):
+    for line in ("T1 : LREAL; (* T1 [degC] *)", "hour : LREAL; (* exogenous input hour [h] *)"):
         assert f"    {line}\n" in block
     circuit = (tmp_path / "verilog" / "rooms.v").read_text()
     assert "// set_point_step: 6 steps of exogenous input set point\n" in circuit
@@ -282,7 +282,7 @@ def test_units_and_descriptions_of_fmus(tmp_path):
         ("degC", "State T1"),
         ("degC", "State T2"),
         ("degC", "Exogenous input set point"),
-        ("h", "Exogenous input time"),
+        ("h", "Exogenous input hour"),
     ]
 
 
@@ -298,7 +298,7 @@ def test_json_follows_its_schema(kind, version, tmp_path):
     assert data["version"] == version
     assert [[axis["name"] for axis in data[key]] for key in ("states", "exogenous")] == [
         ["T1", "T2"],
-        ["set point", "time"],
+        ["set point", "hour"],
     ]
     for wrong in ({"version": version - 2}, {"exogenous": []}):
         with pytest.raises(jsonschema.ValidationError):
@@ -316,17 +316,17 @@ def test_info_and_query_tell_states_and_exogenous_inputs(tmp_path):
     data = json.loads(capsyn("info", path, "--quick", "--json")[0])
     assert [axis["name"] for axis in data["states"]] == ["T1", "T2"]
     assert data["exogenous"][1] == {
-        "name": "time", "unit": "h", "lower": 0.0, "upper": 24.0, "periodic": True, "steps": 6,
+        "name": "hour", "unit": "h", "lower": 0.0, "upper": 24.0, "periodic": True, "steps": 6,
         "partitions": 3, "refinement": 2,
     }  # fmt: skip
     assert "law" not in data["default"]
     out = capsyn("info", path, "--quick")[0]
-    assert re.search(r"^exogenous +time in \[0, 24\] h, periodic$", out, re.M)
+    assert re.search(r"^exogenous +hour in \[0, 24\] h, periodic$", out, re.M)
     assert "root grid 3 x 3 x 3 x 3" in out
     found = json.loads(capsyn("query", path, "20", "20", "21", "-3", "--json")[0])
     assert found["state"] == [20.0, 20.0] and found["exogenous"] == [21.0, -3.0]
     assert found["symbol"] == policy("constant")([20.0, 20.0], [21.0, -3.0])
-    words = "the state and the exogenous inputs must be 4 number(s) (T1, T2, set point, time)"
+    words = "the state and the exogenous inputs must be 4 number(s) (T1, T2, set point, hour)"
     assert words in error_of("query", path, "20", "20")
     args = ("query", path, "20", "20", "90", "3", "--outside")
     assert "'one'" in capsyn(*args, "one")[0]

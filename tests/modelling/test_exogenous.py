@@ -61,6 +61,15 @@ def test_names_that_control_inputs_have():
     refused(lambda: ROOMS.replace(exogenous=unnamed), text.format("u2"))
 
 
+@pytest.mark.parametrize("name", ["trial", "time", "cost", "symbol"])
+def test_names_that_columns_of_trajectories_have(name):
+    box = Box([20, 20], [25, 38], names=["setpoint", name])
+    refused(
+        lambda: ROOMS.replace(exogenous=box),
+        f"`exogenous` must have names that no column of trajectories has; got '{name}'",
+    )
+
+
 WRONG = {
     "dynamics": (lambda x, u: rates(x, u, [22, 30]), "(x: 2, u: 2, w: 2)", "x and u and w"),
     "running_cost": (lambda x: x[0] ** 2, "(x: 2, w: 2)", "x and w"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from capsyn.policies.policy import Policy
     from capsyn.simulation.options import LoopOptions
 
+MOST_STEPS = 6
+"""Most steps of an exogenous input that are printed."""
+
 
 @dataclass(frozen=True)
 class LoopTexts:
@@ -59,8 +62,9 @@ class LoopTexts:
     )
     exogenous: list[str] | None = option(
         "What the policy is told beside the state: a value, steps TIME:VALUE,TIME:VALUE, or a CSV "
-        "file of steps with a column time and one for each input; verify takes a range, too, and "
-        "draws what is not given. May be repeated.",
+        "file of steps with a column time and one for each input. NAME=A:B alone is the step to B "
+        "at time A in simulate, and the range from A to B in verify, which draws from it, and from "
+        "the box what is not given. May be repeated.",
         metavar="NAME=W|NAME=T:W,T:W[,..]|FILE.csv",
     )
     track: list[str] | None = option(
@@ -256,7 +260,8 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
         for k, row in enumerate(rows):
             of_trial = {name: values[k] for name, values in figures.items()}
             row.setdefault("tracking", {})[f"{state} - {reference}"] = of_trial
-    text = "\n".join(map(_sentence, rows))
+    told = _told_sentences(loop.exogenous or {}, trajectory.time_unit)
+    text = "\n".join([*told, *map(_sentence, rows)])
     end = None if options.output is None else f"wrote {options.output}"
     show(as_json, rows if len(rows) > 1 else rows[0], lambda: typer.echo(text), end)
 
@@ -303,6 +308,18 @@ def _sentence(row: dict[str, Any]) -> str:
         f"ended: {row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
         + "".join(f"\n{text}" for text in _tracking_sentences(row, unit))
     )
+
+
+def _told_sentences(exogenous: Mapping[str, Any], unit: str) -> Iterator[str]:
+    """Yield how each exogenous input was read."""
+    for name, value in exogenous.items():
+        if not isinstance(value, dict):
+            yield f"{name}: {value:g} throughout"
+            continue
+        steps = [f"{step:g} from {time:g} {unit}" for time, step in value.items()]
+        if len(steps) > MOST_STEPS:
+            steps[MOST_STEPS - 1 : -1] = [".."]
+        yield f"{name}: {', '.join(steps)}" + (f" ({len(value):,} steps)" if ".." in steps else "")
 
 
 def _tracking_sentences(row: dict[str, Any], unit: str) -> Iterator[str]:

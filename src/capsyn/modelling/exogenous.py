@@ -17,12 +17,15 @@ from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
 from capsyn.validation import describe, numbers, state_array
 
+COLUMNS = ("trial", "time", "cost", "symbol")
+"""Columns that files of trajectories have beside those of states and inputs."""
+
 
 def check_exogenous(exogenous: Any, domain: Box, alphabet: Alphabet) -> Box | None:
     """Return the box of the exogenous inputs with names of its own; None: there are none.
 
     Names that boxes have unless told become ``w1 .. wk``. Something else than a box, or names that
-    states or control inputs have, is a `ProblemError`.
+    states, control inputs or `COLUMNS` have, is a `ProblemError`.
     """
     if exogenous is None:
         return None
@@ -31,6 +34,10 @@ def check_exogenous(exogenous: Any, domain: Box, alphabet: Alphabet) -> Box | No
     if exogenous.names == Box.unnamed(exogenous.n):
         names = tuple(f"w{i + 1}" for i in range(exogenous.n))
         exogenous = dataclasses.replace(exogenous, names=names)
+    if own := [name for name in exogenous.names if name in COLUMNS]:
+        raise ProblemError(
+            f"`exogenous` must have names that no column of trajectories has; got '{own[0]}'"
+        )
     for kind, others in (("state", domain.names), ("control input", alphabet.inputs)):
         shared = [name for name in exogenous.names if name in others]
         if shared:
