@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from capsyn.modelling.problem import Problem as Problem
     from capsyn.modelling.settings import SsacSettings as SsacSettings
     from capsyn.modelling.switching import Switching as Switching
+    from capsyn.modelling.tails.riccati import riccati_tail as riccati_tail
+    from capsyn.modelling.tails.tail import Tail as Tail
     from capsyn.policies.policy import DecisionTree as DecisionTree
     from capsyn.policies.policy import Policy as Policy
     from capsyn.simulation.simulate import Trajectory as Trajectory
@@ -44,6 +46,7 @@ _PUBLIC = {
     "Problem": "modelling.problem",
     "SsacSettings": "modelling.settings",
     "Switching": "modelling.switching",
+    "Tail": "modelling.tails.tail",
     "Trajectory": "simulation.simulate",
     "Uniform": "verification.trials",
     "agreement": "verification.agreement",
@@ -54,6 +57,7 @@ _PUBLIC = {
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",
     "online_controller": "controllers.online",
+    "riccati_tail": "modelling.tails.riccati",
     "simulate": "simulation.simulate",
     "subdivide": "subdivision.subdivide",
     "synthesize": "synthesis.synthesize",

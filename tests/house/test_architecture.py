@@ -21,7 +21,9 @@ errors validation random_streams statistics version
 
 programs: operations program texts builder intervals expansion model step_doubling
 native: build compiled source
-modelling: domain alphabet exogenous settings targets grid time_unit switching problem transcription
+modelling: domain alphabet exogenous settings targets grid time_unit switching
+modelling.tails: tail equilibrium riccati
+modelling: problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter inverter building docking

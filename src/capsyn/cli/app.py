@@ -107,6 +107,7 @@ class ProblemOptions:
 
     output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
     horizon: float | None = option("Prediction horizon [time unit].")
+    tail: str | None = option("Cost to go: riccati[:EFFORT], which also sets a horizon, or none.")
     default: str | None = option("Control of the prediction.", metavar="U[,U..]")
     max_level: int | None = option("Most times that a cell is split along an axis.")
     partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
@@ -231,6 +232,10 @@ def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
     if changes.output is not None:
         check_writable(changes.output)
     problem = find_problem(text)
+    if changes.tail == "none":
+        problem = problem.replace(tail=None)
+    elif changes.tail is not None:
+        problem = problem.replace(tail=changes.tail, horizon=changes.horizon)
     if changes.horizon is not None:
         problem = problem.replace(horizon=changes.horizon)
     if changes.default is not None:

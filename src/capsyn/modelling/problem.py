@@ -20,6 +20,8 @@ from capsyn.modelling.exogenous import check_exogenous, joined, of_states
 from capsyn.modelling.grid import LEAVES, Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching, check_switching
+from capsyn.modelling.tails.riccati import riccati_tail, tail_effort
+from capsyn.modelling.tails.tail import Tail
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
 from capsyn.validation import describe, finite_number, keep, one_line, one_of, true_or_false
@@ -45,7 +47,7 @@ class Problem:
         Control of the prediction [input units]; it need not be a symbol. A law is followed at every
         instant of the prediction, and the adjoint is that of ``f(x, default(x, w), w)``.
     horizon : float
-        Prediction horizon T > 0 [time unit].
+        Prediction horizon T > 0 [time unit]; None for that which a Riccati tail proposes.
     running_cost, terminal_cost : callables ``x -> scalar``, or ``(x, w)``, optional
         Eq. (3) [cost / time unit] and [cost]; at least one. No factor 1/2 is implied.
     target : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
@@ -83,6 +85,9 @@ class Problem:
         One symbol for each cell, or rows that are affine in the state for cells on a switching
         surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
         `partitions` and `max_level` are those for such leaves.
+    tail : "riccati", "riccati:EFFORT" or callable ``x -> scalar``, or ``(x, w)``, optional
+        A terminal cost that stands for the cost to go, in the place of `terminal_cost`: that of
+        `riccati_tail`, or a function. The horizon to give with it is short.
 
     Raises
     ------
@@ -112,6 +117,7 @@ class Problem:
     delay: float = 0.0
     exogenous: Box | None = None
     leaves: str = "constant"
+    tail: Any = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
@@ -125,7 +131,6 @@ class Problem:
         true_or_false("outside_at_once", self.outside_at_once)
         if not callable(self.default):
             keep(self, default=self.alphabet.control("default", self.default))
-        keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
         keep(self, outside=check_outside(self.outside, self.alphabet))
         keep(self, delay=finite_number("delay", self.delay, least=0.0))
@@ -145,7 +150,7 @@ class Problem:
         grid = Grid.of(self.partitions, self.refinement, self.max_level, self.space.n)
         keep(self, **vars(grid))
         one_of("leaves", self.leaves, LEAVES)
-        if self.running_cost is None and self.terminal_cost is None:
+        if self.running_cost is None and self.terminal_cost is None and self.tail is None:
             raise ProblemError(
                 "`running_cost` and `terminal_cost` must not both be None: there is no goal"
             )
@@ -155,7 +160,12 @@ class Problem:
                 continue
             if not callable(value):
                 raise ProblemError(f"`{name}` must be a function; got {describe(value)}")
-        self.functions()
+        if self.tail is not None and not callable(self.tail):
+            tail_effort(self.tail)
+        terminal = self.functions() and self._terminal
+        if self.horizon is None and isinstance(terminal, Tail):
+            keep(self, horizon=terminal.horizon)
+        keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         if callable(self.target):
             arguments = split_reading(ca.SX.sym("z", self.space.n), {}, self.domain.n)
             expression("target", self.target, arguments, 1)
@@ -170,6 +180,13 @@ class Problem:
     def space(self) -> Box:
         """What the cells divide: the domain, and after its axes those of the exogenous inputs."""
         return joined(self.domain, self.exogenous)
+
+    @functools.cached_property
+    def _terminal(self) -> Callable[..., Any] | None:
+        """The terminal cost, or the tail in its place."""
+        if not isinstance(self.tail, str):
+            return self.tail or self.terminal_cost
+        return riccati_tail(self, tail_effort(self.tail))
 
     @property
     def has_law(self) -> bool:
@@ -201,15 +218,22 @@ class Problem:
         """Return CasADi functions of the reading z = (x, w), the state itself without exogenous w.
 
         They are ``dynamics(z, u)``, with rates 0 of w, ``running_cost(z)``, ``terminal_cost(z)``,
-        and ``default(z)`` of a law. A cost that is None is the constant 0.
+        which is the tail where there is one, and ``default(z)`` of a law. A cost that is None is
+        the constant 0.
         """
+        z = ca.SX.sym("z", self.space.n)
+        name = "terminal_cost" if self.tail is None else "tail"
+        arguments = split_reading(z, {}, self.domain.n)
+        terminal = expression(name, self._terminal or (lambda *_: 0.0), arguments, 1)
+        return {**self.system(), "terminal_cost": casadi_function("terminal_cost", [z], terminal)}
+
+    def system(self) -> dict[str, ca.Function]:
+        """Return the `functions` without the terminal cost."""
         z, u = ca.SX.sym("z", self.space.n), ca.SX.sym("u", self.alphabet.m)
         n, told = self.domain.n, self.space.n - self.domain.n
         arguments = split_reading(z, {}, n)
-        values = {
-            name: expression(name, getattr(self, name) or (lambda *_: 0.0), arguments, 1)
-            for name in ("running_cost", "terminal_cost")
-        }
+        running = self.running_cost or (lambda *_: 0.0)
+        values = {"running_cost": expression("running_cost", running, arguments, 1)}
         if self.has_law:
             values["default"] = expression("default", self.default, arguments, self.alphabet.m)
         functions = {name: casadi_function(name, [z], value) for name, value in values.items()}

@@ -1,0 +1,1 @@
+"""Terminal costs that stand for the cost to go."""

@@ -1,0 +1,238 @@
+"""A tail from the linearisation at the goal: the cost to go of a linear-quadratic regulator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.exogenous import joined
+from capsyn.modelling.tails.equilibrium import System, cheapest_rest, mixture, rates
+from capsyn.modelling.tails.tail import Tail
+from capsyn.modelling.targets import target_axes
+from capsyn.validation import (
+    called,
+    describe,
+    finite_array,
+    finite_number,
+    one_line,
+    read_only,
+)
+
+SMALL = 1e-8
+"""What counts as zero, relative to what it is a part of."""
+AFFINE = 1e-5
+"""Largest distance of the goal from an affine function of exogenous inputs, in widths."""
+SAMPLES = 16
+"""Random exogenous inputs at which it is checked that the goal is affine in them."""
+
+
+def riccati_tail(problem: System, effort: float = 1.0, goal: Any = None) -> Tail:
+    """Return a terminal cost for the cost to go near a goal, by a Riccati equation.
+
+    With ``A``, the mean of df/dx over the mixture of symbols that holds the goal, half of the
+    running cost's second derivatives Q, and ``S``, the mean over the symbols of ``f_i f_i^T``, the
+    rates at the goal, P solves ``A^T P + P A - P S P / r + Q = 0``. That is the cost to go
+    ``(x - goal)^T P (x - goal)`` of the linear system whose inputs are the shares of the symbols:
+    for inputs that are each at one of two values, s from their mean, the one with the effort
+    ``r du_i^2 / s^2``. P depends neither on the units of the inputs nor, but for its own unit, on
+    that of the cost.
+
+    Parameters
+    ----------
+    problem : Problem
+        System, running cost and alphabet.
+    effort : float
+        Weight of the inputs, > 0: ``r = effort trace(Q W^2) / 10`` with W the diagonal of half the
+        domain's widths, a tenth of what the states cost far out. Little makes a tail that hurries.
+    goal : (n,), or callable ``w -> n components``, optional
+        The goal [state units]. Default: the centre of the problem's target where that is a ball or
+        box; of states that it does not name, and without one, where the running cost is least among
+        the states where the system can rest, as an affine function of the exogenous inputs.
+
+    Raises
+    ------
+    ProblemError
+        No running cost; a goal where no mixture of the symbols holds the system; second derivatives
+        that are not positive semidefinite; a linearisation that no input stabilises, or with
+        motion that does not decay and costs nothing.
+    """
+    effort = finite_number("effort", effort, above=0.0)
+    if problem.running_cost is None:
+        raise ProblemError("`tail` needs a `running_cost`, whose cost to go it is; there is none")
+    domain, told = problem.domain, problem.exogenous
+    goal = _goal(problem, goal)
+    w = np.empty(0) if told is None else (told.lower + told.upper) / 2
+    place = np.array([float(value) for value in goal(w)]) if callable(goal) else goal
+    shares = mixture(problem, place, w)
+    if shares is None:
+        parts = ", ".join(f"{name} = {v:g}" for name, v in zip(domain.names, place))
+        raise ProblemError(
+            "`tail` must have a goal where the system can rest: no mixture of the symbols holds "
+            + parts
+        )
+    half = domain.widths / 2
+    a, q = _linearised(problem, np.concatenate([place, w]), shares)
+    a, q = a * half / half[:, None], q * np.outer(half, half)
+    moves = rates(problem, place, w) / half
+    p, loop = _solution(a, moves, q, effort * np.trace(q) / 10)
+    return Tail(
+        matrix=read_only(p / np.outer(half, half)),
+        goal=goal,
+        control=read_only(shares @ problem.alphabet.values),
+        effort=effort,
+        horizon=_horizon(loop),
+        periods=read_only(np.where(domain.periodic, domain.widths, 0.0)),
+    )
+
+
+def tail_effort(text: Any) -> float:
+    """Return the effort that ``"riccati"`` or ``"riccati:EFFORT"`` means.
+
+    Something else is a `ProblemError`.
+    """
+    kind, colon, number = text.partition(":") if isinstance(text, str) else ("", "", "")
+    if kind != "riccati":
+        raise ProblemError(
+            f"`tail` must be 'riccati', 'riccati:EFFORT' or a function; got {describe(text)}"
+        )
+    try:
+        effort = float(number) if colon else 1.0
+    except ValueError:
+        effort = np.nan
+    if not 0 < effort < np.inf:
+        raise ProblemError(f"`tail` must have an effort > 0; got {describe(text)}")
+    return effort
+
+
+def _goal(problem: System, goal: Any) -> Any:
+    """Return the goal (n,), or as a function of exogenous inputs; see `riccati_tail`."""
+    domain, told = problem.domain, problem.exogenous
+    if callable(goal):
+        if told is None:
+            raise ProblemError("`goal` must be numbers where there are no exogenous inputs")
+        _checked(called("goal", goal, (told.lower + told.upper) / 2), domain)
+        return goal
+    if goal is not None:
+        return _checked(goal, domain)
+    known: dict[int, float] = {}
+    if isinstance(problem.target, (Ball, Box)):
+        target = problem.target
+        middle = target.center if isinstance(target, Ball) else (target.lower + target.upper) / 2
+        axes = target_axes(target, joined(domain, told))
+        known = {axis: float(v) for axis, v in zip(axes, middle) if axis < domain.n}
+    if len(known) == domain.n:
+        return _checked([known[axis] for axis in range(domain.n)], domain)
+    if told is None:
+        return read_only(cheapest_rest(problem, known, np.empty(0)))
+    points = told.sample(max(SAMPLES, 2 * told.n), 0)
+    first = cheapest_rest(problem, known, (told.lower + told.upper) / 2)
+    places = np.array([cheapest_rest(problem, known, w, first) for w in points])
+    rows = np.column_stack([np.ones(len(points)), (points - told.lower) / told.widths])
+    factors = np.linalg.lstsq(rows, places, rcond=None)[0]
+    off = np.abs(rows @ factors - places) / domain.widths
+    if off.max() > AFFINE:
+        name = domain.names[int(off.max(axis=0).argmax())]
+        raise ProblemError(
+            f"`tail` needs its `goal` as a function of w: the place to rest is no affine one, in "
+            f"'{name}'"
+        )
+    factors = np.where(np.abs(factors) < AFFINE * domain.widths, 0.0, factors)
+    slopes = factors[1:] / told.widths[:, None]
+    return _Affine(factors[0] - told.lower @ slopes, slopes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Affine:
+    """A goal that is an affine function of the exogenous inputs."""
+
+    start: np.ndarray
+    slopes: np.ndarray
+
+    def __call__(self, w: Any) -> list[Any]:
+        """Return the components of the goal at w (k,)."""
+        return [
+            float(first) + sum(float(s) * w[j] for j, s in enumerate(column) if s)
+            for first, column in zip(self.start, self.slopes.T)
+        ]
+
+
+def _checked(goal: Any, domain: Box) -> np.ndarray:
+    """Return a goal (n,) in the domain."""
+    values = finite_array("goal", goal, 1)
+    if len(values) != domain.n or not domain.contains(values[None])[0]:
+        raise ProblemError(
+            f"`goal` must be a state of the domain, {domain.n} number(s); got {describe(goal)}"
+        )
+    return values
+
+
+def _linearised(
+    problem: System, z: np.ndarray, shares: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean of df/dx over a mixture, and half of the running cost's second derivatives.
+
+    Both are (n, n), at a reading z.
+    """
+    functions, n = problem.system(), problem.domain.n
+    change = functions["dynamics"].jacobian()
+    used = [(s, u) for s, u in zip(shares, problem.alphabet.values) if s]
+    a = sum(s * np.array(change(z, u, 0)[0])[:n, :n] for s, u in used)
+    second = functions["running_cost"].jacobian().jacobian()
+    q = np.array(second(z, 0, 0)[0])[:n, :n] / 2
+    if not np.isfinite(a).all() or not np.isfinite(q).all():
+        raise ProblemError(
+            "`tail` must have a goal where dynamics and running cost are smooth; derivatives there "
+            "are not finite"
+        )
+    return a, q
+
+
+def _solution(
+    a: np.ndarray, moves: np.ndarray, q: np.ndarray, r: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return P and the closed loop's matrix, both (n, n), in scaled states; checked."""
+    from scipy.linalg import LinAlgError, solve_continuous_are
+
+    least = np.linalg.eigvalsh(q)[0]
+    if not np.trace(q) > 0 or least < -SMALL * np.trace(q):
+        raise ProblemError(
+            "`tail` needs a running cost that has its least value at the goal: its second "
+            f"derivatives there must be positive semidefinite and not 0; least eigenvalue {least:g}"
+        )
+    _, size, axes = np.linalg.svd(moves / np.sqrt(len(moves)), full_matrices=False)
+    b = axes.T * size  # b b^T is the mean of f f^T
+    scale = max(np.abs(a).max(), np.abs(b).max())
+    identity = np.eye(len(a))
+    for mode in np.linalg.eigvals(a):
+        shifted = a - mode * identity
+        if mode.real > -SMALL * scale and _deficient(np.hstack([shifted, b]), scale):
+            raise ProblemError(
+                "`tail` needs a goal that the symbols stabilise: what moves there as "
+                f"exp({mode:.3g} t) no symbol changes"
+            )
+        weighed = np.vstack([shifted, q / np.trace(q) * scale])
+        if abs(mode.real) <= SMALL * scale and _deficient(weighed, scale):
+            raise ProblemError(
+                "`tail` needs a running cost of all that does not decay: what moves at the goal as "
+                f"exp({mode:.3g} t) costs nothing"
+            )
+    try:
+        p = solve_continuous_are(a, b, q, r * np.eye(b.shape[1]))
+    except (LinAlgError, ValueError) as error:
+        raise ProblemError(f"`tail` has no Riccati solution: {one_line(str(error))}") from error
+    p = (p + p.T) / 2
+    return p, a - b @ b.T @ p / r
+
+
+def _deficient(matrix: np.ndarray, scale: float) -> bool:
+    """Return whether a matrix has not full rank."""
+    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= SMALL * scale)
+
+
+def _horizon(loop: np.ndarray) -> float:
+    """Return the proposed horizon: half of the shortest time constant of the closed loop."""
+    return float(f"{0.5 / np.abs(np.linalg.eigvals(loop)).max():.2g}")

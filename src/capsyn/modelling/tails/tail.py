@@ -1,0 +1,71 @@
+"""A quadratic terminal cost around a goal, smooth where axes are periodic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Tail:
+    """A terminal cost ``V = d^T P d`` for the cost to go near a goal; see `riccati_tail`.
+
+    Here d is the distance from the goal. On a periodic axis of period L, with the angle
+    ``a = 2 pi d / L`` and ``s = L / (2 pi)``, it is ``s sin a``, and ``P[i, i] s^2 (1 - cos a)^2``
+    is added: smooth everywhere, of the same second derivatives at the goal, 0 there alone.
+
+    Parameters
+    ----------
+    matrix : (n, n)
+        P [cost / state unit^2], positive semidefinite.
+    goal : (n,), or callable ``w -> n components``
+        The goal [state units]; of a callable, where the exogenous inputs put it.
+    control : (m,)
+        The mean control that holds the goal, a mixture of symbols [input units].
+    effort : float
+        What the symbols' use was weighed with.
+    horizon : float
+        Proposed prediction horizon [time unit].
+    periods : (n,)
+        Periods of the axes [state units]; 0 where they have none.
+    """
+
+    matrix: np.ndarray
+    goal: np.ndarray | Callable[..., Any]
+    control: np.ndarray
+    effort: float
+    horizon: float
+    periods: np.ndarray
+
+    @property
+    def text(self) -> str:
+        """The tail in one line."""
+        goal = "a function of w" if callable(self.goal) else _list(self.goal)
+        return (
+            f"Riccati tail of effort {self.effort:g}: goal {goal}, held by {_list(self.control)}, "
+            f"horizon {self.horizon:.3g}"
+        )
+
+    def __call__(self, x: Any, w: Any = None) -> Any:
+        """Return V at a state x (n,), with exogenous inputs w (k,): CasADi columns or arrays."""
+        goal = self.goal(w) if callable(self.goal) else self.goal
+        offsets, value = [], 0.0
+        for i, period in enumerate(self.periods):
+            off = x[i] - goal[i]
+            if period:
+                scale = period / (2 * np.pi)
+                angle = off / scale
+                off = scale * np.sin(angle)
+                value = value + self.matrix[i, i] * (scale * (1 - np.cos(angle))) ** 2
+            offsets.append(off)
+        for i, off in enumerate(offsets):
+            row = sum(2 * self.matrix[i, j] * offsets[j] for j in range(i + 1, len(offsets)))
+            value = value + off * (self.matrix[i, i] * off + row)
+        return value
+
+
+def _list(values: np.ndarray) -> str:
+    return f"({', '.join(f'{value:.4g}' for value in values)})"
