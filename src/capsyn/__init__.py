@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from capsyn.modelling.problem import Problem as Problem
     from capsyn.modelling.settings import SsacSettings as SsacSettings
     from capsyn.modelling.switching import Switching as Switching
+    from capsyn.optima.optimum import optimum as optimum
     from capsyn.modelling.tails.riccati import riccati_tail as riccati_tail
     from capsyn.modelling.tails.tail import Tail as Tail
     from capsyn.policies.policy import DecisionTree as DecisionTree
@@ -57,6 +58,7 @@ _PUBLIC = {
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",
     "online_controller": "controllers.online",
+    "optimum": "optima.optimum",
     "riccati_tail": "modelling.tails.riccati",
     "simulate": "simulation.simulate",
     "subdivide": "subdivision.subdivide",

@@ -39,6 +39,7 @@ simulation: plant options exogenous kernel closed_loop policy_loop trial_job exp
 synthesis: remote_labels labelling synthesize
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
 improvement: charged_loop judged rollouts rounds improve
+optima: grid task sweeps loops iteration comparison optimum
 verification: bisection loop_derivative lyapunov tally agreement trials outcome
     conditions monte_carlo switching_curve sentences
 integrations: single_lookup stepping evaluation gymnasium control

@@ -27,7 +27,7 @@ def at(policy: Any, exogenous: Any) -> Any:
         "exogenous": None,
         "cells": cut(policy.cells, steps),
         "model": None if policy.model is None else policy.model.at(w),
-        "target": _cut_target(policy.target, policy.space, n, w),
+        "target": cut_target(policy.target, policy.space, n, w),
         "statistics": {},
         "timings": {},
         "evidence": {},
@@ -37,7 +37,7 @@ def at(policy: Any, exogenous: Any) -> Any:
     return dataclasses.replace(policy, **changes)
 
 
-def _cut_target(target: Target | None, space: Box, n: int, w: np.ndarray) -> Target | None:
+def cut_target(target: Target | None, space: Box, n: int, w: np.ndarray) -> Target | None:
     """Return a target of the first n axes, where the others have the values w."""
     if target is None:
         return None
