@@ -26,7 +26,7 @@ modelling.tails: tail equilibrium riccati
 modelling: problem transcription
 execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
-    boost_converter inverter building docking
+    boost_converter inverter building docking quadrotor
 cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree cut faces packing work
 policies: lookup guarantee evidence colors in_force picture file checks cut derived policy
     report

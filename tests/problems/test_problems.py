@@ -63,10 +63,12 @@ EXPECTED = {
         "outside": "error",
         "symbols": [[-5.0], [5.0]],
         "default": [0.0],
-        "horizon": 0.6,
+        "horizon": 0.1,
         "settings": SsacSettings(rule="steepest", steps=20),
         "partitions": (4, 4, 4, 4),
-        "max_level": 2,
+        "max_level": 1,
+        "leaves": "affine",
+        "tail": "riccati",
         "target": None,
     },
     "planar-quadrotor": {
@@ -77,11 +79,12 @@ EXPECTED = {
             [a * 9.81 / 2, b * 9.81 / 2] for a, b in itertools.product((0.5, 1.5), repeat=2)
         ],
         "default": [9.81 / 2, 9.81 / 2],
-        "horizon": 0.8,
+        "horizon": 0.15,
         "settings": SsacSettings(rule="steepest", steps=16),
         "partitions": (3,) * 6,
-        "max_level": 1,
+        "max_level": 0,
         "leaves": "affine",
+        "tail": "riccati",
         "target": Ball([0.0] * 6, 0.2),
     },
     "spacecraft": {
@@ -93,11 +96,12 @@ EXPECTED = {
             [0.0] * 3,
         ],
         "default": [0.0] * 3,
-        "horizon": 2.0,
+        "horizon": 1.2,
         "settings": SsacSettings(rule="steepest", control_weight=0.1, steps=16),
         "partitions": (3,) * 6,
-        "max_level": 1,
+        "max_level": 0,
         "leaves": "affine",
+        "tail": "riccati",
         "target": Ball([0.0] * 6, 0.05),
     },
     "double-pendulum": {
@@ -171,6 +175,23 @@ EXPECTED = {
         "leaves": "affine",
         "target": docking.has_arrived,
     },
+    "quadrotor": {
+        "bounds": (
+            [-2.0] * 6 + [-0.5] * 3 + [-2.0] * 3,
+            [2.0] * 6 + [0.5] * 3 + [2.0] * 3,
+        ),
+        "periodic": (False,) * 12,
+        "outside": "nearest",
+        "symbols": [[k * 9.81 / 4 for k in row] for row in itertools.product((0.5, 1.5), repeat=4)],
+        "default": [9.81 / 4] * 4,
+        "horizon": 0.2,
+        "settings": SsacSettings(rule="steepest", steps=8, sample_time=0.002),
+        "partitions": (1,) * 12,
+        "max_level": 0,
+        "leaves": "affine",
+        "tail": "riccati:2",
+        "target": Ball([0.0] * 3, 0.3, names=["x", "y", "z"]),
+    },
 }
 
 
@@ -184,6 +205,7 @@ def test_parameters(name):
     told = problem.exogenous
     assert {
         "leaves": problem.leaves,
+        "tail": problem.tail,
         "exogenous": told and dict(zip(told.names, zip(told.lower, told.upper))),
         "bounds": (problem.domain.lower.tolist(), problem.domain.upper.tolist()),
         "periodic": problem.domain.periodic,
@@ -195,15 +217,18 @@ def test_parameters(name):
         "partitions": problem.partitions,
         "max_level": problem.max_level,
         "target": problem.target,
-    } == {"leaves": "constant", "exogenous": None} | EXPECTED[name]
+    } == {"leaves": "constant", "tail": None, "exogenous": None} | EXPECTED[name]
     assert problem.name == name and problem.refinement == (2,) * problem.space.n
     assert problem.description and "\n" not in problem.description
     assert all(problem.space.units) and all(problem.space.names)
 
 
 def values(name, state, control):
-    """Return the rates, the running and the terminal cost of a built-in problem at a reading."""
-    functions = problems.get(name).functions()
+    """Return the rates, the running and the terminal cost of a built-in problem at a reading.
+
+    The terminal cost is that of the problem without a tail.
+    """
+    functions = problems.plain(name).functions()
     rates = np.array(functions["dynamics"](state, control)).ravel()
     costs = (float(functions[f"{kind}_cost"](state)) for kind in ("running", "terminal"))
     return rates, *costs
@@ -257,6 +282,55 @@ def test_quadrotor_is_the_model_of_problems_md():
     assert np.isclose(running, cost) and np.isclose(terminal, 5 * cost)
     hover = values("planar-quadrotor", np.zeros(6), [9.81 / 2, 9.81 / 2])[0]
     assert np.allclose(hover, 0.0)
+
+
+def test_the_quadrotor_in_space_is_the_one_in_the_plane_where_it_stays_in_one():
+    pitch, spin, (back, ahead) = 0.2, 0.7, (3.0, 2.0)  # x to the right is the plane's, mirrored
+    state = np.zeros(12)
+    state[[0, 2, 3, 5, 7, 10]] = 0.3, -0.4, 0.9, -0.5, pitch, spin
+    rates, running, terminal = values("quadrotor", state, [ahead, 1.5, back, 1.5])
+    lift = ahead + back + 3.0
+    expected = np.zeros(12)
+    expected[[0, 2, 7]] = 0.9, -0.5, spin
+    expected[[3, 5]] = lift * np.sin(pitch), lift * np.cos(pitch) - 9.81
+    expected[[10, 11]] = 0.25 * (back - ahead) / 0.01, 0.05 * (ahead + back - 3.0) / 0.02
+    assert np.allclose(rates, expected) and terminal == 0.0
+    weighed = 0.3**2 + 0.4**2 + 2 * pitch**2 + 0.3 * (0.9**2 + 0.5**2) + 0.2 * spin**2
+    assert np.isclose(running, weighed)
+
+
+def test_the_quadrotor_in_space_turns_as_a_rigid_body():
+    inertia = np.array([0.01, 0.01, 0.02])
+    angles, omega = np.array([[0.3, -0.2, 0.4], [0.5, -0.4, 0.2]])
+    thrusts = np.array([1.0, 2.0, 3.5, 2.5])
+    rates = values("quadrotor", [*np.zeros(6), *angles, *omega], thrusts)[0]
+
+    def rotation(roll, pitch, yaw):  # from the body to the world
+        turns = []
+        for angle, (i, j) in ((yaw, (0, 1)), (pitch, (2, 0)), (roll, (1, 2))):
+            turn = np.eye(3)
+            turn[i, i] = turn[j, j] = np.cos(angle)
+            turn[j, i] = np.sin(angle)
+            turn[i, j] = -np.sin(angle)
+            turns.append(turn)
+        return turns[0] @ turns[1] @ turns[2]
+
+    up = rotation(*angles)[:, 2]
+    assert np.allclose(rates[3:6], thrusts.sum() * up - [0, 0, 9.81])
+    step = 1e-6
+    ends = [rotation(*(angles + sign * step * rates[6:9])) for sign in (1, -1)]
+    spin = rotation(*angles).T @ (ends[0] - ends[1]) / (2 * step)  # [omega x]
+    assert np.allclose([spin[2, 1], spin[0, 2], spin[1, 0]], omega, atol=1e-8)
+    torque = [0.25 * (2.0 - 2.5), 0.25 * (3.5 - 1.0), 0.05 * (1.0 - 2.0 + 3.5 - 2.5)]
+    assert np.allclose(inertia * rates[9:], torque - np.cross(omega, inertia * omega))
+
+
+def test_plain_problems_have_no_tail_and_look_further():
+    for name in problems.names():
+        with_tail, plain = problems.get(name), problems.plain(name)
+        assert plain.tail is None and plain.switching is None
+        if name != "quadrotor":
+            assert (plain.horizon > with_tail.horizon) == (with_tail.tail is not None)
 
 
 def test_spacecraft_turns_as_its_attitude_says():

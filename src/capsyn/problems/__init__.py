@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 from collections.abc import Callable
+from typing import Any
 
 from capsyn.errors import ProblemError
 from capsyn.modelling.problem import Problem
@@ -22,7 +23,16 @@ _MAKERS = {
     "inverter": ("inverter", "inverter"),
     "building": ("building", "building"),
     "docking": ("docking", "docking"),
+    "quadrotor": ("quadrotor", "quadrotor"),
 }
+
+
+_GREEDY: dict[str, dict[str, Any]] = {
+    "cart-pole": {"tail": None, "horizon": 0.6, "leaves": "constant", "max_level": 2},
+    "spacecraft": {"tail": None, "horizon": 2.0, "max_level": 1},
+    "planar-quadrotor": {"tail": None, "horizon": 0.8, "max_level": 1},
+}
+"""What problems with a tail were before they had one."""
 
 
 def names() -> list[str]:
@@ -31,16 +41,16 @@ def names() -> list[str]:
 
 
 def plain(name: str) -> Problem:
-    """Return a built-in problem without its `Switching`, as the paper has them.
+    """Return a built-in problem without its `Switching` and its tail, as the paper would have it.
 
-    Its policy does not depend on the symbol in force.
+    Its policy does not depend on the symbol in force. Without a tail the horizon is longer.
 
     Raises
     ------
     ProblemError
         There is none of this name; the message suggests the nearest.
     """
-    return get(name).replace(switching=None)
+    return get(name).replace(switching=None, **{"tail": None, **_GREEDY.get(name, {})})
 
 
 def get(name: str) -> Problem:

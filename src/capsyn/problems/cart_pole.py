@@ -22,12 +22,12 @@ def dynamics(x: Any, u: Any) -> list[Any]:
 
 
 def cart_pole() -> Problem:
-    """Return the problem of a pole on a cart: quadratic running cost over 0.6 s.
+    """Return the problem of balancing a pole on a cart that stays where it is.
 
-    Its switching surface is nearly flat, which makes it a case for cells in four dimensions. As a
-    controller it looks too little ahead: of 1,000 starts within 5 % of the domain, 123 keep
-    ``|theta| <= 0.6`` for 10 s at 1 kHz. With ``horizon=1.5`` all 1,000 do, while the cart drifts,
-    at 4 switches a second; without a price on switching it is 967.
+    Its switching surface is nearly flat, a case for affine leaves: 5,461 solves. With the tail all
+    of 1,000 starts within 5 % of the domain keep ``|theta| <= 0.6`` for 10 s at 1 kHz, and the cart
+    ends within 0.2 m of its place; from 30 % of the domain 64 % do. Without a tail, of constant
+    leaves and a horizon of 0.6 s (`capsyn.problems.plain`), the pole falls in 92 % of the former.
     """
     return Problem(
         name="cart-pole",
@@ -40,11 +40,13 @@ def cart_pole() -> Problem:
         ),
         alphabet=Alphabet([-5.0, 5.0], inputs=["acceleration"], units=["m/s^2"]),
         default=0.0,
-        horizon=0.6,
+        horizon=0.1,
         running_cost=lambda x: x[0] ** 2 + 0.5 * x[1] ** 2 + 10 * x[2] ** 2 + x[3] ** 2,
+        tail="riccati",
         settings=SsacSettings(rule="steepest", steps=20),
         switching=Switching(price="1%"),
         partitions=4,
-        max_level=2,
-        description="pole on a cart by two accelerations; balances with a horizon of 1.5 s",
+        max_level=1,
+        leaves="affine",
+        description="balancing a pole on a cart, and holding its place, by two accelerations",
     )

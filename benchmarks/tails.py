@@ -1,0 +1,141 @@
+"""What a tail brings: closed loops of problems with one and of the same without."""
+
+import json
+import time
+
+import numpy as np
+
+import capsyn
+from capsyn import problems
+from capsyn.problems import docking
+from capsyn.statistics import clopper_pearson
+
+COUNT, CHUNK = 1000, 50
+rows = []
+
+
+def row(what, value, unit="", wanted=""):
+    rows.append({"what": what, "value": float(value), "unit": unit, "wanted": wanted})
+
+
+def judged(what, good, wanted=""):
+    """Add rows of a success rate and of the lower end of its 95 % interval."""
+    row(f"{what}: success", 100 * good.mean(), "%", wanted)
+    low, _ = clopper_pearson(int(good.sum()), len(good), 0.95)
+    row(f"{what}: success is at least, with 95 % confidence", 100 * low, "%")
+
+
+def starts(problem, share=1.0, seed=20):
+    """Return random states of the domain, shrunk to shares of it."""
+    middle = (problem.domain.lower + problem.domain.upper) / 2
+    return middle + (problem.domain.sample(COUNT, seed) - middle) * share
+
+
+def loops(policy, states, duration, rate, judge):
+    """Return what a judge says of trajectories (good, figure), over all starts."""
+    parts = [
+        judge(capsyn.simulate(policy, part, duration, rate=rate))
+        for part in np.array_split(states, len(states) // CHUNK)
+    ]
+    return [np.concatenate(values) for values in zip(*parts)]
+
+
+def near(axes, radius, first):
+    """Return a judge: within a radius of the origin from a sample on; cost."""
+
+    def judge(run):
+        off = np.linalg.norm(run.states[:, first:, :axes], axis=-1)
+        return (off <= radius).all(axis=1), run.costs[:, -1]
+
+    return judge
+
+
+def upright(run):
+    """Judge whether a pole never fell; cost."""
+    return (np.abs(run.states[:, :, 2]) <= 0.6).all(axis=1), run.costs[:, -1]
+
+
+def nine_symbols():
+    """Return the docking of a satellite, one thruster at a time or none."""
+    problem = problems.get("docking")
+    flags = [np.eye(8, dtype=int)[k] for k in range(8)]
+
+    def cost(x):
+        place, speed = x[0] ** 2 + x[1] ** 2, x[3] ** 2 + x[4] ** 2
+        return place + 1.2 * (1 - np.cos(x[2])) + 12.3 * speed + 5.9 * x[5] ** 2
+
+    return capsyn.Problem(
+        name="docking-9",
+        dynamics=lambda x, u: docking.dynamics(x, u, None),
+        domain=problem.domain,
+        alphabet=[[0] * 8, *flags],
+        default=[0] * 8,
+        horizon=5.0,
+        running_cost=cost,
+        outside="nearest",
+        settings=capsyn.SsacSettings(rule="steepest", control_weight=0.4, sample_time=0.1),
+        partitions=4,
+        max_level=1,
+        leaves="affine",
+    )
+
+
+def docked(run):
+    """Judge whether a satellite arrived within a minute; fuel until then [N s]."""
+    place, speed = (np.linalg.norm(run.states[..., k : k + 2], axis=-1) for k in (0, 3))
+    turned = 1 - np.cos(run.states[..., 2])
+    there = (place < 0.05) & (turned < 0.004) & (speed < 0.03) & (abs(run.states[..., 5]) < 0.05)
+    before = np.cumsum(there, axis=1)[:, :-1] == 0
+    return there.any(axis=1), docking.THRUST * 0.1 * (run.controls.sum(axis=-1) * before).sum(
+        axis=1
+    )
+
+
+if __name__ == "__main__":
+    for tail, make in (("with", problems.get), ("without", problems.plain)):
+        policy = capsyn.synthesize(make("planar-quadrotor"))
+        good, cost = loops(policy, starts(policy), 20, 1000, near(6, 0.2, 10_000))
+        what = f"planar quadrotor {tail} a tail, within 0.2 of the origin from 10 to 20 s"
+        judged(what, good, ">= 99" if tail == "with" else "")
+        row(f"{what}: mean cost", cost.mean(), "", "<= 6.5" if tail == "with" else "")
+        policy = capsyn.synthesize(make("cart-pole"))
+        good, cost = loops(policy, starts(policy, 0.05), 10, 1000, upright)
+        what = f"cart-pole {tail} a tail, starts within 5 % of the domain, up for 10 s"
+        judged(what, good, ">= 99" if tail == "with" else "")
+        row(f"{what}: mean cost", cost.mean())
+
+    plain = nine_symbols()
+    for tail, problem in (
+        ("with", plain.replace(tail="riccati", horizon=None)),
+        ("without", plain),
+    ):
+        policy = capsyn.synthesize(problem, max_solves=60_000)
+        share = [0.9, 0.9, 0.9, 0.2, 0.2, 0.2]
+        good, fuel = loops(policy, starts(policy, share), 60, 10, docked)
+        what = f"docking with 9 symbols {tail} a tail, arrived within 60 s"
+        judged(what, good, ">= 99" if tail == "with" else "")
+        row(f"{what}: mean fuel", fuel.mean(), "N s", "<= 2.8" if tail == "with" else "")
+
+    problem = problems.get("quadrotor")
+    choices = {
+        "one cell": {},
+        "adaptive": {
+            "max_level": 4,
+            "refine": "adaptive",
+            "test_points": "center+faces",
+            "max_solves": 10_000,
+        },
+    }
+    for how, options in choices.items():
+        capsyn.synthesize(problem, **options)  # compiles
+        started = time.perf_counter()
+        policy = capsyn.synthesize(problem, **options)
+        row(f"quadrotor, 12 states, {how}: time", time.perf_counter() - started, "s", "<= 1")
+        row(f"quadrotor, {how}: solves", policy.statistics["solves"], "", "<= 30000")
+        row(f"quadrotor, {how}: cells", policy.cells.leaf_count)
+        for share in (0.3, 0.6, 1.0):
+            good, _ = loops(policy, starts(policy, share), 8, 500, near(3, 0.3, 3000))
+            what = f"quadrotor, {how}, starts from {share:g} of the domain, within 0.3 m from 6 s"
+            judged(what, good, ">= 99" if share <= 0.6 else "")
+
+    print(json.dumps(rows))
