@@ -115,7 +115,7 @@ def test_names_that_the_language_keeps():
     plan = Plan.of(policy)
     text = source(plan).decode("ascii")
     assert "FUNCTION_BLOCK Function_Block_2" in text
-    for reading in ("SYMBOL_2", "Var_2", "x0", "Z1_2", "unit", "n9_9", "Status_2", "a" * 32):
+    for reading in ("SYMBOL_2", "Var_2", "x0", "Z1", "unit", "n9_9", "Status_2", "a" * 32):
         assert re.search(rf"^    {reading} : LREAL;", text, re.M), reading
     assert "Renamed: 'SYMBOL' is SYMBOL_2" in text
     for style in STYLES:

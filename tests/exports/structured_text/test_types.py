@@ -18,7 +18,14 @@ pytest.importorskip(
 )
 from support.exports.mutants import CONVERSION, mutants, unmarked  # noqa: E402
 from support.exports.siemens import NoScl, to_iec  # noqa: E402
-from support.exports.structured_text import RESERVED, Program, Refused, source  # noqa: E402
+from support.exports.structured_text import (  # noqa: E402
+    RESERVED,
+    Program,
+    Refused,
+    check,
+    program,
+    source,
+)
 
 COUNTED = {"scale": [6.5 / 4096, -0.001], "offset": [0, 0.1]}
 NUMBERS = list(itertools.product(("LREAL", "REAL"), ("real", "INT", "DINT")))
@@ -84,6 +91,30 @@ def test_a_block_has_no_name_of_its_variables(style):
         Program(source(Plan.of(policy, dwell=0.3), style=style, name=name))
     for name in ("entries", "row", "most", "within"):
         Program(source(Plan.of(policy, dwell=0.3), style=style, name=name))
+
+
+@pytest.mark.parametrize("dialect", ["iec", "siemens"])
+@pytest.mark.parametrize("style", ["nested", "table", "cells"])
+@pytest.mark.parametrize(
+    "names", ["Wanted value i", "z0 wanted node", "first z1 axis", "last splits wanted"]
+)
+def test_variables_give_way_to_names_of_users(style, names, dialect):
+    policy = random_affine_policy(3) if style == "cells" else mixed()
+    *axes, control = names.split()
+    inputs = [control, *policy.alphabet.inputs[1:]]
+    changed = dataclasses.replace(
+        policy,
+        domain=dataclasses.replace(policy.domain, names=axes),
+        alphabet=dataclasses.replace(policy.alphabet, inputs=inputs),
+    )
+    plan = Plan.of(changed, dwell=0.3)
+    options = {"style": style, "dialect": dialect}
+    made = program(plan, **options)
+    assert [name for name, _ in made.interface()[:2]] == [name.lower() for name in axes]
+    assert made.block.outputs[2] == control
+    text = source(plan, **options).decode()
+    assert not any(f"Renamed: '{name}'" in text for name in names.split())
+    assert check(plan, **options) == check(Plan.of(policy, dwell=0.3), **options)
 
 
 @pytest.mark.parametrize("style", ["nested", "table"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,8 @@ class Block:
     counts become steps, there are none where readings are real numbers. `readings` (n) become
     `states` (n), which where they are the same have the same name, and these `steps` (n) by the
     functions that it `calls`. `renamed` are names that are no identifiers, and what they became.
+    Where readings or controls are called as variables of its own, `yielding` says what becomes of
+    both names: these give way.
     """
 
     plan: Plan
@@ -57,6 +60,7 @@ class Block:
     controls: tuple[str, ...]
     calls: dict[str, str]
     renamed: dict[str, str]
+    yielding: dict[str, str]
 
     @staticmethod
     def of(plan: Plan, style: str, real_kind: str, readings: str, name: str | None) -> Block:
@@ -68,12 +72,13 @@ class Block:
             tree, numbers = ranked_tree(tree)
         wanted = wanted_name(name, plan.policy.name)
         n, steps = plan.n, [f"z{i}" for i in range(plan.n)]
-        kept = {*KEYWORDS, *FIXED, *LOCAL, *steps, *(f"faces{i}" for i in range(n))}
-        kept |= {*cells_text.LOCAL, *cells_text.TABLES} if isinstance(tree, CellTree) else set()
+        local = {*LOCAL, *steps, *(f"faces{i}" for i in range(n))}
+        local |= {*cells_text.LOCAL, *cells_text.TABLES} if isinstance(tree, CellTree) else set()
         parts = ["wrap", "step", "tree"]
         if plan.has_state:
-            kept |= {*REMEMBERED, *(f"rest{i}" for i in range(plan.policy.alphabet.m))}
+            local |= {*REMEMBERED, *(f"rest{i}" for i in range(plan.policy.alphabet.m))}
             parts += ["row", "next"]
+        kept = {*KEYWORDS, *FIXED, *local}
         (block,) = identifiers([wanted[:LONGEST_NAME]], kept, fold=True)
         calls = {part: f"{block}_{part}" for part in parts}
         kept |= {block, *calls.values()}
@@ -82,7 +87,9 @@ class Block:
         names = [*plan.policy.space.names, *plan.policy.alphabet.inputs]
         chosen = identifiers([text[:LONGEST_NAME] for text in names], kept, fold=True)
         states = identifiers([f"state_{i}" for i in range(n)], {*kept, *chosen}, fold=True)
-        new_names = renamed([wanted, *names], [block, *chosen])
+        yielding = _yielding([text[:LONGEST_NAME] for text in names], chosen, local)
+        shown = [yielding.get(text, text) for text in chosen]
+        new_names = renamed([wanted, *names], [block, *shown])
         table, reading = style == "cells" or (style == "table" and tree.depth > 0), readings
         if axes:
             same = [reading == "DINT" and not (axis.falling or axis.turn) for axis in axes]
@@ -92,7 +99,7 @@ class Block:
         states = tuple(r if is_same else s for s, r, is_same in zip(states, chosen, same))
         return Block(
             plan, table, real_kind, reading, tree, numbers, axes, block, chosen[:n], states, steps,
-            chosen[n:], calls, new_names,
+            chosen[n:], calls, new_names, yielding,
         )  # fmt: skip
 
     @property
@@ -124,6 +131,16 @@ class Block:
     def literal(self, value: float) -> str:
         """Return a literal of the type of numbers."""
         return real(value, self.real)
+
+
+def _yielding(names: Sequence[str], chosen: Sequence[str], local: set[str]) -> dict[str, str]:
+    """Return what becomes of identifiers where names are those of local variables, and of these."""
+    swaps: dict[str, str] = {}
+    for plain, new in zip((identifiers([name])[0] for name in names), chosen):
+        word = plain.lower()
+        if new != plain and word in local and word not in KEYWORDS and word not in swaps:
+            swaps |= {new: plain, word: new.lower()}
+    return swaps
 
 
 def _raw(plan: Plan, i: int) -> bool:

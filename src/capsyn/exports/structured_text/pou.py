@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -9,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.exports.structured_text.lines import comment, plain
-from capsyn.exports.text import WIDTH
+from capsyn.exports.text import WIDTH, broken
 
 SHORT = 32767
 """Largest INT; tables with larger numbers are of DINT, which is twice the size."""
@@ -50,6 +52,24 @@ class Pou:
     def word(self) -> str:
         """What declares it."""
         return "FUNCTION" if self.result else "FUNCTION_BLOCK"
+
+
+def renamed_unit(pou: Pou, names: Mapping[str, str]) -> Pou:
+    """Return a unit whose variables have other names, each in the place of its own."""
+    if not names:
+        return pou
+    told = [
+        tuple(dataclasses.replace(v, name=names.get(v.name, v.name)) for v in variables)
+        for variables in (pou.inputs, pou.outputs, pou.inner)
+    ]
+    body = "\n".join(pou.body)
+    lines = _NAME.sub(lambda found: names.get(found[0], found[0]), body).splitlines()
+    parts = (part for line in lines for part in ([line] if len(line) <= WIDTH else broken(line)))
+    return Pou(pou.name, pou.result, pou.about, *told, tuple(parts))
+
+
+_NAME = re.compile(r"\(\*.*?\*\)|(?<![\w.#])[A-Za-z_]\w*", re.DOTALL)
+"""A comment, which is kept as it is, or a name."""
 
 
 def table(name: str, values: np.ndarray) -> Variable:

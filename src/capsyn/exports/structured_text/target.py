@@ -25,7 +25,7 @@ from capsyn.exports.structured_text.dialects.siemens import scl
 from capsyn.exports.structured_text.functions import functions
 from capsyn.exports.structured_text.lines import comment
 from capsyn.exports.structured_text.memory import row_function
-from capsyn.exports.structured_text.pou import text
+from capsyn.exports.structured_text.pou import renamed_unit, text
 from capsyn.exports.structured_text.source import block_unit, next_units, notes
 from capsyn.exports.structured_text.steps import tables
 from capsyn.exports.target import Exported, Target
@@ -192,6 +192,7 @@ def _files(block: Block, options: Options, header: list[str]) -> Files:
     siemens = options.dialect == "siemens"
     units = [*functions(block), *row_function(block), *next_units(block)]
     units.append(block_unit(block, siemens))
+    units = [renamed_unit(unit, block.yielding) for unit in units]
     names = [unit.name for unit in units]
     lines: list[str] = [] if siemens else list(comment(header))
     for unit in units:
