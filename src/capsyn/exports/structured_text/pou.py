@@ -58,14 +58,20 @@ def renamed_unit(pou: Pou, names: Mapping[str, str]) -> Pou:
     """Return a unit whose variables have other names, each in the place of its own."""
     if not names:
         return pou
-    told = [
-        tuple(dataclasses.replace(v, name=names.get(v.name, v.name)) for v in variables)
-        for variables in (pou.inputs, pou.outputs, pou.inner)
-    ]
+
+    def told(variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
+        return tuple(dataclasses.replace(v, name=names.get(v.name, v.name)) for v in variables)
+
     body = "\n".join(pou.body)
     lines = _NAME.sub(lambda found: names.get(found[0], found[0]), body).splitlines()
     parts = (part for line in lines for part in ([line] if len(line) <= WIDTH else broken(line)))
-    return Pou(pou.name, pou.result, pou.about, *told, tuple(parts))
+    return dataclasses.replace(
+        pou,
+        inputs=told(pou.inputs),
+        outputs=told(pou.outputs),
+        inner=told(pou.inner),
+        body=tuple(parts),
+    )
 
 
 _NAME = re.compile(r"\(\*.*?\*\)|(?<![\w.#])[A-Za-z_]\w*", re.DOTALL)
