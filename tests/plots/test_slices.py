@@ -1,13 +1,17 @@
 """Pictures of policies that are told exogenous inputs: slices through their values."""
 
+import dataclasses
+
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from capsyn import Box, compress
 from capsyn.errors import ProblemError
+from capsyn.plots.figure import new_figure
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.colors import PALETTE
 from support.relays import relay
@@ -71,6 +75,16 @@ def test_one_state_is_drawn_against_the_first_exogenous_input():
     ax = plot_policy(policy_of(Box([-1.0], [1.0])), ax=Figure().add_subplot())
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x1", "setpoint [degC]")
     assert ax.get_title() == "relay at outdoor = 5"
+
+
+def test_a_long_title_is_wrapped_into_the_picture(policy):
+    figure = new_figure(7.0, 4.5)
+    named = dataclasses.replace(policy, name="a relay of a long name " * 5)
+    title = plot_policy(named, ax=figure.add_subplot()).title
+    FigureCanvasAgg(figure).draw()
+    extent = title.get_window_extent()
+    assert len(title.get_text()) > 120
+    assert extent.x0 >= 0 and extent.x1 <= figure.bbox.width
 
 
 def test_oblique_splits_are_drawn_at_the_exogenous_inputs(policy):

@@ -101,7 +101,7 @@ def plot_policy(
     title = policy.title + (f" at {where}" if where else "")
     if policy.remembers:
         title += f", {_name(policy, now)} in force"
-    ax.set_title(literal(title))
+    ax.set_title(literal(title), wrap=True)
     return ax
 
 
