@@ -98,6 +98,11 @@ if __name__ == "__main__":
         what = f"planar quadrotor {tail} a tail, within 0.2 of the origin from 10 to 20 s"
         judged(what, good, ">= 99" if tail == "with" else "")
         row(f"{what}: mean cost", cost.mean(), "", "<= 6.5" if tail == "with" else "")
+        policy = capsyn.synthesize(make("spacecraft"))
+        good, cost = loops(policy, starts(policy), 40, 100, near(6, 0.05, 3000))
+        what = f"spacecraft {tail} a tail, within 0.05 of rest from 30 to 40 s"
+        judged(what, good, ">= 99" if tail == "with" else "")
+        row(f"{what}: mean cost", cost.mean())
         policy = capsyn.synthesize(make("cart-pole"))
         good, cost = loops(policy, starts(policy, 0.05), 10, 1000, upright)
         what = f"cart-pole {tail} a tail, starts within 5 % of the domain, up for 10 s"
