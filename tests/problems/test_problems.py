@@ -131,7 +131,7 @@ EXPECTED = {
         "target": Box([3.5, 39.0], [4.5, 41.0], names=["current", "voltage"]),
     },
     "inverter": {
-        "bounds": ([-3.0, -3.0, 0.0], [3.0, 3.0, 2 * np.pi]),
+        "bounds": ([-20.0, -20.0, 0.0], [20.0, 20.0, 2 * np.pi]),
         "periodic": (False, False, True),
         "exogenous": {"speed": (0.0, 400.0), "current": (-15.0, 15.0)},
         "outside": "nearest",
@@ -139,7 +139,7 @@ EXPECTED = {
         "default": [0.0, 0.0],
         "horizon": 50e-6,
         "settings": SsacSettings(rule="steepest", control_weight=0.5, steps=1, sample_time=50e-6),
-        "partitions": (1, 1, 12, 2, 2),
+        "partitions": (1, 1, 60, 1, 4),
         "max_level": 0,
         "leaves": "affine",
         "target": None,
@@ -387,9 +387,9 @@ def test_inverter_keeps_a_current_on_its_reference():
     axis = np.array([-np.sin(angle), np.cos(angle)])
     turned = -np.array([np.cos(angle), np.sin(angle)])
     needed = 10e-3 * speed * size * turned + 0.5 * size * axis + 0.4 * speed * axis
-    reading = [*error, angle, speed, size]
+    reading = [*(size * axis + error), angle, speed, size]
     rates, running, terminal = values("inverter", reading, needed)
-    assert np.allclose(rates, [*(-0.5 / 10e-3 * error), speed, 0, 0])
+    assert np.allclose(rates, [*(speed * size * turned - 0.5 / 10e-3 * error), speed, 0, 0])
     assert running == 0.0 and np.isclose(terminal, error @ error)
     legs = inverter.COMMUTATIONS
     assert legs[0].tolist() == [0, 1, 2, 1, 2, 1, 2, 3] and (legs == legs.T).all()
