@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from capsyn.modelling.problem import Problem as Problem
     from capsyn.modelling.settings import SsacSettings as SsacSettings
     from capsyn.modelling.switching import Switching as Switching
-    from capsyn.optima.optimum import optimum as optimum
     from capsyn.modelling.tails.riccati import riccati_tail as riccati_tail
     from capsyn.modelling.tails.tail import Tail as Tail
+    from capsyn.optima.optimum import optimum as optimum
     from capsyn.policies.policy import DecisionTree as DecisionTree
     from capsyn.policies.policy import Policy as Policy
     from capsyn.simulation.simulate import Trajectory as Trajectory

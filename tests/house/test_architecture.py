@@ -47,7 +47,7 @@ compression: rows optimal induction freedom coarsening affine_tree
 compression.fitted: surface plane_tree oblique
 compression.features: growing space cell_fit controller_fit
 compression: proof judge compress curve complexity
-plots: figure policy trajectory automaton curve switching
+plots: figure policy trajectory automaton curve switching optimum
 exports: crossings text plan constants golden sequence target certificate identifiers
     feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
@@ -64,7 +64,9 @@ exports: python_module dot export
 explorer: packed memory_data policy_data program_javascript expression formulas facts page_data
     explore
 paper: cases figures pendulum tanks reproduction
-cli: options console printed problem_finder loop paper evidence compression export look
+cli: options console printed problem_finder loop
+cli.better: optimum
+cli: paper evidence compression export look
     import_table doctor
 cli.better: improve
 cli: app

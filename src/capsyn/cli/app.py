@@ -113,6 +113,21 @@ class ProblemOptions:
     partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
     refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
     leaves: str | None = option("constant, or affine for far fewer solves.")
+    source: str = option(
+        "Whose symbols: those of sSAC, or the best for closed loops of time T [default: 10 "
+        "horizons], of at most three states.",
+        default="ssac",
+        metavar="ssac|optimum[:T]",
+    )
+
+    def grid(self) -> dict[str, Any]:
+        """Return the arguments of `capsyn.synthesize` for the grid; None: the problem's own."""
+        return {
+            "partitions": whole_number_list("--partitions", self.partitions),
+            "refinement": whole_number_list("--refinement", self.refinement),
+            "max_level": self.max_level,
+            "leaves": self.leaves,
+        }
 
 
 @dataclass(frozen=True)
@@ -189,36 +204,36 @@ def synth(
     as_json: Json = False,
 ) -> None:
     """Make the control alphabet policy of a problem."""
+    from capsyn.cli.better.optimum import optimal_policy
     from capsyn.policies.report import report
     from capsyn.synthesis.synthesize import synthesize
     from capsyn.verification.switching_curve import chatter_hint
 
     chosen, path = _chosen_problem(problem, changes)
     chosen = chosen.replace(switching=switching.of(chosen))
-    with (
-        executor(dask) as client,
-        progress_bars() as progress,
-        notes("capsyn.execution.checkpoint"),
-    ):
-        policy = synthesize(
-            chosen,
-            partitions=whole_number_list("--partitions", changes.partitions),
-            refinement=whole_number_list("--refinement", changes.refinement),
-            max_level=changes.max_level,
-            leaves=changes.leaves,
-            settings=settings.of(chosen.settings),
-            outside=outside,
-            min_dwell=min_dwell,
-            outside_at_once=outside_at_once,
-            delay=switching.delay,
-            **vars(subdivision),
-            executor=client,
-            checkpoint=checkpoint,
-            progress=progress,
-        )
+    own, options = settings.of(chosen.settings), changes.grid() | vars(subdivision)
+    rules: dict[str, Any] = {
+        "outside": outside,
+        "min_dwell": min_dwell,
+        "outside_at_once": outside_at_once,
+        "delay": switching.delay,
+    }
+    if changes.source != "ssac":
+        unused = {"settings of sSAC": own, "--dask": dask, "--checkpoint": checkpoint}
+        policy = optimal_policy(chosen, changes.source, options, rules, unused)
+        hint = None
+    else:
+        with (
+            executor(dask) as client,
+            progress_bars() as progress,
+            notes("capsyn.execution.checkpoint"),
+        ):
+            more = options | rules | {"executor": client, "checkpoint": checkpoint}
+            policy = synthesize(chosen, settings=own, progress=progress, **more)
+        hint = chatter_hint(policy, subdivision.threads)
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
-    if (hint := chatter_hint(policy, subdivision.threads)) is not None:
+    if hint is not None:
         data["hints"] = [*data["hints"], hint]
     end = f"wrote {path} in {sum(policy.timings.values()):.2f} s"
     show(as_json, data, lambda: print_report(data), end)

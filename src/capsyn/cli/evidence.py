@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from capsyn.cli.better.optimum import compare_with_optimum, print_optimum
 from capsyn.cli.console import print_table, show, working
 from capsyn.cli.loop import LoopTexts, controller_of, loop_options, tracked
 from capsyn.cli.options import (
@@ -61,10 +62,36 @@ class VerifyOptions(LoopTexts):
     agreement: int | None = option(
         "Random states to compare with sSAC.", metavar="N", before="seed"
     )
+    optimum: int | None = option(
+        "Closed loops to compare with the best that the symbols allow; --duration is 10 horizons "
+        "unless told.",
+        metavar="N",
+        before="seed",
+    )
+    counts: str | None = option(
+        "Intervals of the optimum's grid [default: 400 in two dimensions].",
+        metavar="C[,C..]",
+        before="seed",
+    )
+    memory: str | None = option(
+        "Most that the grid may take, as 2GB [default: half of what is available].",
+        metavar="BYTES",
+        before="seed",
+    )
+    output: str | None = option(
+        "Picture of where the policy costs more than the optimum: a .png, .svg or .pdf file.",
+        "--output",
+        "-o",
+        metavar="FILE",
+        before="seed",
+    )
     confidence: float = option("Of the intervals.", default=0.95, before="seed")
     require_success: float | None = option("Least share of successes.", before="seed")
     require_proved: float | None = option("Least share proved.", before="seed")
     require_agreement: float | None = option("Least agreement.", before="seed")
+    require_optimality: float | None = option(
+        "Least share of the cost that the optimum has.", before="seed"
+    )
     save: bool = option("Keep the evidence in the file.", "--save", default=False, before="seed")
     dask: Dask = None
 
@@ -177,6 +204,15 @@ KINDS = (
         _compare,
         lambda data, sentence, *_: print_agreement(data, sentence),
     ),
+    Kind(
+        "optimum",
+        "require_optimality",
+        "optimality",
+        tuple("rate initial duration outside exogenous counts memory output".split()),
+        "looking for the optimum",
+        compare_with_optimum,
+        print_optimum,
+    ),
 )
 """All kinds of evidence, in the order in which they are looked for and printed."""
 
@@ -253,11 +289,12 @@ def _check_requirements(options: VerifyOptions) -> None:
 
 
 def _check_owners(options: VerifyOptions) -> None:
-    """Raise `ProblemError` where an option is of a kind that is not asked for."""
-    for kind in KINDS:
-        for name in kind.own:
-            if getattr(options, kind.name) is None and getattr(options, name):
-                raise ProblemError(f"{_option(name)} needs {_option(kind.name)}")
+    """Raise `ProblemError` where an option is of kinds none of which is asked for."""
+    for name in dict.fromkeys(name for kind in KINDS for name in kind.own):
+        owners = [kind.name for kind in KINDS if name in kind.own]
+        if getattr(options, name) and all(getattr(options, owner) is None for owner in owners):
+            needed = " or ".join(map(_option, owners))
+            raise ProblemError(f"{_option(name)} needs {needed}")
 
 
 def _missed(options: VerifyOptions, evidence: dict[str, Any]) -> list[str]:

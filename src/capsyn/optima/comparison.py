@@ -72,8 +72,8 @@ class OptimumComparison:
 
         return {
             "ratio": number(self.ratio),
-            "low": number(self.low),
-            "high": number(self.high),
+            "ratio_low": number(self.low),
+            "ratio_high": number(self.high),
             "confidence": self.confidence,
             "optimality": self.optimality,
             "starts": len(self.starts),

@@ -100,44 +100,65 @@ static void locate(const lattice *g, const lanes_of_states x, int32_t *restrict 
     }
 }
 
-/* What every symbol leads to over a sample: at (blocks, symbols, LANES), weights (blocks, symbols,
- * AXES, LANES) and costs (blocks, symbols, LANES) of states (count, AXES). */
+/* Whether each state of a block is in the target. */
+static void arrived(const lanes_of_states x, int out[LANES])
+{
+    _Alignas(64) double condition[1][LANES];
+    inside(x, condition);
+    for (int lane = 0; lane < LANES; ++lane)
+        out[lane] = condition[0][lane] != 0 && isfinite(condition[0][lane]);
+}
+
+/* What every symbol leads to over a sample from a block of states: at (symbols, LANES), weights
+ * (symbols, AXES, LANES) and costs (symbols, LANES). */
+static void lead(const lattice *g, const lanes_of_states first, int32_t *restrict at,
+                 float *restrict weights, float *restrict costs)
+{
+    _Alignas(64) lanes_of_states x;
+    _Alignas(64) double u[INPUTS][LANES];
+    _Alignas(64) lanes total;
+    int begun[LANES], ended[LANES];
+    arrived(first, begun);
+    for (int64_t s = 0; s < g->symbols; ++s) {
+        for (int i = 0; i < AXES; ++i)
+            EACH_LANE {
+                x[i][lane] = first[i][lane];
+            }
+        for (int i = 0; i < INPUTS; ++i)
+            EACH_LANE {
+                u[i][lane] = g->controls[s * INPUTS + i];
+            }
+        advance(g, x, u, total);
+        locate(g, x, at, (float (*)[LANES])weights);
+        arrived(x, ended);
+        const double effort = g->efforts[s] * (g->step * (double)g->steps);
+        for (int lane = 0; lane < LANES; ++lane) {
+            int finite = isfinite(total[lane]);
+            for (int i = 0; i < AXES; ++i)
+                finite &= isfinite(x[i][lane]) != 0;
+            const double cost = total[lane] + effort;
+            if (begun[lane] || ended[lane])
+                at[lane] = (int32_t)g->nothing;
+            costs[lane] = begun[lane] ? 0.0f
+                : finite && cost < HUGE_COST ? (float)cost : (float)HUGE_COST;
+        }
+        at += LANES;
+        weights += AXES * LANES;
+        costs += LANES;
+    }
+}
+
+/* What every symbol leads to: the same of states (count, AXES), block by block. */
 void capsyn_successors(const int64_t count, const double *restrict states, const lattice *g,
                        int32_t *restrict at, float *restrict weights, float *restrict costs)
 {
-    _Alignas(64) lanes_of_states first, x;
-    _Alignas(64) double u[INPUTS][LANES], there[1][LANES], here[1][LANES];
-    _Alignas(64) lanes total;
+    _Alignas(64) lanes_of_states first;
     for (int64_t start = 0; start < count; start += LANES) {
         load_block(count, states, start, first);
-        inside(first, here);
-        for (int64_t s = 0; s < g->symbols; ++s) {
-            for (int i = 0; i < AXES; ++i)
-                EACH_LANE {
-                    x[i][lane] = first[i][lane];
-                }
-            for (int i = 0; i < INPUTS; ++i)
-                EACH_LANE {
-                    u[i][lane] = g->controls[s * INPUTS + i];
-                }
-            advance(g, x, u, total);
-            locate(g, x, at, (float (*)[LANES])weights);
-            inside(x, there);
-            const double effort = g->efforts[s] * (g->step * (double)g->steps);
-            for (int lane = 0; lane < LANES; ++lane) {
-                int finite = isfinite(total[lane]);
-                for (int i = 0; i < AXES; ++i)
-                    finite &= isfinite(x[i][lane]) != 0;
-                const double cost = total[lane] + effort;
-                const int begun = here[0][lane] != 0 && isfinite(here[0][lane]);
-                if (begun || (there[0][lane] != 0 && isfinite(there[0][lane])))
-                    at[lane] = (int32_t)g->nothing;
-                costs[lane] = begun ? 0.0f : finite && cost < HUGE_COST ? (float)cost : (float)HUGE_COST;
-            }
-            at += LANES;
-            weights += AXES * LANES;
-            costs += LANES;
-        }
+        lead(g, first, at, weights, costs);
+        at += g->symbols * LANES;
+        weights += g->symbols * AXES * LANES;
+        costs += g->symbols * LANES;
     }
 }
 
@@ -268,4 +289,122 @@ void capsyn_sweep(const int64_t first, const int64_t last, const table *t,
         change[0] = low[lane] < change[0] ? low[lane] : change[0];
         change[1] = high[lane] > change[1] ? high[lane] : change[1];
     }
+}
+
+typedef struct {
+    int64_t samples;
+    const double *lower, *upper;     /* (AXES): of the grid, infinite on periodic axes */
+    const double *switches;          /* (symbols + 1, symbols), from the default last */
+    const int64_t *tops, *entries;   /* (symbols): rows of values, see `Task` */
+    int64_t remembers;
+    double tie;
+} journey;
+
+/* The best symbol of a lane by what going on costs: of ties that in force, else the lowest. */
+static int64_t chosen(const lattice *g, const journey *j, const double *stays, const double *entered,
+                      const int64_t now, const int lane)
+{
+    const double *prices = j->switches + (now < 0 ? g->symbols : now) * g->symbols;
+    double least = INFINITY, own = INFINITY;
+    int64_t best = 0;
+    for (int64_t s = 0; s < g->symbols; ++s) {
+        const double *from = s == now ? stays : entered;
+        const double sum = from[s * LANES + lane];
+        const double cost = sum < HUGE_COST ? sum + (s == now ? 0 : prices[s]) : INFINITY;
+        if (cost < least) {
+            least = cost;
+            best = s;
+        }
+        if (s == now)
+            own = cost;
+    }
+    return j->remembers && now >= 0 && own <= least + j->tie * fabs(least) ? now : best;
+}
+
+/* Closed loops of the best symbols from states (count, AXES): costs and switches (count), and how
+ * far they went beyond the lower and upper faces (2, count, AXES). Returns 0 without memory. */
+int capsyn_loops(const int64_t count, const double *restrict states, const lattice *g,
+                 const table *told, const journey *j, const double *restrict values,
+                 double *restrict costs, int64_t *restrict switches, double *restrict out)
+{
+    const int64_t symbols = g->symbols;
+    _Alignas(64) lanes_of_states x;
+    _Alignas(64) double u[INPUTS][LANES];
+    _Alignas(64) lanes total;
+    int over[LANES];
+    const size_t each = (size_t)symbols * LANES;
+    int32_t *at = malloc(each * sizeof *at);
+    float *weights = malloc(each * (AXES + 1) * sizeof *weights);
+    double *stays = malloc(2 * each * sizeof *stays);
+    if (!at || !weights || !stays) {
+        free(at), free(weights), free(stays);
+        return 0;
+    }
+    float *own = weights + AXES * each;
+    double *entered = stays + each;
+    table t = *told;
+    t.at = at, t.weights = weights, t.costs = own;
+    for (int64_t start = 0; start < count; start += LANES) {
+        const int used = load_block(count, states, start, x);
+        int64_t now[LANES], rest[LANES];
+        int live[LANES];
+        for (int lane = 0; lane < LANES; ++lane) {
+            now[lane] = -1;
+            rest[lane] = 0;
+            live[lane] = lane < used;
+        }
+        for (int64_t k = 0; k < j->samples; ++k) {
+            int running = 0;
+            arrived(x, over);
+            for (int lane = 0; lane < used; ++lane) {
+                for (int i = 0; i < AXES; ++i)
+                    over[lane] |= !isfinite(x[i][lane]);
+                live[lane] &= !over[lane];
+                running |= live[lane];
+            }
+            if (!running)
+                break;
+            lead(g, x, at, weights, own);
+            for (int64_t s = 0; s < symbols; ++s) {
+                follow(&t, s, values + j->tops[s] * t.size, stays + s * LANES);
+                follow(&t, s, values + j->entries[s] * t.size, entered + s * LANES);
+            }
+            for (int lane = 0; lane < LANES; ++lane) {
+                if (live[lane]) {
+                    const int64_t was = now[lane];
+                    int64_t s = was;
+                    if (rest[lane] <= 0)
+                        s = chosen(g, j, stays, entered, was, lane);
+                    if (s != was) {
+                        costs[start + lane] += j->switches[(was < 0 ? symbols : was) * symbols + s];
+                        switches[start + lane] += was >= 0;
+                        rest[lane] = told->held[s];
+                    }
+                    --rest[lane];
+                    now[lane] = s;
+                }
+                for (int i = 0; i < INPUTS; ++i)
+                    u[i][lane] = g->controls[(now[lane] < 0 ? 0 : now[lane]) * INPUTS + i];
+            }
+            advance(g, x, u, total);
+            for (int lane = 0; lane < used; ++lane) {
+                if (!live[lane])
+                    continue;
+                int finite = 1;
+                for (int i = 0; i < AXES; ++i)
+                    finite &= isfinite(x[i][lane]) != 0;
+                for (int i = 0; i < AXES; ++i)
+                    for (int side = 0; side < 2; ++side) {
+                        double far = side ? x[i][lane] - j->upper[i] : j->lower[i] - x[i][lane];
+                        double *most = out + (side * count + start + lane) * AXES + i;
+                        far = finite || isinf(j->lower[i]) ? far : (double)INFINITY;
+                        *most = far > *most ? far : *most;
+                    }
+                costs[start + lane] +=
+                    total[lane] + g->efforts[now[lane]] * (g->step * (double)g->steps);
+            }
+        }
+    }
+    free(at), free(weights), free(stays);
+    return 1;
 }

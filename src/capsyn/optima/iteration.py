@@ -41,7 +41,7 @@ def reached(
         counts = tuple(max(2, -(-count // COARSE)) for count in grid.counts)
         coarse = dataclasses.replace(grid, counts=counts)
         lookahead, _ = solved(task, coarse, samples, backend, threads)
-        wider = wider_grid(task, grid, lookahead.run(starts, samples), limit)
+        wider = wider_grid(task, grid, lookahead.run(starts, samples, threads), limit)
         if wider is None:
             return grid, widened
         grid = wider

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.execution.processors import pool_of
 from capsyn.native.source import LANES
 from capsyn.optima.grid import StateGrid
-from capsyn.optima.sweeps import HUGE_COST, Successors
+from capsyn.optima.sweeps import HUGE_COST, CompiledSweeps, Successors
 from capsyn.optima.task import Task
 
 TIE = 1e-12
@@ -65,8 +66,22 @@ class Lookahead:
             best = np.where(own <= least + TIE * np.abs(least), current, best)
         return best
 
-    def run(self, starts: np.ndarray, samples: int) -> Loops:
+    def run(self, starts: np.ndarray, samples: int, threads: int = 1) -> Loops:
         """Return closed loops from starts (B, n)."""
+        if not isinstance(self.kernel, CompiledSweeps):
+            return self._run(starts, samples)
+        blocks = -(-len(starts) // LANES)
+        size = -(-blocks // threads) * LANES
+        parts = [starts[k : k + size] for k in range(0, len(starts), size)]
+        with pool_of(threads) as pool:
+            found = pool.map(lambda x: self.kernel.loops(x, samples, self.values, TIE), parts)
+            costs, switches, out = zip(*found, strict=True)
+        cost = np.concatenate(costs)
+        cost[~np.isfinite(cost)] = np.inf
+        return Loops(cost, np.concatenate(switches), np.concatenate(out, axis=1))
+
+    def _run(self, starts: np.ndarray, samples: int) -> Loops:
+        """Return the same by NumPy."""
         task = self.task
         count, box = len(starts), self.grid.box
         x, cost = starts.astype(float), np.zeros(count)

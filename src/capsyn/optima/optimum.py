@@ -321,7 +321,7 @@ def optimum(
         if progress is not None:
             progress(_plan(task, grid, samples))
         lookahead, sweeps = solved(task, grid, samples, backend, threads)
-        loops = lookahead.run(states, samples)
+        loops = lookahead.run(states, samples, threads)
         wider = wider_grid(task, grid, loops, limit)
         if wider is None or again == widen:
             break

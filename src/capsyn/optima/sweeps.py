@@ -60,6 +60,15 @@ class _Table(ctypes.Structure):
     ]
 
 
+class _Journey(ctypes.Structure):
+    _fields_ = [
+        ("samples", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in "lower upper switches tops entries".split()),
+        ("remembers", ctypes.c_int64),
+        ("tie", ctypes.c_double),
+    ]
+
+
 @dataclass(frozen=True, eq=False)
 class NumpySweeps:
     """The same computation as the compiled kernel, by NumPy."""
@@ -197,9 +206,11 @@ class CompiledSweeps:
             ("capsyn_advance", [whole, p, p, p, p, p]),
             ("capsyn_follow", [whole, p, p, p, p]),
             ("capsyn_sweep", [whole, whole, p, p, p, p]),
+            ("capsyn_loops", [whole, p, p, p, p, p, p, p, p]),
         ):
             function = getattr(library, name)
             function.restype, function.argtypes = None, arguments
+        library.capsyn_loops.restype = ctypes.c_int
         box = grid.box
         kept = {
             "lower": box.lower.astype(float),
@@ -210,6 +221,11 @@ class CompiledSweeps:
             "efforts": np.ascontiguousarray(task.efforts, float),
             "corners": grid.corners,
             "held": np.ascontiguousarray(task.held, np.int64),
+            "least": np.where(box.periodic, -np.inf, box.lower),
+            "most": np.where(box.periodic, np.inf, box.upper),
+            "switches": np.ascontiguousarray(task.switches, float),
+            "tops": np.ascontiguousarray(task.tops, np.int64),
+            "entries": np.ascontiguousarray(task.entries, np.int64),
         }
         if task.prices is not None:
             kept["prices"] = np.ascontiguousarray(task.prices, float)
@@ -275,3 +291,25 @@ class CompiledSweeps:
             change.ctypes.data,
         )  # fmt: skip
         return float(change[0]), float(change[1])
+
+    def loops(
+        self, starts: np.ndarray, samples: int, values: np.ndarray, tie: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return costs (B,), switches (B,) and ways out (2, B, n) of loops from starts (B, n)."""
+        starts = np.ascontiguousarray(starts, float)
+        costs, switches = np.zeros(len(starts)), np.zeros(len(starts), np.int64)
+        out = np.zeros((2, *starts.shape))
+        names = {"lower": "least", "upper": "most"} | {
+            k: k for k in ("switches", "tops", "entries")
+        }
+        places = {name: self.kept[own].ctypes.data for name, own in names.items()}
+        journey = _Journey(samples=samples, remembers=self.task.remembers, tie=tie, **places)
+        told = self._table(Successors.empty(0, len(self.task.alphabet), starts.shape[1]))
+        done = self.library.capsyn_loops(
+            len(starts), starts.ctypes.data, ctypes.addressof(self._lattice),
+            ctypes.addressof(told), ctypes.addressof(journey), values.ctypes.data,
+            costs.ctypes.data, switches.ctypes.data, out.ctypes.data,
+        )  # fmt: skip
+        if not done:
+            raise MemoryError
+        return costs, switches, out

@@ -141,7 +141,10 @@ def task_of(
             "`hold` must be times of symbols, not of inputs, for an optimum; got one of "
             f"'{alphabet.inputs[int(np.argmax(holds.inputs))]}'"
         )
+    priced_switches = rules.prices[np.isfinite(rules.prices)].any()
+    objective += ", and prices of switches" if priced_switches else ""
     efforts = SsacSettings(control_weight=control_weight).efforts(alphabet.values)
+    objective += ", and effort" if efforts.any() else ""
     return Task(
         source.name, model, source.domain, alphabet, source.default_control, target,
         source.time_unit, objective, stop, period, efforts, rules.prices[:, :-1] * period,

@@ -8,6 +8,7 @@ EVIDENCE = {
     "monte_carlo": (("trials", "successes"), ("low", "high", "confidence")),
     "lyapunov": ((), ("proved", "negative", "violated", "undecided")),
     "agreement": (("states", "agreeing"), ("share", "low", "high", "confidence")),
+    "optimum": (("starts", "lost"), ("optimality", "confidence")),
 }
 """Kinds of evidence, and the counts and shares that each has at least."""
 

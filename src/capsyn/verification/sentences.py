@@ -43,7 +43,28 @@ def _agreement(data: dict[str, Any]) -> str:
     return f"{data['share']:.3%} of {data['states']:,} states {_interval(data)}{told}{mean}"
 
 
-_HEADLINES = {"monte_carlo": _trials, "lyapunov": _proof, "agreement": _agreement}
+def _optimum(data: dict[str, Any]) -> str:
+    starts, lost = data["starts"], data["lost"]
+    if data.get("ratio") is None:
+        return f"{lost:,} of {starts:,} loops end early: no cost to compare with the least"
+    interval = ""
+    if data.get("ratio_low") is not None and data.get("ratio_high") is not None:
+        interval = (
+            f" ({data['ratio_low']:.4g} to {data['ratio_high']:.4g} with "
+            f"{data['confidence']:.0%} confidence)"
+        )
+    bound = "" if data.get("bound", True) else ", which is no bound"
+    return (
+        f"{data['ratio']:.4g} times the least cost{bound}{interval}, from {starts - lost:,} starts"
+    )
+
+
+_HEADLINES = {
+    "monte_carlo": _trials,
+    "lyapunov": _proof,
+    "agreement": _agreement,
+    "optimum": _optimum,
+}
 
 
 def _interval(data: dict[str, Any]) -> str:
