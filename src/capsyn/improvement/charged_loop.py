@@ -31,8 +31,9 @@ class ChargedLoop:
     """The closed loop of a policy, whose trials are charged for all that they do.
 
     A trial is charged its running cost, or where a problem has none its terminal cost as one; the
-    effort ``u^T R u`` times the time that symbols are held; and for each switch its price times a
-    sample, which is what it costs the decision. Effort and prices are charged times a scale.
+    effort ``u^T R u`` beyond that of the cheapest symbol, times the time that symbols are held; and
+    for each switch its price times a sample, which is what it costs the decision. Effort and prices
+    are charged times a scale.
     """
 
     policy: Policy
@@ -75,13 +76,10 @@ class ChargedLoop:
 
     def charging(self, scale: float) -> ChargedLoop:
         """Return the loop that charges effort and prices times a scale."""
-        policy = self.policy
-        efforts = np.zeros(len(policy.controls))
-        if policy.settings is not None:
-            efforts = policy.settings.efforts(policy.controls)
-        known = policy.rules.prices
-        prices = np.where(np.isfinite(known), scale * known, known)
-        paid = (np.where(np.isfinite(known), prices, 0.0) + scale * efforts) * self.loop.period
+        efforts, known = efforts_of(self.policy), self.policy.rules.prices
+        charged = scale * np.where(np.isfinite(known), known, 0.0)
+        prices = np.where(np.isfinite(known), charged, np.inf)
+        paid = (charged + scale * efforts) * self.loop.period
         return dataclasses.replace(
             self, loop=dataclasses.replace(self.loop, paid=paid), prices=prices
         )
@@ -120,6 +118,17 @@ class ChargedLoop:
         parts = [trials[k : k + size] for k in range(0, len(trials), size)]
         with pool_of(self.threads) as pool:
             return np.concatenate(list(pool.map(lambda part: self.costs(part, samples), parts)))
+
+
+def efforts_of(policy: Policy) -> np.ndarray:
+    """Return the efforts (N + 1,) of labels beyond that of the cheapest symbol [cost / time unit].
+
+    They are those of the policy's settings; 0 without settings.
+    """
+    if policy.settings is None:
+        return np.zeros(len(policy.controls))
+    efforts = policy.settings.efforts(policy.controls)
+    return np.asarray(efforts - efforts[:-1].min())
 
 
 def first_output(program: Program) -> Program:

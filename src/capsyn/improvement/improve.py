@@ -13,7 +13,7 @@ from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
-from capsyn.improvement.charged_loop import ChargedLoop
+from capsyn.improvement.charged_loop import ChargedLoop, efforts_of
 from capsyn.improvement.judged import Comparison
 from capsyn.improvement.rollouts import Rollouts
 from capsyn.improvement.rounds import CHOICE, Round, Rounds
@@ -63,6 +63,8 @@ class Improvement:
         Starts that judged each.
     rate, duration : float
         Of the closed loops that judged [1 / time unit, time unit].
+    scale : float
+        What effort and prices were charged times.
     """
 
     policy: Policy
@@ -71,6 +73,7 @@ class Improvement:
     starts: int
     rate: float
     duration: float
+    scale: float
 
     @property
     def improved(self) -> bool:
@@ -84,6 +87,7 @@ class Improvement:
             "starts": self.starts,
             "rate": self.rate,
             "duration": self.duration,
+            "scale": self.scale,
             **dataclasses.asdict(self.result),
             "rounds": [one.to_json() for one in self.rounds],
         }
@@ -104,6 +108,7 @@ def improve(
     initial: Ball | Box | None = None,
     starts: int = 400,
     confidence: float = 0.95,
+    scale: float | None = None,
     max_level: int | None = None,
     max_solves: int | None = None,
     seed: int = 0,
@@ -117,9 +122,13 @@ def improve(
     policy for a horizon. The new policy takes the least, by Algorithm 1 on the policy's own grid.
     A ladder of horizons is tried as long as the closed-loop cost of some starts falls, and the
     best policy is judged on fresh starts: it is kept if these surely cost less, and then the next
-    round begins with it. What a closed loop costs is the running cost (of a policy that has none,
-    the terminal cost, as one), the effort of its settings, and for each switch its price times a
-    sample.
+    round begins with it.
+
+    What a closed loop costs is the running cost (of a policy that has none, the terminal cost, as
+    one); the effort of its settings beyond that of the cheapest symbol; and for each switch its
+    price times a sample. Effort and prices were weighed against costs over the policy's horizon,
+    with its terminal cost. They are charged times the `scale` that makes them weigh as much against
+    what symbols differ by in closed loop.
 
     Parameters
     ----------
@@ -141,6 +150,8 @@ def improve(
         How many choose a horizon, and how many others judge a round.
     confidence : float
         Of the intervals by which a round is judged.
+    scale : float, optional
+        Of effort and prices. Default: see above; 1 where the policy does not carry its controller.
     max_level, max_solves : int, optional
         See `subdivide`. Default: those of the policy, and 4 times as many solves as it took.
     seed : int
@@ -179,16 +190,18 @@ def improve(
     threads = processors(threads)
     plan = _plan(policy, cells, max_level, max_solves)
     samples = max(2, round(duration * rate))
+    if scale is not None:
+        scale = finite_number("scale", scale, least=0.0)
     loop = ChargedLoop.of(policy, rate, backend, threads)
     try:
-        scale = _scale(loop, samples)
+        scale = _scale(loop, samples) if scale is None else scale
         work = Rounds(loop.charging(scale), plan, tried, samples, initial, starts, confidence,
                      seed, {"horizon": own, "scale": scale}, progress)  # fmt: skip
         best, done, result = work.run(rounds)
     except BaseException:  # Ctrl-C, too: threads look at this
         loop.stopped.set()
         raise
-    return Improvement(best, done, result, starts, rate, duration)
+    return Improvement(best, done, result, starts, rate, duration, scale)
 
 
 def _improvable(policy: Policy) -> CellTree:
@@ -267,6 +280,9 @@ def _scale(loop: ChargedLoop, samples: int) -> float:
     policy came from: of its horizon and terminal cost closed loops know nothing.
     """
     policy = loop.policy
+    prices = policy.rules.prices
+    if not np.ptp(efforts_of(policy)[:-1]) and not prices[np.isfinite(prices)].any():
+        return 1.0
     known = policy.statistics.get("improve", {}).get("scale")
     controller = policy_controller(policy, loop.backend) if known is None else None
     if controller is None:

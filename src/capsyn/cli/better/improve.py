@@ -46,6 +46,9 @@ class ImproveOptions:
     )
     starts: int = option("Starts that judge a round.", default=400)
     confidence: float = option("Of the intervals that judge it.", default=0.95)
+    scale: float | None = option(
+        "What effort and prices count in closed loop [default: as much as for the controller]."
+    )
     max_level: int | None = option(
         "Most times that a cell is split along an axis [default: the policy's]."
     )
@@ -102,9 +105,10 @@ def _print(result: Improvement, unit: str) -> None:
             }
         )
     print_table(rows)
+    charged = "" if result.scale == 1 else f", effort and prices times {result.scale:.3g}"
     typer.echo(
         f"mean cost of {result.starts} starts over {result.duration:g} {unit} at "
-        f"{result.rate:g} / {unit}, fresh in each round; lost: left the domain, or not finite"
+        f"{result.rate:g} / {unit}, fresh in each round{charged}; lost: left the domain, or not finite"
     )
 
 
