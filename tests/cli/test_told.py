@@ -6,7 +6,17 @@ import shlex
 import numpy as np
 import pytest
 
-from capsyn import Box, Policy, Uniform, monte_carlo, problems, simulate, synthesize, tracking
+from capsyn import (
+    Box,
+    Policy,
+    Switching,
+    Uniform,
+    monte_carlo,
+    problems,
+    simulate,
+    synthesize,
+    tracking,
+)
 from support.processes.command_line import capsyn, error_of
 from support.told import ROOMS
 
@@ -50,6 +60,9 @@ def test_simulate_tells_values_and_steps(run, policy, folder):
     assert header == "time,T1,T2,setpoint,outdoor,cost,symbol,u1,u2"
     setpoints = [float(text.split(",")[3]) for text in rows]
     assert setpoints == [20.5] * 61 + [22.0] * 60  # taken over at the next sample
+    wide = tracking(wanted, "T1", "setpoint", 1.5).settling
+    assert f", settled within {wide:.4g} min (to 1.5)\n" in run(f"{line} --band 1.5")
+    assert "not settled (to 2% of the largest step)\n" in run(line)
     rms = f"{found['T1 - setpoint'].rms:.4g}"
     assert f"\n  T1 - setpoint: rms {rms}, bias " in run(line)
 
@@ -119,6 +132,9 @@ def test_the_line_that_verify_prints_repeats_a_failing_trial(run, policy, folder
     (figures,) = found.tracking.values()
     assert row["tracking"]["T1 - setpoint"]["rms"] == pytest.approx(figures.rms[k], rel=1e-12)
     failed = [text for text in out.splitlines() if text.startswith("failed from ")]
+    unsettled = f"{np.isnan(figures.settling).sum()} trials had not settled when they ended"
+    ends = "\n" if "hold" in told else ", most by arriving (--hold: they go on)\n"
+    assert unsettled + ends in out
     assert failed and all(" with setpoint " in text and ", outdoor " in text for text in failed)
     assert "\ntracking     T1 - setpoint, rms: min " in out and "\n             bias: min " in out
 
@@ -135,7 +151,10 @@ def test_a_failing_trial_without_delay_is_repeated_without(run, folder):
     [
         ("", "`exogenous` must be given: setpoint, outdoor; got None"),
         ("setpoint=21", "`exogenous` must name setpoint, outdoor; 'outdoor' is missing"),
-        ("setpoint=21 outdoor=30 T1=3", "`exogenous` must name setpoint, outdoor; 'T1' is none"),
+        (
+            "setpoint=21 outdoor=30 T1=3",
+            "`exogenous` must name setpoint, outdoor; 'T1' is no exogenous input",
+        ),
         ("setpoint=warm outdoor=30", "`exogenous setpoint` must be a number; got 'warm'"),
         ("setpoint=nan outdoor=30", "`exogenous` must be finite; 'setpoint' is not"),
         ("setpoint=21,22 outdoor=30", "`exogenous setpoint` must be a number; got '21,22'"),
@@ -148,7 +167,13 @@ def test_a_failing_trial_without_delay_is_repeated_without(run, folder):
         ("setpoint=21 s.csv", "--exogenous must give each input once; got 'setpoint' again"),
         ("setpoint", "`exogenous` cannot be read from 'setpoint': No such file"),
         ("twice.csv", "`exogenous` in 'twice.csv' must have each time once; row 4 has 0 again"),
-        ("equal.csv", "`exogenous` in 'equal.csv' must have a column 'time', then one for each"),
+        (
+            "equal.csv",
+            "`exogenous` in 'equal.csv' must have a column 'time', then one for each input, and "
+            "rows; got the columns ['time', 'setpoint', 'setpoint']",
+        ),
+        ("back.csv", "`exogenous` in 'back.csv' must have times ascending; row 4 has 3"),
+        ("none.csv", "`exogenous setpoint` must be steps (time, value), finite, times ascending; "),
         ("binary.csv", "`exogenous` cannot be read from 'binary.csv': it is no CSV text"),
         ("nul.csv", "`exogenous` "),
         ("empty.csv", "`exogenous` cannot be read from 'empty.csv': it has no header"),
@@ -161,6 +186,8 @@ def test_what_simulate_cannot_tell_is_one_line(folder, told, message):
     (folder / "equal.csv").write_text("time,setpoint,setpoint\n0,21,22\n")
     (folder / "binary.csv").write_bytes(b"time,\xff\n0,1\n")
     (folder / "nul.csv").write_bytes(b"time,setpoint\n0,\x00\n")
+    (folder / "back.csv").write_text("time,setpoint\n0,21\n5,22\n3,22\n")
+    (folder / "none.csv").write_text("time,setpoint,outdoor\n0,nan,30\n")
     (folder / "empty.csv").write_text("\n\n")
     (folder / "word.csv").write_text("time,setpoint\n\n0,21\n5,warm\n")
     more = [word for text in told.split() for word in ("--exogenous", text)]
@@ -175,7 +202,10 @@ def test_what_simulate_cannot_tell_is_one_line(folder, told, message):
     [
         ("--exogenous setpoint=24:21", "`exogenous setpoint` must have low <= high; got"),
         ("--exogenous setpoint=21,22", "--exogenous setpoint must be one value; got '21,22'"),
-        ("--exogenous wind=1:2", "`exogenous` must name setpoint, outdoor; 'wind' is none"),
+        (
+            "--exogenous wind=1:2",
+            "`exogenous` must name setpoint, outdoor; 'wind' is no exogenous input",
+        ),
         ("--exogenous setpoint=a:2", "`exogenous setpoint` must be a number; got 'a'"),
         ("--track T3=setpoint", "`state` must be one of 'T1', 'T2'; got 'T3'"),
         ("--track T1=wind", "`reference` must be one of 'setpoint', 'outdoor'; got 'wind'"),
@@ -216,6 +246,17 @@ def test_simulate_says_how_it_read_exogenous_inputs(run, folder):
     first = ", ".join(f"{20 + t / 10:g} from {t} min" for t in range(5))
     wanted = f"setpoint: {first}, .., 21.1 from 11 min (12 steps)"
     assert run(f"{line} many.csv").splitlines()[0] == wanted
+
+
+def test_info_says_why_there_is_no_exact_tree(folder):
+    priced = ROOMS.replace(switching=Switching(price="3%"))
+    policy = synthesize(priced, leaves="affine", max_level=0)
+    policy.save(folder / "priced.cap")
+    assert policy.cells.priced
+    (line,) = (
+        text for text in capsyn("info", folder / "priced.cap")[0].splitlines() if "exact tr" in text
+    )
+    assert line.split("tree")[1].strip().startswith("none, since affine leaves have prices: an exp")
 
 
 def test_query_says_what_is_outside(run):

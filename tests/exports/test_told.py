@@ -307,6 +307,14 @@ def test_json_follows_its_schema(kind, version, tmp_path):
         validator(schema).validate({k: v for k, v in data.items() if k != "exogenous"})
 
 
+def test_a_note_says_what_stands_for_a_law():
+    law = problem().replace(default=lambda x, w: [(w[0] - 18) / 50, 0], partitions=1, max_level=0)
+    made = synthesize(law, outside=-1)
+    for one, end in ((made, True), (made.at([20, 7]), True), (policy("constant"), False)):
+        said = "".join(Plan.of(one, safe="default").notes)
+        assert ("the default's law in the middle of all bounds)" in said) == end
+
+
 # ---- the command line ----
 
 

@@ -171,7 +171,10 @@ def test_steps_come_from_csv(tmp_path):
         ([1.0, np.nan], "`exogenous` must be finite; 'load' is not"),
         ("x", "`exogenous` must be numbers; got 'x'"),
         ({"wanted": 1}, "`exogenous` must name wanted, load; 'load' is missing"),
-        ({"wanted": 1, "load": 1, "h": 1}, "`exogenous` must name wanted, load; 'h' is none"),
+        (
+            {"wanted": 1, "load": 1, "h": 1},
+            "`exogenous` must name wanted, load; 'h' is no exogenous input",
+        ),
         ({"wanted": {2: 1, 0: 1}, "load": 1}, "`exogenous wanted` must be steps (time, value)"),
         ({"wanted": {}, "load": 1}, "`exogenous wanted` must be steps (time, value)"),
         ({"wanted": lambda t: 1 / 0, "load": 1}, "`exogenous wanted` failed: ZeroDivisionError"),

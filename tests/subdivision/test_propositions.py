@@ -179,8 +179,9 @@ def test_too_large_max_level_is_refused_before_any_work(monkeypatch):
         return np.zeros(len(states), dtype=int)
 
     monkeypatch.setattr(budgets, "available_memory", lambda: 10**6)
-    with pytest.raises(ProblemError, match=r"`max_level` 9 .* max_level <= 3 fits"):
+    with pytest.raises(ProblemError, match=r"`max_level` 9 .* max_level <= 3 fits") as caught:
         subdivide(label, unit_box(2), 2, max_level=9)
+    assert 'fits, or fewer `partitions`, or leaves="affine", or bound it' in str(caught.value)
     assert not calls
     policy = subdivide(label, unit_box(2), 2, max_level=9, max_solves=900)
     assert policy.statistics["solves"] == sum(calls) == 181

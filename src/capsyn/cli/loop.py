@@ -46,14 +46,14 @@ class LoopTexts:
     rate: float | None = option("Samples per time unit [default: by the policy's settings, 1000].")
     target: str | None = option(
         "NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a function of x "
-        "that says whether it has arrived.",
+        "(and w) that says whether it has arrived.",
         metavar="SET",
     )
     tolerance: float | None = option("Radius of the target.")
     model: str | None = option(
-        "Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, and of p "
-        "where there are parameters; a policy without a model, such as an imported one, takes a "
-        "problem only.",
+        "Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, then w "
+        "where there are exogenous inputs, then p where there are parameters; a policy without a "
+        "model, such as an imported one, takes a problem only.",
         metavar="PLANT",
     )
     parameter: list[str] | None = option(
@@ -68,7 +68,8 @@ class LoopTexts:
         metavar="NAME=W|NAME=T:W,T:W[,..]|FILE.csv",
     )
     track: list[str] | None = option(
-        "Say how closely a state follows an exogenous input, or a number. May be repeated.",
+        "Say how closely a state follows an exogenous input, or a number; in verify until a trial "
+        "arrives, unless there is --hold. Once for each state.",
         metavar="STATE=NAME|W",
     )
     disturbance: str | None = option(
@@ -76,7 +77,8 @@ class LoopTexts:
         metavar="D[,D..]",
     )
     noise: str | None = option(
-        "Standard deviation of the measured states, of all or of each; verify takes a range "
+        "Standard deviation of the measured states, of all or of each, or of each and of each "
+        "exogenous input after them; verify takes a range "
         "S[,S..]:S[,S..], too.",
         metavar="S[,S..]",
     )
@@ -230,6 +232,11 @@ class SimulateOptions(LoopTexts):
         ".csv, .json, .png, .pdf or .svg.", "--output", "-o", metavar="FILE", before="target"
     )
     stop_at_target: bool = option("End where the target is reached.", default=False, before="model")
+    band: float | None = option(
+        "Largest error of a tracked state that has settled [state unit] [default: 2 % of the "
+        "largest at a change].",
+        before="disturbance",
+    )
 
 
 @flat
@@ -237,7 +244,7 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
     """Simulate the closed loop of a policy."""
     from capsyn.policies.policy import Policy
     from capsyn.simulation.simulate import trajectories
-    from capsyn.simulation.tracking import check_followed, tracking
+    from capsyn.simulation.tracking import BAND, check_followed, tracking
     from capsyn.validation import whole_number
 
     track = tracked(options.track) or {}
@@ -256,12 +263,13 @@ def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> Non
     save(trajectory)
     rows = trajectory.summary()
     for state, reference in track.items():
-        figures = tracking(trajectory, state, reference).to_json()
+        figures = tracking(trajectory, state, reference, options.band).to_json()
         for k, row in enumerate(rows):
             of_trial = {name: values[k] for name, values in figures.items()}
             row.setdefault("tracking", {})[f"{state} - {reference}"] = of_trial
     told = _told_sentences(loop.exogenous or {}, trajectory.time_unit)
-    text = "\n".join([*told, *map(_sentence, rows)])
+    band = f"{BAND:.0%} of the largest step" if options.band is None else f"{options.band:g}"
+    text = "\n".join([*told, *(_sentence(row, band) for row in rows)])
     end = None if options.output is None else f"wrote {options.output}"
     show(as_json, rows if len(rows) > 1 else rows[0], lambda: typer.echo(text), end)
 
@@ -295,7 +303,7 @@ def _initial_states(policy: Policy, texts: list[str] | None, seed: int) -> Any:
     return np.array(states)
 
 
-def _sentence(row: dict[str, Any]) -> str:
+def _sentence(row: dict[str, Any], band: str) -> str:
     def state(values: list[float | None]) -> str:
         return "(" + ", ".join("nan" if v is None else f"{v:g}" for v in values) + ")"
 
@@ -306,7 +314,7 @@ def _sentence(row: dict[str, Any]) -> str:
     return (
         f"from {state(row['initial'])} to {state(row['final'])} in {row['duration']:g} {unit}, "
         f"ended: {row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
-        + "".join(f"\n{text}" for text in _tracking_sentences(row, unit))
+        + "".join(f"\n{text}" for text in _tracking_sentences(row, unit, band))
     )
 
 
@@ -322,10 +330,11 @@ def _told_sentences(exogenous: Mapping[str, Any], unit: str) -> Iterator[str]:
         yield f"{name}: {', '.join(steps)}" + (f" ({len(value):,} steps)" if ".." in steps else "")
 
 
-def _tracking_sentences(row: dict[str, Any], unit: str) -> Iterator[str]:
+def _tracking_sentences(row: dict[str, Any], unit: str, band: str) -> Iterator[str]:
     for name, figures in row.get("tracking", {}).items():
         values = {key: figures[key] for key in ("rms", "bias", "overshoot")}
         parts = [f"{key} {'nan' if v is None else f'{v:.4g}'}" for key, v in values.items()]
         time = figures["settling"]
         settled = "not settled" if time is None else f"settled within {time:.4g} {unit}"
+        settled += f" (to {band})"
         yield f"  {name}: {', '.join(parts)}, {settled}"

@@ -39,7 +39,9 @@ def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) ->
                 what = f"{name}, {key}" if key == "rms" else key
                 print_line("tracking" if key == "rms" else "", f"{what}: {spread}")
         if figures["unsettled"]:
-            print_line("", f"{figures['unsettled']:,} trials had not settled when they ended")
+            where = "" if conditions["hold"] else ", most by arriving (--hold: they go on)"
+            said = f"{figures['unsettled']:,} trials had not settled when they ended{where}"
+            print_line("", said)
         if figures["not_finite"]:
             print_line("", f"{figures['not_finite']:,} trials have no figures: not finite")
     if outside := data["trials_outside_domain"]:
@@ -79,13 +81,16 @@ def print_agreement(data: dict[str, Any], headline: str) -> None:
     print_line("islands", f"{cells:,} cells hold something that all their test points missed")
 
 
-def _print_complexity(data: dict[str, Any], from_cells: bool, time_unit: str) -> None:
-    """Print what `capsyn.compression.complexity.complexity` returns."""
+def _print_complexity(data: dict[str, Any], from_cells: bool, priced: bool, time_unit: str) -> None:
+    """Print what `capsyn.compression.complexity.complexity` returns.
+
+    `priced` is whether affine leaves have prices.
+    """
     table, tree, machine = data["table"], data["tree"], data["automaton"]
     mean = tree and tree["mean_comparisons"]
     if from_cells:
         print_line("", f"{table['comparisons']} comparisons at most")
-        print_line("exact tree", _exact_tree(tree))
+        print_line("exact tree", _exact_tree(tree, priced))
     elif mean is not None:
         print_line("", f"{mean:.1f} comparisons on average")
     if tree is not None and tree["deepest"] is not None:
@@ -109,10 +114,11 @@ def _print_complexity(data: dict[str, Any], from_cells: bool, time_unit: str) ->
         )
 
 
-def _exact_tree(tree: dict[str, Any] | None) -> str:
+def _exact_tree(tree: dict[str, Any] | None, priced: bool) -> str:
     """Return what is told of the exact tree of cells."""
     if tree is None:
-        return "too large: an export to c and most targets writes the cells"
+        reason = "none, since affine leaves have prices" if priced else "too large"
+        return f"{reason}: an export to c and most targets writes the cells"
     planes = f" and {tree['planes']:,} oblique splits" if tree["planes"] else ""
     mean = tree["mean_comparisons"]
     average = "" if mean is None else f", {mean:.1f} on average"
@@ -200,7 +206,8 @@ def print_report(data: dict[str, Any]) -> None:
     if "proof" in data:
         print_line("proof", f"holds for {data['proof']['policy']}")
     if data.get("complexity"):
-        _print_complexity(data["complexity"], "cells" in data, unit)
+        priced = bool(data.get("affine_leaves") and data.get("switching", {}).get("price"))
+        _print_complexity(data["complexity"], "cells" in data, priced, unit)
     if "table" in statistics:
         _print_table_source(statistics["table"])
     if "solves" in statistics:

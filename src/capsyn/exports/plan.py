@@ -225,6 +225,9 @@ class Plan:
         if self.safe < self.default or self.first_alike[self.default] < self.default:
             return ()
         value = ", ".join(f"{v:g}" for v in self.policy.controls[-1].tolist())
+        model = self.policy.model
+        if model is not None and model.prediction is not None:
+            value += ", the default's law in the middle of all bounds"
         return (
             f"the safe symbol is the default control ({value}), which is no symbol of the "
             "alphabet: a reading that is not finite would apply it; `safe` takes a symbol",

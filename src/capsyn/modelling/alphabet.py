@@ -138,6 +138,6 @@ def check_outside(rule: Any, alphabet: Alphabet) -> Outside:
         if -1 <= rule < len(alphabet):
             return int(rule)
     raise ProblemError(
-        '`outside` must be "error", "nearest" or a symbol (its name, or its index, '
-        f"-1 to {len(alphabet) - 1}); got {describe(rule)}"
+        '`outside` must be "error", "nearest" or a symbol (its name, -1 for the default, or its '
+        f"index, -1 to {len(alphabet) - 1}); got {describe(rule)}"
     )

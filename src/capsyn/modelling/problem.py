@@ -308,9 +308,10 @@ def expression(
         reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
         reason = next((text for words, text in _MEANINGS if words in reason), reason)
         if "positional argument" in reason:
+            said = parameters and "p" not in arguments
             reason = f"it must be a function of {' and '.join(arguments)}" + (
                 ("" if "w" in arguments else ", and of w where there is `exogenous`")
-                + (", and of p where there are `parameters`" if parameters else "")
+                + (", and of p where there are `parameters`" if said else "")
             )
         shapes = ", ".join(
             f"{symbol}: {argument.numel()}" for symbol, argument in arguments.items()

@@ -73,7 +73,7 @@ def check_names(value: Mapping[str, Any], told: Box) -> None:
     unknown = [name for name in value if name not in told.names]
     missing = [name for name in told.names if name not in value]
     if unknown or missing:
-        which = f"'{unknown[0]}' is none" if unknown else f"'{missing[0]}' is missing"
+        which = f"'{unknown[0]}' is no exogenous input" if unknown else f"'{missing[0]}' is missing"
         raise ProblemError(f"`exogenous` must name {', '.join(told.names)}; {which}")
 
 
@@ -99,7 +99,8 @@ def steps_from_csv(path: str | os.PathLike[str]) -> dict[str, dict[float, float]
     names = [name.strip() for name in table[0][1]]
     if names[0] != "time" or not 2 <= len(names) == len(set(names)) or len(table) < 2:
         raise ProblemError(
-            f"`exogenous` in '{path}' must have a column 'time', then one for each input, and rows"
+            f"`exogenous` in '{path}' must have a column 'time', then one for each input, and "
+            f"rows; got the columns {names}"
         )
     steps: dict[str, dict[float, float]] = {name: {} for name in names[1:]}
     for line, row in table[1:]:
@@ -120,6 +121,10 @@ def steps_from_csv(path: str | os.PathLike[str]) -> dict[str, dict[float, float]
                 raise ProblemError(
                     f"`exogenous` in '{path}' must have each time once; row {line} has {time:g} "
                     "again"
+                )
+            if time < max(steps[name], default=-np.inf):
+                raise ProblemError(
+                    f"`exogenous` in '{path}' must have times ascending; row {line} has {time:g}"
                 )
             steps[name][time] = cell
     return steps
@@ -171,7 +176,7 @@ def _signal(name: str, value: Any, period: float, samples: int) -> np.ndarray | 
     times = table[:, 0]
     if not len(table) or not np.isfinite(table).all() or (np.diff(times) <= 0).any():
         raise ProblemError(
-            f"`{name}` must be steps (time, value), times ascending; got {describe(value)}"
+            f"`{name}` must be steps (time, value), finite, times ascending; got {describe(value)}"
         )
     now = np.arange(samples + 1) * period
     place = np.searchsorted(times, now * (1 + 1e-12) + 1e-12 * period, side="right") - 1

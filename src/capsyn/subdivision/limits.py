@@ -260,7 +260,9 @@ def check_memory(
         return
     fits = max((k for k in range(grid.max_level) if need(grid.at(k)) <= limit), default=None)
     fewer = _fewer_partitions(grid, limit, need)
-    advice = fewer if fits is None else f"max_level <= {fits} fits"
+    advice = fewer if fits is None else f"max_level <= {fits} fits, or fewer `partitions`"
+    if not (affine or adaptive):
+        advice += ', or leaves="affine"'
     solves = worst_case_solves(grid, test_points.interior(grid.n), adaptive)
     choices = range(1, min(solves, 2**40))
     most = bisect.bisect_right(choices, limit, key=lambda allowed: need(grid, allowed))

@@ -115,7 +115,8 @@ def monte_carlo(
         box for each trial, and constant along it.
     track : mapping of state to name of an exogenous input, or number, optional
         What states should follow: `MonteCarlo.tracking` says how closely they do, see
-        `capsyn.tracking`. Not with an `executor`.
+        `capsyn.tracking`, until a trial ends: where it arrives, but for a time to `hold`. Not with
+        an `executor`.
 
     Raises
     ------
