@@ -63,6 +63,7 @@ def quadrotor() -> Problem:
     0.3 m from 6 to 8 s, and 99.1 % of those from all of it; from 10,000 solves, 297 cells, 99.5 %
     (``refine="adaptive", test_points="center+faces", max_level=4, max_solves=10_000``).
     """
+    thrusts = list(itertools.product((0.5 * HOVER, 1.5 * HOVER), repeat=4))
     half = (2.0,) * 3 + (2.0,) * 3 + (0.5,) * 3 + (2.0,) * 3
     return Problem(
         name="quadrotor",
@@ -74,7 +75,8 @@ def quadrotor() -> Problem:
             units=["m"] * 3 + ["m/s"] * 3 + ["rad"] * 3 + ["rad/s"] * 3,
         ),
         alphabet=Alphabet(
-            list(itertools.product((0.5 * HOVER, 1.5 * HOVER), repeat=4)),
+            thrusts,
+            names=["".join("l" if u < HOVER else "h" for u in row) for row in thrusts],
             inputs=["u1", "u2", "u3", "u4"],
             units=["N"] * 4,
         ),
