@@ -14,7 +14,7 @@ from capsyn.version import __version__
 
 HERE = Path(__file__).parent
 QUESTIONS = (
-    "solve synthesis dimensions lookup compression sources tails told inverter closed_loop "
+    "solve synthesis dimensions lookup compression sources tails improve told inverter closed_loop "
     "explorer command counts exports timing cluster"
 ).split()
 
