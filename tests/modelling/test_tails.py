@@ -144,6 +144,22 @@ def test_a_problem_takes_its_tail_in_the_place_of_its_terminal_cost(tmp_path):
     np.testing.assert_allclose(kept.evaluate(x.T)[0][0], [tail(state) for state in x], rtol=1e-12)
 
 
+def test_a_replaced_problem_has_the_tail_of_its_own_fields():
+    problem = double_integrator(tail="riccati")
+    x = np.array([[0.5], [1.0]])
+
+    def value(made):
+        return transcribe(made).terminal_cost.evaluate(x)[0].item()
+
+    assert value(problem.replace(horizon=1.0)) == value(problem)
+    heavier = problem.replace(running_cost=lambda x: 3 * x[0] ** 2)
+    assert value(heavier) == pytest.approx(3 * value(problem))
+    assert value(problem.replace(tail="riccati:9")) > 2 * value(problem)
+    assert value(problem.replace(alphabet=[-2.0, 2.0])) < value(problem)
+    with pytest.raises(TypeError, match="horizons"):
+        problem.replace(horizons=2.0)
+
+
 def test_predictive_control_of_depth_one_takes_the_tail_too():
     plain, costs = double_integrator(), []
     starts = plain.domain.sample(50, 0) / 2

@@ -252,7 +252,18 @@ class Problem:
         ProblemError
             A value that cannot be used.
         """
-        return dataclasses.replace(self, **changes)
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        changed = object.__new__(type(self))
+        if not changes.keys() & _OF_TAILS and "_terminal" in vars(self):
+            vars(changed)["_terminal"] = self._terminal  # a tail takes a while
+        changed.__init__(**fields | changes)  # type: ignore[misc]
+        return changed
+
+
+_OF_TAILS = frozenset(
+    "dynamics domain alphabet exogenous running_cost terminal_cost target tail".split()
+)
+"""Fields that a terminal cost, or a tail in its place, depends on."""
 
 
 @contextlib.contextmanager
