@@ -108,7 +108,8 @@ def _print(result: Improvement, unit: str) -> None:
     charged = "" if result.scale == 1 else f", effort and prices times {result.scale:.3g}"
     typer.echo(
         f"mean cost of {result.starts} starts over {result.duration:g} {unit} at "
-        f"{result.rate:g} / {unit}, fresh in each round{charged}; lost: left the domain, or not finite"
+        f"{result.rate:g} / {unit}, fresh in each round{charged}; lost: left the domain, or not "
+        "finite"
     )
 
 
