@@ -107,7 +107,8 @@ if __name__ == "__main__":
         good, cost = loops(policy, starts(policy, 0.05), 10, 1000, upright)
         what = f"cart-pole {tail} a tail, starts within 5 % of the domain, up for 10 s"
         judged(what, good, ">= 99" if tail == "with" else "")
-        row(f"{what}: mean cost", cost.mean())
+        if tail == "with":  # where the pole falls the cost is not finite
+            row(f"{what}: mean cost", cost.mean())
 
     plain = nine_symbols()
     for tail, problem in (
