@@ -133,7 +133,7 @@ def test_the_line_that_verify_prints_repeats_a_failing_trial(run, policy, folder
     assert row["tracking"]["T1 - setpoint"]["rms"] == pytest.approx(figures.rms[k], rel=1e-12)
     failed = [text for text in out.splitlines() if text.startswith("failed from ")]
     unsettled = f"{np.isnan(figures.settling).sum()} trials had not settled when they ended"
-    ends = "\n" if "hold" in told else ", most by arriving (--hold: they go on)\n"
+    ends = "\n" if "hold" in told else " (without --hold, where they arrive)\n"
     assert unsettled + ends in out
     assert failed and all(" with setpoint " in text and ", outdoor " in text for text in failed)
     assert "\ntracking     T1 - setpoint, rms: min " in out and "\n             bias: min " in out

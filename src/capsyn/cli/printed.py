@@ -39,7 +39,7 @@ def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) ->
                 what = f"{name}, {key}" if key == "rms" else key
                 print_line("tracking" if key == "rms" else "", f"{what}: {spread}")
         if figures["unsettled"]:
-            where = "" if conditions["hold"] else ", most by arriving (--hold: they go on)"
+            where = "" if conditions["hold"] else " (without --hold, where they arrive)"
             said = f"{figures['unsettled']:,} trials had not settled when they ended{where}"
             print_line("", said)
         if figures["not_finite"]:
