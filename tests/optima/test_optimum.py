@@ -36,7 +36,7 @@ def integrator(**fields):
         "default": 0.0,
         "horizon": 1.0,
         "running_cost": lambda x: 1.0,
-        "target": Ball([0, 0], 0.05),
+        "target": Ball([0, 0], 0.01),
     }
     return Problem(**given | fields)
 
@@ -108,18 +108,22 @@ def test_a_periodic_axis_has_no_seam():
 
 
 def test_double_integrator_in_least_time_switches_on_its_curve():
-    counts, rate = 200, 40
-    found = optimum(integrator(), 6.0, rate=rate, counts=counts, starts=50, stop_at_target=True)
+    counts, rate = 200, 100
+    found = optimum(
+        integrator(), 6.0, rate=rate, counts=counts, starts=50, widen=1, stop_at_target=True
+    )
     x = Box([-1, -1], [1, 1]).sample(4000, 3)
     curve = -x[:, 1] * np.abs(x[:, 1]) / 2
-    # the ball ends loops early, and a sample holds its symbol: within a cell besides
-    off = np.abs(x[:, 0] - curve) > 2 / counts + 0.05 + np.abs(x[:, 1]) / rate
-    assert off.mean() > 0.8
-    assert np.array_equal(found.symbols(x[off]), (x[off, 0] < curve[off]).astype(int))
+    wrong = found.symbols(x) != (x[:, 0] < curve)
+    speeds = np.linspace(-1.5, 1.5, 3001)
+    points = np.stack([-speeds * np.abs(speeds) / 2, speeds], axis=1)
+    cells = found.box.widths / found.counts
+    # the ball ends loops early, by a cell, and a sample is as long
+    off = [np.abs((points - one) / cells).max(axis=1).min() for one in x[wrong]]
+    assert wrong.mean() < 0.015 and np.median(off) < 1 and max(off) < 2.5
     p, v = np.where(x[:, 0] > curve, 1, -1) * x.T
     least = v + 2 * np.sqrt(np.maximum(p + v**2 / 2, 0))
-    assert (found.cost(x) - least).max() < 0.05
-    assert np.median(least - found.cost(x)) == pytest.approx(0.03, abs=0.02)  # saved by the ball
+    assert np.abs(found.cost(x) - least).mean() < 0.02
     assert found.bound and np.isfinite(found.costs).all()
 
 
@@ -137,7 +141,7 @@ def test_linear_quadratic_costs_are_those_of_riccati():
     p = scipy.linalg.solve_continuous_are(a, b, np.eye(2), np.eye(1))
     exact = np.einsum("bi,ij,bj->b", found.starts, p, found.starts)
     assert found.mean == pytest.approx(exact.mean(), rel=0.01)
-    assert 0 < found.grid_error < 0.04  # convex values lie below what is interpolated
+    assert abs(found.grid_error) < 0.01
 
 
 def test_its_loops_are_those_of_simulate():

@@ -17,6 +17,7 @@ typedef struct {
     const double *controls, *efforts; /* (symbols, INPUTS), and cost of each [cost / time unit] */
     double step;                 /* [time unit] of Runge-Kutta */
     int64_t steps, symbols;
+    const int64_t *samples;      /* (symbols): that each is held; a loop may end at each */
 } lattice;
 
 static void slope(const lanes_of_states x, const double u[INPUTS][LANES], lanes_of_states rates,
@@ -109,7 +110,7 @@ static void arrived(const lanes_of_states x, int out[LANES])
         out[lane] = condition[0][lane] != 0 && isfinite(condition[0][lane]);
 }
 
-/* What every symbol leads to over a sample from a block of states: at (symbols, LANES), weights
+/* What every symbol leads to over some samples from a block of states: at (symbols, LANES), weights
  * (symbols, AXES, LANES) and costs (symbols, LANES). */
 static void lead(const lattice *g, const lanes_of_states first, int32_t *restrict at,
                  float *restrict weights, float *restrict costs)
@@ -117,9 +118,11 @@ static void lead(const lattice *g, const lanes_of_states first, int32_t *restric
     _Alignas(64) lanes_of_states x;
     _Alignas(64) double u[INPUTS][LANES];
     _Alignas(64) lanes total;
-    int begun[LANES], ended[LANES];
+    int begun[LANES], ended[LANES], now[LANES];
     arrived(first, begun);
     for (int64_t s = 0; s < g->symbols; ++s) {
+        double sum[LANES] = {0};
+        const double effort = g->efforts[s] * (g->step * (double)g->steps);
         for (int i = 0; i < AXES; ++i)
             EACH_LANE {
                 x[i][lane] = first[i][lane];
@@ -128,19 +131,26 @@ static void lead(const lattice *g, const lanes_of_states first, int32_t *restric
             EACH_LANE {
                 u[i][lane] = g->controls[s * INPUTS + i];
             }
-        advance(g, x, u, total);
+        for (int lane = 0; lane < LANES; ++lane)
+            ended[lane] = begun[lane];
+        for (int64_t k = 0; k < g->samples[s]; ++k) {
+            advance(g, x, u, total);
+            arrived(x, now);
+            for (int lane = 0; lane < LANES; ++lane) {
+                sum[lane] += ended[lane] ? 0 : total[lane] + effort;
+                ended[lane] |= now[lane];
+            }
+        }
         locate(g, x, at, (float (*)[LANES])weights);
-        arrived(x, ended);
-        const double effort = g->efforts[s] * (g->step * (double)g->steps);
         for (int lane = 0; lane < LANES; ++lane) {
-            int finite = isfinite(total[lane]);
+            int finite = isfinite(sum[lane]);
             for (int i = 0; i < AXES; ++i)
                 finite &= isfinite(x[i][lane]) != 0;
-            const double cost = total[lane] + effort;
-            if (begun[lane] || ended[lane])
+            if (ended[lane])
                 at[lane] = (int32_t)g->nothing;
             costs[lane] = begun[lane] ? 0.0f
-                : finite && cost < HUGE_COST ? (float)cost : (float)HUGE_COST;
+                : (finite || ended[lane]) && sum[lane] < HUGE_COST ? (float)sum[lane]
+                : (float)HUGE_COST;
         }
         at += LANES;
         weights += AXES * LANES;
@@ -188,14 +198,39 @@ typedef struct {
     const int32_t *at;
     const float *weights, *costs;
     const int32_t *corners; /* (CORNERS): entries of the corners of an interval, first axis first */
+    const uint8_t *inner;   /* (AXES, nodes): whether an interval has another on either side */
+    int64_t nodes;
     int64_t symbols, size;  /* size: entries of a row of values */
     const int64_t *held;    /* (symbols): samples that each is held once entered, >= 1 */
     const double *prices;   /* (symbols, symbols) from each to each, or NULL: one row of values */
 } table;
 
-/* Cost of a symbol over a sample and of going on as a row of values says. */
+/* Half the curvature of values along each axis (entries, AXES) in intervals first .. last - 1, by
+ * their lower corners: the smaller one of both ends, so that kinks stay what they are. */
+void capsyn_curvature(const int64_t first, const int64_t last, const table *t,
+                      const double *restrict values, float *restrict out)
+{
+    for (int i = 0; i < AXES; ++i) {
+        const int64_t s = t->corners[CORNERS >> (i + 1)];
+        const uint8_t *inner = t->inner + i * t->nodes;
+        const int64_t low = first > s ? first : s;
+        const int64_t high = last < t->nodes - 2 * s ? last : t->nodes - 2 * s;
+#pragma omp simd
+        for (int64_t j = low; j < high; ++j) {
+            const double here = values[j], next = values[j + s];
+            const double a = next - 2 * here + values[j - s];
+            const double b = values[j + 2 * s] - 2 * next + here;
+            const double least = fabs(a) < fabs(b) ? a : b;
+            const int good = inner[j] && a * b > 0 && fabs(least) < 1e-6 * HUGE_COST;
+            out[j * AXES + i] = good ? (float)(0.5 * least) : 0.0f;
+        }
+    }
+}
+
+/* Cost of a symbol over a sample and of going on as a row of values says: between nodes it is
+ * linear but for the curvature along each axis. */
 static inline void follow(const table *t, const int64_t place, const double *restrict values,
-                          double *restrict out)
+                          const float *restrict bend, double *restrict out)
 {
     const int32_t *restrict at = t->at + place * LANES;
     const float *restrict cost = t->costs + place * LANES;
@@ -212,17 +247,23 @@ static inline void follow(const table *t, const int64_t place, const double *res
             for (int k = 0; k < 1 << i; ++k)
                 c[k] = c[2 * k] + (double)w[i][lane] * (c[2 * k + 1] - c[2 * k]);
         }
-        const double sum = (double)cost[lane] + c[0];
+        float off = 0.0f;
+#pragma GCC unroll 4
+        for (int i = 0; i < AXES; ++i)
+            off += w[i][lane] * (1.0f - w[i][lane]) * bend[at[lane] * AXES + i];
+        const double sum = (double)cost[lane] + (c[0] - (double)off);
         out[lane] = sum < HUGE_COST ? sum : HUGE_COST;
     }
 }
 
 /* Costs (blocks, symbols, LANES) of a symbol, and then of row `rows` (symbols) of values. */
 void capsyn_follow(const int64_t blocks, const table *t, const double *restrict values,
-                   const int64_t *restrict rows, double *restrict out)
+                   const float *restrict bends, const int64_t *restrict rows, double *restrict out)
 {
-    for (int64_t k = 0; k < blocks * t->symbols; ++k)
-        follow(t, k, values + rows[k % t->symbols] * t->size, out + k * LANES);
+    for (int64_t k = 0; k < blocks * t->symbols; ++k) {
+        const int64_t row = rows[k % t->symbols] * t->size;
+        follow(t, k, values + row, bends + row * AXES, out + k * LANES);
+    }
 }
 
 /* New values of blocks first .. last - 1 by old ones; the least and largest change.
@@ -230,7 +271,8 @@ void capsyn_follow(const int64_t blocks, const table *t, const double *restrict 
  * Without prices there is one row. With them each symbol s has held[s] rows: that where it may
  * be left, and those where it is held for 1, 2 .. more samples. */
 void capsyn_sweep(const int64_t first, const int64_t last, const table *t,
-                  const double *restrict values, double *restrict out, double *restrict change)
+                  const double *restrict values, const float *restrict bends,
+                  double *restrict out, double *restrict change)
 {
     const int64_t symbols = t->symbols;
     _Alignas(64) double free[t->prices ? symbols : 1][LANES], entered[t->prices ? symbols : 1][LANES];
@@ -245,7 +287,7 @@ void capsyn_sweep(const int64_t first, const int64_t last, const table *t,
         int64_t row = 0;
         for (int64_t s = 0; s < symbols; ++s) {
             if (!t->prices) {
-                follow(t, b * symbols + s, values, next);
+                follow(t, b * symbols + s, values, bends, next);
                 double *best = free[0];
                 EACH_LANE {
                     best[lane] = s && best[lane] < next[lane] ? best[lane] : next[lane];
@@ -254,7 +296,8 @@ void capsyn_sweep(const int64_t first, const int64_t last, const table *t,
             }
             for (int64_t r = 0; r < t->held[s]; ++r, ++row) {
                 double *to = r + 1 < t->held[s] ? new + (row + 1) * t->size : entered[s];
-                follow(t, b * symbols + s, values + row * t->size, next);
+                follow(t, b * symbols + s, values + row * t->size,
+                       bends + row * t->size * AXES, next);
                 EACH_LANE {
                     to[lane] = next[lane];
                 }
@@ -301,8 +344,8 @@ typedef struct {
 } journey;
 
 /* The best symbol of a lane by what going on costs: of ties that in force, else the lowest. */
-static int64_t chosen(const lattice *g, const journey *j, const double *stays, const double *entered,
-                      const int64_t now, const int lane)
+static int64_t chosen(const lattice *g, const journey *j, const double *stays,
+                      const double *entered, const int64_t now, const int lane)
 {
     const double *prices = j->switches + (now < 0 ? g->symbols : now) * g->symbols;
     double least = INFINITY, own = INFINITY;
@@ -325,7 +368,7 @@ static int64_t chosen(const lattice *g, const journey *j, const double *stays, c
  * far they went beyond the lower and upper faces (2, count, AXES). Returns 0 without memory. */
 int capsyn_loops(const int64_t count, const double *restrict states, const lattice *g,
                  const table *told, const journey *j, const double *restrict values,
-                 double *restrict costs, int64_t *restrict switches, double *restrict out)
+                 const float *restrict bends, double *restrict costs, int64_t *restrict switches, double *restrict out)
 {
     const int64_t symbols = g->symbols;
     _Alignas(64) lanes_of_states x;
@@ -366,8 +409,9 @@ int capsyn_loops(const int64_t count, const double *restrict states, const latti
                 break;
             lead(g, x, at, weights, own);
             for (int64_t s = 0; s < symbols; ++s) {
-                follow(&t, s, values + j->tops[s] * t.size, stays + s * LANES);
-                follow(&t, s, values + j->entries[s] * t.size, entered + s * LANES);
+                const int64_t top = j->tops[s] * t.size, entry = j->entries[s] * t.size;
+                follow(&t, s, values + top, bends + top * AXES, stays + s * LANES);
+                follow(&t, s, values + entry, bends + entry * AXES, entered + s * LANES);
             }
             for (int lane = 0; lane < LANES; ++lane) {
                 if (live[lane]) {

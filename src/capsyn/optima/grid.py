@@ -59,6 +59,13 @@ class StateGrid:
         bits = np.indices((2,) * len(strides)).reshape(len(strides), -1)
         return np.ascontiguousarray(strides @ bits, dtype=np.int32)
 
+    @functools.cached_property
+    def inner(self) -> np.ndarray:
+        """Whether intervals (n, nodes) have another on either side along each axis, as 0 and 1."""
+        places = np.indices(self.shape, dtype=np.int32).reshape(len(self.counts), -1)
+        most = np.array(self.counts)[:, None] - 2
+        return np.ascontiguousarray((places >= 1) & (places <= most), dtype=np.uint8)
+
     @property
     def nothing(self) -> int:
         """First of the entries of a row of values that stay 0, for states in the target."""
@@ -76,7 +83,8 @@ class StateGrid:
 
     def bytes(self, symbols: int, rows: int) -> int:
         """Return what dynamic programming takes, of so many symbols and rows of values."""
-        each = symbols * (8 + 4 * len(self.counts)) + 16 * rows
+        n = len(self.counts)
+        each = symbols * (8 + 4 * n) + (16 + 4 * n) * rows + 5 * n
         return int(each * (self.size if self.nodes < LARGEST else self.nodes))
 
     def text(self) -> str:

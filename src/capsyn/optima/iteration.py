@@ -22,6 +22,8 @@ COARSE = 4
 """How much coarser the grid is by which the box is widened first."""
 STRIDE_STATES, MOST_STRIDE = 1024, 8
 """Random states at which it is seen how far a sample leads, and most samples of a sweep."""
+LONG = 8
+"""Intervals that the longest moves go, too, where loops end in a target."""
 LOOK = 8
 """Sweeps from one look at whether values have settled to the next."""
 
@@ -56,14 +58,15 @@ def wider_grid(task: Task, grid: StateGrid, loops: Loops, limit: int) -> StateGr
     return grid.widened(out).fitted(len(task.alphabet), task.rows, limit)
 
 
-def _stride(task: Task, grid: StateGrid, kernel: Any) -> int:
-    """Return how many samples a sweep takes at once: where they move states within an interval.
+def _strides(task: Task, grid: StateGrid, kernel: Any, samples: int) -> tuple[int, ...]:
+    """Return for how many samples sweeps hold symbols: where they move states by an interval.
 
-    Interpolation blurs values at every sweep, the less the farther states move. With least times
-    it is one.
+    Interpolation blurs values at every sweep, the less the farther states move. Where loops end in
+    a target, which must not be missed, symbols may be held for one sample, and for longer. With
+    least times it is one.
     """
-    if (task.held > 1).any():
-        return 1
+    if (task.held > 1).any() or (task.stop and task.remembers):
+        return (1,)
     states = grid.box.sample(STRIDE_STATES, 0)
     symbols = np.arange(len(states)) % len(task.alphabet)
     ends, _ = kernel.advance(states, task.alphabet.values[symbols])
@@ -71,7 +74,8 @@ def _stride(task: Task, grid: StateGrid, kernel: Any) -> int:
         moved = np.abs(ends - states) * (grid.counts / grid.box.widths)
     moved = moved.max(axis=1)[np.isfinite(moved).all(axis=1)]
     far = float(np.median(moved)) if len(moved) else 1.0
-    return max(1, min(MOST_STRIDE, int(1 / max(far, 1e-9))))
+    near, long = (max(1, min(int(k / max(far, 1e-9)), k * MOST_STRIDE, samples)) for k in (1, LONG))
+    return tuple(sorted({1, near, long})) if task.stop else (near,)
 
 
 def solved(
@@ -79,15 +83,14 @@ def solved(
 ) -> tuple[Lookahead, int]:
     """Return values of all but one sample, for lookahead, and how many sweeps they took."""
 
-    def built(task: Task) -> Any:
-        build = compiled(lambda: CompiledSweeps.build(task, grid), backend, "sweeping")
-        return build or NumpySweeps(task, grid)
+    def built(strides: tuple[int, ...]) -> Any:
+        build = compiled(lambda: CompiledSweeps.build(task, grid, strides), backend, "sweeping")
+        return build or NumpySweeps(task, grid, strides)
 
-    own = built(task)
-    stride = min(_stride(task, grid, own), max(samples - 1, 1))
-    slow = task if stride == 1 else dataclasses.replace(task, period=task.period * stride)
-    kernel = own if stride == 1 else built(slow)
-    table = Successors.empty(grid.blocks, len(task.alphabet), len(grid.counts))
+    own = built((1,))
+    strides = _strides(task, grid, own, samples - 1)
+    kernel = own if strides == (1,) else built(strides)
+    table = Successors.empty(grid.blocks, len(task.alphabet) * len(strides), len(grid.counts))
 
     def fill(first: int) -> None:
         last = min(first + CHUNK, grid.blocks)
@@ -95,9 +98,9 @@ def solved(
 
     with pool_of(threads) as pool:
         list(pool.map(fill, range(0, grid.blocks, CHUNK)))
-        sweeps = (samples - 1) // stride
-        values, made = _swept(kernel, table, slow, grid, sweeps, pool, threads)
-    return Lookahead(own, task, grid, values), made
+        sweeps = (samples - 1) // strides[0]
+        values, bends, made = _swept(kernel, table, task, grid, sweeps, pool, threads)
+    return Lookahead(own, task, grid, values, bends), made
 
 
 def _swept(
@@ -108,22 +111,24 @@ def _swept(
     sweeps: int,
     pool: Executor,
     threads: int,
-) -> tuple[np.ndarray, int]:
-    """Return the values (R, size) of so many sweeps from 0, and how many were made.
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the values (R, size) of so many sweeps from 0, their curvature, and their number.
 
     Where all values change by nearly as much, further sweeps go on doing so: then they are added.
     """
     values, new = (np.zeros((task.rows, grid.size)) for _ in range(2))
     size = -(-grid.blocks // threads)
     parts = [(k, min(k + size, grid.blocks)) for k in range(0, grid.blocks, size)]
+    bends = np.zeros((task.rows, grid.size, len(grid.counts)), np.float32)
     for made in range(1, sweeps + 1):
         old, out = values, new
 
         def sweep(part: tuple[int, int], old: Any = old, out: Any = out) -> tuple[float, float]:
-            return kernel.sweep(table, old, out, *part)
+            return kernel.sweep(table, old, bends, out, part)
 
         changes = list(pool.map(sweep, parts))
         values, new = new, values
+        list(pool.map(lambda part, values=values: kernel.curvature(values, bends, *part), parts))
         if made % LOOK and made < sweeps:
             continue
         low, high = min(c[0] for c in changes), max(c[1] for c in changes)
@@ -131,5 +136,5 @@ def _swept(
         mean = float(np.mean(some, where=some < HUGE_COST))
         if (high - low) * (sweeps - made) <= SETTLED * mean:
             values[:, : grid.nothing] += (high + low) / 2 * (sweeps - made)
-            return values, made
-    return values, sweeps
+            return values, bends, made
+    return values, bends, sweeps

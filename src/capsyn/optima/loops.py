@@ -26,6 +26,7 @@ class Lookahead:
     task: Task
     grid: StateGrid
     values: np.ndarray  # (R, size): of nodes, and after them zeros
+    bends: np.ndarray  # (R, size, n): half their curvature along each axis
 
     def costs(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return costs (B, N) of each symbol at states (B, n): if it is in force, if it is entered.
@@ -37,7 +38,7 @@ class Lookahead:
         self.kernel.successors(states, table)
 
         def along(rows: np.ndarray) -> np.ndarray:
-            costs = self.kernel.follow(table, self.values, rows)
+            costs = self.kernel.follow(table, self.values, self.bends, rows)
             costs = costs.swapaxes(1, 2).reshape(-1, count)[: len(states)]
             return np.where(costs >= HUGE_COST, np.inf, costs)
 
@@ -74,7 +75,8 @@ class Lookahead:
         size = -(-blocks // threads) * LANES
         parts = [starts[k : k + size] for k in range(0, len(starts), size)]
         with pool_of(threads) as pool:
-            found = pool.map(lambda x: self.kernel.loops(x, samples, self.values, TIE), parts)
+            own = (samples, self.values, self.bends, TIE)
+            found = pool.map(lambda x: self.kernel.loops(x, *own), parts)
             costs, switches, out = zip(*found, strict=True)
         cost = np.concatenate(costs)
         cost[~np.isfinite(cost)] = np.inf

@@ -259,8 +259,9 @@ def optimum(
     what the best of all controllers at that rate would do that know the state. A loop costs the
     running cost that it gathers, the terminal cost over time where there is no running cost; with
     prices on switching, each change costs its price times a sample. Least times and forbidden
-    transitions are kept. Values between nodes are interpolated linearly, so that they are
-    approximate; what is compared with is therefore what loops of the optimum's own policy cost.
+    transitions are kept. Values between nodes are interpolated, linearly but for the curvature
+    along each axis, so that they are approximate; what is compared with is therefore what loops of
+    the optimum's own policy cost.
 
     Parameters
     ----------

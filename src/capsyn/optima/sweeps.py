@@ -22,7 +22,7 @@ CHUNK = 256
 
 @dataclass(frozen=True, eq=False)
 class Successors:
-    """What each of N symbols leads to over a sample, in K blocks of states on a grid."""
+    """What each of N symbols, or moves, leads to, in K blocks of states on a grid."""
 
     at: np.ndarray  # (K, N, LANES) int32: entry of values at the lower corner of the interval
     weights: np.ndarray  # (K, N, n, LANES) float32: how far along the interval, 0 to 1
@@ -49,13 +49,14 @@ class _Lattice(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("controls", "efforts")),
         ("step", ctypes.c_double),
         *((name, ctypes.c_int64) for name in ("steps", "symbols")),
+        ("samples", ctypes.c_void_p),
     ]
 
 
 class _Table(ctypes.Structure):
     _fields_ = [
-        *((name, ctypes.c_void_p) for name in "at weights costs corners".split()),
-        *((name, ctypes.c_int64) for name in ("symbols", "size")),
+        *((name, ctypes.c_void_p) for name in "at weights costs corners inner".split()),
+        *((name, ctypes.c_int64) for name in ("nodes", "symbols", "size")),
         *((name, ctypes.c_void_p) for name in ("held", "prices")),
     ]
 
@@ -75,37 +76,67 @@ class NumpySweeps:
 
     task: Task
     grid: StateGrid
+    strides: tuple[int, ...] = (1,)  # samples that `successors` holds symbols
+
+    @property
+    def moves(self) -> list[tuple[int, int]]:
+        """Symbols and samples that they are held: all of them, for one stride after the other."""
+        return [(s, k) for k in self.strides for s in range(len(self.task.alphabet))]
 
     def successors(self, states: np.ndarray, out: Successors) -> None:
         """Fill blocks with what the symbols lead to from states (B, n); the last one is repeated.
 
-        States beyond the grid count as at its face, those in the target cost nothing from there.
+        They are those of `moves`. At each sample a loop may end in the target. States beyond the
+        grid count as at its face, those in the target cost nothing from there.
         """
         blocks, n = len(out.at), states.shape[1]
         filled = np.minimum(np.arange(blocks * LANES), len(states) - 1)
         x = np.ascontiguousarray(states[filled].T)
         begun = self._inside(x)
-        for s in range(len(self.task.alphabet)):
+        for column, (s, samples) in enumerate(self.moves):
             control = np.repeat(self.task.alphabet.values[s][:, None], x.shape[1], axis=1)
-            ends, cost = self._moved(x, control)
-            arrived = self._inside(ends)
+            ends, cost, ended = x, np.zeros(x.shape[1]), begun
+            for _ in range(samples):
+                ends, more = self._moved(ends, control)
+                more = more + self.task.efforts[s] * self.task.period
+                cost = np.where(ended, cost, cost + more)
+                ended = ended | self._inside(ends)
             at, weights = self._located(ends)
-            cost = cost + self.task.efforts[s] * self.task.period
-            finite = np.isfinite(cost) & np.isfinite(ends).all(axis=0) & (cost < HUGE_COST)
-            cost = np.where(begun, 0.0, np.where(finite, cost, HUGE_COST))
-            out.at[:, s] = np.where(begun | arrived, self.grid.nothing, at).reshape(blocks, LANES)
-            out.weights[:, s] = weights.reshape(n, blocks, LANES).swapaxes(0, 1)
-            out.costs[:, s] = cost.reshape(blocks, LANES)
+            finite = ended | np.isfinite(ends).all(axis=0)
+            cost = np.where(finite & np.isfinite(cost) & (cost < HUGE_COST), cost, HUGE_COST)
+            out.at[:, column] = np.where(ended, self.grid.nothing, at).reshape(blocks, LANES)
+            out.weights[:, column] = weights.reshape(n, blocks, LANES).swapaxes(0, 1)
+            out.costs[:, column] = cost.reshape(blocks, LANES)
 
     def advance(self, states: np.ndarray, controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return states (B, n) and costs (B,) after a sample under controls (B, m)."""
         ends, cost = self._moved(states.T, controls.T)
         return ends.T, cost
 
-    def follow(self, table: Successors, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def curvature(self, values: np.ndarray, out: np.ndarray, first: int, last: int) -> None:
+        """Write half the curvature (R, size, n) of values (R, size) in some blocks of intervals.
+
+        It is that along each axis, the smaller one of both ends, so that kinks stay what they are.
+        """
+        here = slice(first * LANES, min(last * LANES, self.grid.nodes))
+        shape = (len(values), *self.grid.shape)
+        nodes = values[:, : self.grid.nodes].reshape(shape)
+        for i in range(len(self.grid.counts)):
+            second = np.zeros(shape)
+            along = np.moveaxis(second, i + 1, -1)
+            along[..., 1:-1] = np.diff(np.moveaxis(nodes, i + 1, -1), 2, axis=-1)
+            other = np.roll(second, -1, axis=i + 1)
+            least = np.where(np.abs(second) < np.abs(other), second, other)
+            good = (second * other > 0) & (np.abs(least) < 1e-6 * HUGE_COST)
+            flat = np.where(good, 0.5 * least, 0.0).reshape(len(values), -1) * self.grid.inner[i]
+            out[:, here, i] = flat[:, here]
+
+    def follow(
+        self, table: Successors, values: np.ndarray, bends: np.ndarray, rows: np.ndarray
+    ) -> np.ndarray:
         """Return costs (K, N, LANES) of each symbol over a sample, and then of a row of values.
 
-        `rows` (N,) are those rows of values (R, size).
+        `rows` (N,) are those rows of values (R, size), `bends` (R, size, n) their curvature.
         """
         corners, n = self.grid.corners, len(self.grid.counts)
         out = np.empty(table.costs.shape)
@@ -114,27 +145,36 @@ class NumpySweeps:
             for i in range(n - 1, -1, -1):
                 low, high = near[..., 0::2], near[..., 1::2]
                 near = low + table.weights[:, s, i, :, None].astype(float) * (high - low)
-            out[:, s] = np.minimum(table.costs[:, s] + near[..., 0], HUGE_COST)
+            w = table.weights[:, s].swapaxes(1, 2)
+            off = (w * (1 - w) * bends[row][table.at[:, s]]).sum(axis=-1)
+            out[:, s] = np.minimum(table.costs[:, s] + (near[..., 0] - off), HUGE_COST)
         return out
 
     def sweep(
-        self, table: Successors, values: np.ndarray, out: np.ndarray, first: int, last: int
+        self,
+        table: Successors,
+        values: np.ndarray,
+        bends: np.ndarray,
+        out: np.ndarray,
+        part: tuple[int, int],
     ) -> tuple[float, float]:
         """Write new values of blocks first .. last - 1; return the least and largest change.
 
-        Values and `out` are (R, size); `table` is that of the whole grid.
+        Values and `out` are (R, size); `bends` is their curvature, `table` that of the whole grid.
         """
+        first, last = part
         some, here = table.part(first, last), slice(first * LANES, last * LANES)
         held, prices = self.task.held, self.task.prices
         if prices is None:
-            none = np.zeros(len(held), dtype=int)
-            free = self.follow(some, values, none).min(axis=1).reshape(1, -1)
+            none = np.zeros(table.at.shape[1], dtype=int)
+            free = self.follow(some, values, bends, none).min(axis=1).reshape(1, -1)
             tops = np.array([0])
         else:
             tops = self.task.tops
-            each = [self.follow(some, values, tops)]
+            each = [self.follow(some, values, bends, tops)]
             for r in range(1, held.max()):
-                each.append(self.follow(some, values, tops + np.minimum(r, held - 1)))
+                rows = tops + np.minimum(r, held - 1)
+                each.append(self.follow(some, values, bends, rows))
             flat = [costs.swapaxes(0, 1).reshape(len(held), -1) for costs in each]
             for s in range(len(held)):
                 for r in range(1, held[s]):
@@ -181,9 +221,10 @@ class CompiledSweeps:
     task: Task
     grid: StateGrid
     kept: dict[str, np.ndarray]  # what the structures point to
+    strides: tuple[int, ...]
 
     @staticmethod
-    def build(task: Task, grid: StateGrid) -> CompiledSweeps:
+    def build(task: Task, grid: StateGrid, strides: tuple[int, ...] = (1,)) -> CompiledSweeps:
         """Return the kernel of a task on a grid; `KernelBuildError` if it fails."""
         plant = task.plant
         programs = {
@@ -204,9 +245,10 @@ class CompiledSweeps:
         for name, arguments in (
             ("capsyn_successors", [whole, p, p, p, p, p]),
             ("capsyn_advance", [whole, p, p, p, p, p]),
-            ("capsyn_follow", [whole, p, p, p, p]),
-            ("capsyn_sweep", [whole, whole, p, p, p, p]),
-            ("capsyn_loops", [whole, p, p, p, p, p, p, p, p]),
+            ("capsyn_curvature", [whole, whole, p, p, p]),
+            ("capsyn_follow", [whole, p, p, p, p, p]),
+            ("capsyn_sweep", [whole, whole, p, p, p, p, p]),
+            ("capsyn_loops", [whole, p, p, p, p, p, p, p, p, p]),
         ):
             function = getattr(library, name)
             function.restype, function.argtypes = None, arguments
@@ -217,9 +259,11 @@ class CompiledSweeps:
             "scale": np.array(grid.counts) / box.widths,
             "counts": np.array(grid.counts, np.int64),
             "periodic": np.array(box.periodic, np.int64),
-            "controls": np.ascontiguousarray(task.alphabet.values, float),
-            "efforts": np.ascontiguousarray(task.efforts, float),
+            "controls": np.tile(task.alphabet.values, (len(strides), 1)).astype(float),
+            "efforts": np.tile(task.efforts, len(strides)).astype(float),
+            "samples": np.repeat(np.array(strides, np.int64), len(task.alphabet)),
             "corners": grid.corners,
+            "inner": grid.inner,
             "held": np.ascontiguousarray(task.held, np.int64),
             "least": np.where(box.periodic, -np.inf, box.lower),
             "most": np.where(box.periodic, np.inf, box.upper),
@@ -229,29 +273,30 @@ class CompiledSweeps:
         }
         if task.prices is not None:
             kept["prices"] = np.ascontiguousarray(task.prices, float)
-        return CompiledSweeps(library, task, grid, kept)
+        return CompiledSweeps(library, task, grid, kept, strides)
 
     @functools.cached_property
     def _lattice(self) -> _Lattice:
         task = self.task
-        names = "lower scale counts periodic controls efforts".split()
+        names = "lower scale counts periodic controls efforts samples".split()
         places: dict[str, Any] = {name: self.kept[name].ctypes.data for name in names}
         return _Lattice(
             nothing=self.grid.nothing,
             step=task.period / task.substeps,
             steps=task.substeps,
-            symbols=len(task.alphabet),
+            symbols=len(self.kept["samples"]),
             **places,
         )
 
     def _table(self, table: Successors) -> _Table:
         places: dict[str, Any] = {
             name: self.kept[name].ctypes.data
-            for name in ("corners", "held", "prices")
+            for name in ("corners", "inner", "held", "prices")
             if name in self.kept
         }
         places |= {name: array.ctypes.data for name, array in vars(table).items()}
-        return _Table(symbols=len(self.task.alphabet), size=self.grid.size, **places)
+        sizes = {"symbols": len(self.kept["samples"]), "size": self.grid.size}
+        return _Table(nodes=self.grid.nodes, **sizes, **places)
 
     def successors(self, states: np.ndarray, out: Successors) -> None:
         """Fill blocks with what the symbols lead to; see `NumpySweeps`."""
@@ -272,28 +317,50 @@ class CompiledSweeps:
         )  # fmt: skip
         return ends, costs
 
-    def follow(self, table: Successors, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def curvature(self, values: np.ndarray, out: np.ndarray, first: int, last: int) -> None:
+        """Write half the curvature of values; see `NumpySweeps`."""
+        told = self._table(Successors.empty(0, 0, len(self.grid.counts)))
+        last = min(last * LANES, self.grid.nodes)
+        for row, bends in zip(values, out, strict=True):
+            self.library.capsyn_curvature(
+                first * LANES, last, ctypes.addressof(told), row.ctypes.data, bends.ctypes.data
+            )
+
+    def follow(
+        self, table: Successors, values: np.ndarray, bends: np.ndarray, rows: np.ndarray
+    ) -> np.ndarray:
         """Return what going on from each symbol costs; see `NumpySweeps`."""
         out, told = np.empty(table.costs.shape), self._table(table)
         rows = np.ascontiguousarray(rows, np.int64)
         self.library.capsyn_follow(
-            len(out), ctypes.addressof(told), values.ctypes.data, rows.ctypes.data, out.ctypes.data
-        )
+            len(out), ctypes.addressof(told), values.ctypes.data, bends.ctypes.data,
+            rows.ctypes.data, out.ctypes.data,
+        )  # fmt: skip
         return out
 
     def sweep(
-        self, table: Successors, values: np.ndarray, out: np.ndarray, first: int, last: int
+        self,
+        table: Successors,
+        values: np.ndarray,
+        bends: np.ndarray,
+        out: np.ndarray,
+        part: tuple[int, int],
     ) -> tuple[float, float]:
         """Write new values of some blocks; see `NumpySweeps`."""
         change, told = np.array([np.inf, -np.inf]), self._table(table)
         self.library.capsyn_sweep(
-            first, last, ctypes.addressof(told), values.ctypes.data, out.ctypes.data,
-            change.ctypes.data,
+            *part, ctypes.addressof(told), values.ctypes.data, bends.ctypes.data,
+            out.ctypes.data, change.ctypes.data,
         )  # fmt: skip
         return float(change[0]), float(change[1])
 
     def loops(
-        self, starts: np.ndarray, samples: int, values: np.ndarray, tie: float
+        self,
+        starts: np.ndarray,
+        samples: int,
+        values: np.ndarray,
+        bends: np.ndarray,
+        tie: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return costs (B,), switches (B,) and ways out (2, B, n) of loops from starts (B, n)."""
         starts = np.ascontiguousarray(starts, float)
@@ -303,12 +370,15 @@ class CompiledSweeps:
             k: k for k in ("switches", "tops", "entries")
         }
         places = {name: self.kept[own].ctypes.data for name, own in names.items()}
-        journey = _Journey(samples=samples, remembers=self.task.remembers, tie=tie, **places)
-        told = self._table(Successors.empty(0, len(self.task.alphabet), starts.shape[1]))
+        count = len(self.task.alphabet)
+        journey = _Journey(
+            samples=samples, symbols=count, remembers=self.task.remembers, tie=tie, **places
+        )
+        told = self._table(Successors.empty(0, 0, starts.shape[1]))
         done = self.library.capsyn_loops(
             len(starts), starts.ctypes.data, ctypes.addressof(self._lattice),
             ctypes.addressof(told), ctypes.addressof(journey), values.ctypes.data,
-            costs.ctypes.data, switches.ctypes.data, out.ctypes.data,
+            bends.ctypes.data, costs.ctypes.data, switches.ctypes.data, out.ctypes.data,
         )  # fmt: skip
         if not done:
             raise MemoryError
