@@ -116,7 +116,7 @@ def test_features_of_policies_that_are_told_nothing_take_states_alone():
                        partitions=4, max_level=3)  # fmt: skip
     tree = compress(policy, features={"below": lambda x: x[0] - x[1]})
     assert isinstance(tree.cells, FeatureTree)
-    with pytest.raises(ProblemError, match="it must be a function of x$"):
+    with pytest.raises(ProblemError, match="it must be a function of x, and of w where"):
         compress(policy, features={"below": lambda x, w: x[0] - w[0]})
 
 

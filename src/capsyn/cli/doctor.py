@@ -20,6 +20,7 @@ from capsyn.version import __version__
 
 DATA = {
     "controllers": ("action.c", "ssac.c"),
+    "optima": ("dynamic_programming.c",),
     "policies": ("lookup.c",),
     "simulation": ("simulate.c",),
     "sources": ("finite_control_set.c",),

@@ -261,7 +261,7 @@ def check_memory(
     fits = max((k for k in range(grid.max_level) if need(grid.at(k)) <= limit), default=None)
     fewer = _fewer_partitions(grid, limit, need)
     advice = fewer if fits is None else f"max_level <= {fits} fits, or fewer `partitions`"
-    if not (affine or adaptive):
+    if not (affine or adaptive) and least <= limit:
         advice += ', or leaves="affine"'
     solves = worst_case_solves(grid, test_points.interior(grid.n), adaptive)
     choices = range(1, min(solves, 2**40))
