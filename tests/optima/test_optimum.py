@@ -190,6 +190,11 @@ def test_the_box_is_widened_until_no_loop_leaves():
     assert wide.counts[0] > 60 and wide.box.widths[0] / wide.counts[0] == pytest.approx(0.2)
 
 
+def test_a_coarse_grid_gives_no_bound():
+    found = optimum(problems.get("boost-converter"), 2e-3, rate=1e5, counts=3, starts=20, widen=0)
+    assert abs(found.grid_error) > 0.1 and not found.bound
+
+
 def test_exogenous_inputs_are_fixed():
     problem = walk(
         dynamics=lambda x, u, w: [u[0]],

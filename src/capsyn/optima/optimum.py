@@ -34,6 +34,10 @@ from capsyn.validation import (
     whole_numbers,
 )
 
+COARSE = 0.1
+"""Error of a grid that is too coarse for a bound."""
+GROWTH = 4
+"""How many times the memory a grid may take that is widened, before its intervals grow."""
 MOST_SWEEPS = 1_000_000
 """Most samples of a loop."""
 
@@ -94,8 +98,11 @@ class Optimum:
 
     @property
     def bound(self) -> bool:
-        """Whether the grid holds all that its loops reach; else their cost is no bound."""
-        return self.left == 0
+        """Whether the grid holds all that its loops reach, and its error is less than a tenth.
+
+        Else their cost is no bound.
+        """
+        return self.left == 0 and abs(self.grid_error) < COARSE
 
     @property
     def mean(self) -> float:
@@ -289,7 +296,7 @@ def optimum(
         Whether a loop ends in the target, at no more cost.
     widen : int
         Most times that the box is widened where loops leave it; the intervals keep their size
-        while memory allows.
+        until it takes four times the memory.
     memory : int or text, optional
         Most that may be taken, as ``"2GB"``. Default: half of what is available.
     backend : "auto", "c" or "numpy"
@@ -317,6 +324,7 @@ def optimum(
     limit = available_memory() // 2 if memory is None else amount_of("memory", memory)
     grid.check(len(task.alphabet), task.rows, limit)
     widen, threads = whole_number("widen", widen, least=0), processors(threads)
+    limit = min(limit, GROWTH * grid.bytes(len(task.alphabet), task.rows))
     grid, widened = reached(task, grid, states, samples, widen, limit, backend, threads)
     for again in range(widened, widen + 1):
         if progress is not None:

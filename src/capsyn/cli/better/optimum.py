@@ -98,8 +98,10 @@ def print_optimum(data: dict[str, Any], headline: str, *_: Any) -> None:
     box = f"{vector(data['lower'])} to {vector(data['upper'])}"
     off = "" if error is None else f", whose values are off by {error:.2%}"
     print_line("grid", f"{counts} over {box}, {data['memory'] / 1e6:.3g} MB{off}")
-    if not data["bound"]:
+    if data["left"]:
         print_line("no bound", f"{data['left']:,} of the best loops leave the grid nevertheless")
+    elif not data["bound"]:
+        print_line("no bound", "the grid is too coarse, see --counts")
     if "picture" in data:
         print_line("picture", data["picture"])
 
