@@ -13,6 +13,7 @@ from capsyn.execution.processors import pool_of
 from capsyn.modelling.alphabet import Outside, check_outside
 from capsyn.modelling.targets import target_program
 from capsyn.policies.policy import Policy
+from capsyn.programs.model import gathered_cost
 from capsyn.programs.program import Program
 from capsyn.simulation.closed_loop import Holds, Loop, new_trials
 from capsyn.simulation.plant import Plant, choose_substeps, plant_of
@@ -22,8 +23,6 @@ ACCURACY = 1e-6
 """Error of a sample that is allowed, in widths of the domain per time unit."""
 PIECE = 1 << 18
 """Runge-Kutta steps that a thread goes without looking whether it is to stop."""
-SAMPLES = 256
-"""Random states at which a running cost shows that it is one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +52,9 @@ class ChargedLoop:
         It charges no effort and no prices; see `charging`.
         """
         plant = plant_of(policy)
-        end: Program | None = first_output(plant.terminal_cost)
-        states = plant.space.sample(SAMPLES, 0).T
-        if not np.any(plant.running_cost.evaluate(states)[0]):
-            assert end is not None
-            plant, end = dataclasses.replace(plant, running_cost=end), None
+        cost = gathered_cost(plant.running_cost, plant.terminal_cost)
+        end = plant.terminal_cost.first if cost is plant.running_cost else None
+        plant = dataclasses.replace(plant, running_cost=cost)
         period, rules = 1 / rate, policy.rules
         none = np.zeros((0, 1))
         loop = Loop(
@@ -129,9 +126,3 @@ def efforts_of(policy: Policy) -> np.ndarray:
         return np.zeros(len(policy.controls))
     efforts = policy.settings.efforts(policy.controls)
     return np.asarray(efforts - efforts[:-1].min())
-
-
-def first_output(program: Program) -> Program:
-    """Return a program with the first of its outputs alone."""
-    outputs, results = program.outputs[:1], program.results[:1]
-    return Program(program.name, program.inputs, outputs, program.instructions, results)

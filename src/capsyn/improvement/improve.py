@@ -19,7 +19,7 @@ from capsyn.improvement.rollouts import Rollouts
 from capsyn.improvement.rounds import CHOICE, Round, Rounds
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.grid import Grid
-from capsyn.modelling.targets import check_target
+from capsyn.modelling.targets import check_initial
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.random_streams import derived_seed
 from capsyn.statistics import check_confidence
@@ -180,10 +180,7 @@ def improve(
     starts = whole_number("starts", starts, least=2)
     seed = whole_number("seed", seed, least=0)
     check_confidence(confidence)
-    if initial is not None:
-        if not isinstance(initial, (Ball, Box)):
-            raise ProblemError(f"`initial` must be a Ball or a Box; got {describe(initial)}")
-        check_target(initial, policy.domain, "initial")
+    check_initial(initial, policy.domain)
     rate = _rate(policy, rate)
     own, tried = _horizons(policy, horizons, rate)
     duration = finite_number("duration", JUDGED * own if duration is None else duration, above=0.0)

@@ -15,9 +15,8 @@ import numpy as np
 
 from capsyn.cells.masks import masks_of_members, word_count
 from capsyn.improvement.charged_loop import ChargedLoop
+from capsyn.sources.finite_control_set import cheapest
 
-TIE = 1e-9
-"""Share of the least cost by which another label's may be larger and still tie with it."""
 HELD = 1 << 40
 """Samples that an input has been held which may change."""
 
@@ -112,10 +111,8 @@ class Rollouts:
         """
         costs = self.costs(states)
         count = len(self.loop.policy.alphabet)
-        least = costs.min(axis=2, keepdims=True)
-        with np.errstate(invalid="ignore"):
-            good = (costs <= least + TIE * np.abs(least)) & np.isfinite(costs)
-        lost = ~good.any(axis=2)
+        good = cheapest(costs)
+        lost = np.asarray(~good.any(axis=2))
         if lost.any():
             good = self._own(states, good, lost)
         masks = masks_of_members(good, word_count(count + 1))

@@ -17,7 +17,7 @@ from capsyn.improvement.judged import Comparison
 from capsyn.improvement.rollouts import Rollouts
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.settings import SsacSettings
-from capsyn.modelling.targets import target_axes
+from capsyn.modelling.targets import placed
 from capsyn.policies.policy import Policy
 from capsyn.random_streams import derived_seed
 from capsyn.subdivision.lattice_points import Progress
@@ -188,12 +188,8 @@ class Rounds:
         """Return starts (B, n) of their own for a round and a purpose."""
         policy = self.loop.policy
         states = policy.space.sample(self.starts, derived_seed(self.seed, number, purpose))
-        if self.initial is not None:
-            axes = target_axes(self.initial, policy.domain)
-            states[:, axes] = self.initial.sample(
-                self.starts, derived_seed(self.seed, number, purpose, 1)
-            )
-        return states
+        own = derived_seed(self.seed, number, purpose, 1)
+        return placed(states, self.initial, policy.domain, own)
 
     def _with_history(self, before: Policy, policy: Policy, done: Round) -> Policy:
         """Return a policy whose statistics tell the rounds that made it."""

@@ -256,7 +256,7 @@ class Problem:
         changed = object.__new__(type(self))
         if not changes.keys() & _OF_TAILS and "_terminal" in vars(self):
             vars(changed)["_terminal"] = self._terminal  # a tail takes a while
-        changed.__init__(**fields | changes)  # type: ignore[misc]
+        Problem.__init__(changed, **fields | changes)
         return changed
 
 

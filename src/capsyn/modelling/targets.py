@@ -71,6 +71,22 @@ def target_axes(target: Ball | Box, domain: Box, name: str = "target") -> list[i
     return list(range(domain.n))
 
 
+def check_initial(initial: Any, domain: Box) -> None:
+    """Raise `ProblemError` unless it is a ball or box of some states of the domain, or None."""
+    if initial is None:
+        return
+    if not isinstance(initial, (Ball, Box)):
+        raise ProblemError(f"`initial` must be a Ball or a Box; got {describe(initial)}")
+    check_target(initial, domain, "initial")
+
+
+def placed(states: np.ndarray, initial: Ball | Box | None, domain: Box, seed: Any) -> np.ndarray:
+    """Return states (B, n), those along the axes of `initial` drawn from it, in place."""
+    if initial is not None:
+        states[:, target_axes(initial, domain)] = initial.sample(len(states), seed)
+    return states
+
+
 def with_tolerance(target: Any, tolerance: float | None) -> Any:
     """Return a target with another radius where one is given; `ProblemError` if it is no ball."""
     if tolerance is None:

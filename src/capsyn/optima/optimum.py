@@ -15,6 +15,7 @@ from capsyn.execution.memory import available_memory
 from capsyn.execution.memory import memory as amount_of
 from capsyn.execution.processors import processors
 from capsyn.modelling.domain import Ball, Box
+from capsyn.modelling.targets import check_initial, placed
 from capsyn.optima.comparison import OptimumComparison, compared
 from capsyn.optima.grid import USUAL, StateGrid
 from capsyn.optima.iteration import reached, solved, wider_grid
@@ -285,7 +286,7 @@ def optimum(
     starts : int or (B, n)
         Initial states, or how many are drawn.
     initial : Box or Ball, optional
-        What they are drawn from. Default: the domain.
+        What they are drawn from, or those of their states that it names. Default: the domain.
     seed : int
         Of the draw.
     exogenous : (k,), or mapping of name to number, optional
@@ -372,12 +373,9 @@ def _starts(task: Task, starts: Any, initial: Box | Ball | None, seed: int) -> n
         if states.shape[1] != n or not len(states):
             raise ProblemError(f"`starts` must have shape (B, {n}); got {states.shape}")
         return states
-    region = task.domain if initial is None else initial
-    if not isinstance(region, (Box, Ball)) or region.n != n:
-        raise ProblemError(
-            f"`initial` must be a capsyn.Box or Ball of {n} states; got {describe(initial)}"
-        )
-    return region.sample(whole_number("starts", starts, least=1), [seed, 7])
+    check_initial(initial, task.domain)
+    states = task.domain.sample(whole_number("starts", starts, least=1), [seed, 7])
+    return placed(states, initial, task.domain, [seed, 7])
 
 
 def _plan(task: Task, grid: StateGrid, samples: int) -> str:

@@ -21,15 +21,12 @@ from capsyn.modelling.transcription import transcribe, transcribe_target
 from capsyn.optima.grid import MOST_AXES
 from capsyn.policies.cut import cut_target
 from capsyn.policies.policy import Policy
-from capsyn.programs.model import Model
+from capsyn.programs.model import Model, gathered_cost
 from capsyn.programs.program import Program
 from capsyn.simulation.closed_loop import Holds
 from capsyn.simulation.plant import Plant, choose_substeps, plant_of
 from capsyn.synthesis.synthesize import priced
 from capsyn.validation import describe, finite_number
-
-SAMPLES = 256
-"""Random states at which a running cost is looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +130,7 @@ def task_of(
     if stop and target is None:
         raise ProblemError("`stop_at_target` needs a target; there is none")
     period = _period(source, rate)
-    model, objective = _gathering(model, source.domain, source.time_unit)
+    model, objective = _gathering(model, source.time_unit)
     alphabet = source.alphabet
     holds = Holds.of(rules, period)
     if (holds.inputs > 1).any():
@@ -161,16 +158,12 @@ def _period(source: Problem | Policy, rate: float | None) -> float:
     return source.settings.sample_time
 
 
-def _gathering(model: Model, domain: Box, time_unit: str) -> tuple[Model, str]:
-    """Return a model whose running cost is what loops gather, and that in words.
-
-    It is the terminal cost, over time, where there is no running cost.
-    """
-    running, end = model.running_cost, model.terminal_cost
-    if running.evaluate(domain.sample(SAMPLES, 0).T)[0].any():
+def _gathering(model: Model, time_unit: str) -> tuple[Model, str]:
+    """Return a model whose running cost is what loops gather, and that in words."""
+    cost = gathered_cost(model.running_cost, model.terminal_cost)
+    if cost is model.running_cost:
         return model, f"running cost, over {time_unit}"
-    rate = Program("running_cost", end.inputs, running.outputs, end.instructions, end.results[:1])
     return (
-        dataclasses.replace(model, running_cost=rate),
+        dataclasses.replace(model, running_cost=cost),
         f"terminal cost, over {time_unit}, since there is no running cost",
     )

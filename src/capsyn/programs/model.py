@@ -127,3 +127,14 @@ def model_ports(n: int, m: int, symbols: int) -> dict[str, tuple[Any, Any]]:
             (("gradients", symbols), ("scales", symbols)),
         ),
     }
+
+
+def gathered_cost(running: Program, terminal: Program) -> Program:
+    """Return the cost per time that closed loops gather: the running cost of a problem.
+
+    Of a problem without one, whose running cost is the constant 0, it is the terminal cost.
+    """
+    zeros = [np.zeros((size, 1)) for _, size in running.inputs]
+    if running.used_inputs() or running.evaluate(*zeros)[0].any():
+        return running
+    return terminal.first

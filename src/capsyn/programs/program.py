@@ -42,6 +42,14 @@ class Program:
         """Number of input components."""
         return sum(size for _, size in self.inputs)
 
+    @property
+    def first(self) -> Program:
+        """The program of its first output alone."""
+        size = self.outputs[0][1]
+        return Program(
+            self.name, self.inputs, self.outputs[:1], self.instructions, self.results[:size]
+        )
+
     @functools.cached_property
     def _dying(self) -> list[list[int]]:
         """For each instruction the computed values that nobody needs after it."""

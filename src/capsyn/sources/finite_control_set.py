@@ -25,7 +25,6 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.switching import Switching
 from capsyn.modelling.transcription import transcribe
 from capsyn.native.compiled import compiled
-from capsyn.programs.program import Program
 from capsyn.sources.delayed import delayed
 from capsyn.sources.sequence_costs import BATCH, FiniteControlSetKernel, Moves, NumpyCosts
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number, whole_numbers
@@ -128,10 +127,7 @@ class FiniteControlSet:
 
     def _tied(self, costs: np.ndarray) -> np.ndarray:
         """Return the masks (B, W) of the costs (B, N) that tie with the least."""
-        least = costs.min(axis=1, keepdims=True)
-        with np.errstate(invalid="ignore"):
-            good = (costs <= least + COST_TIE * np.abs(least)) & np.isfinite(costs)
-        return masks_of_members(good, word_count(self.symbols + 1))
+        return masks_of_members(cheapest(costs), word_count(self.symbols + 1))
 
     def __call__(self, states: np.ndarray, current: Any = -1) -> np.ndarray:
         """Return the first symbol (B,) of the best sequence from states (B, n).
@@ -188,6 +184,14 @@ class FiniteControlSet:
                 "predictive control was made with; got others"
             )
         return switching
+
+
+def cheapest(costs: np.ndarray) -> np.ndarray:
+    """Return which costs (..., N) are finite and, within `COST_TIE`, the least of the N."""
+    least = costs.min(axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        near = costs <= least + COST_TIE * np.abs(least)
+    return np.asarray(near & np.isfinite(costs))
 
 
 def finite_control_set(
@@ -253,8 +257,7 @@ def finite_control_set(
     efforts = settings.efforts(values)
     one_of("backend", backend, BACKENDS)
     model = transcribe(problem)
-    end = model.terminal_cost
-    end = Program(end.name, end.inputs, end.outputs[:1], end.instructions, end.results[:1])
+    end = model.terminal_cost.first
     none = np.zeros((count, count))
     moves = Moves(values, efforts, np.full(depth, period / steps), held * steps, none)
     kernel = compiled(

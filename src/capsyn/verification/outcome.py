@@ -47,7 +47,7 @@ class MonteCarlo:
         What was drawn of the input delay [time unit].
     disturbances, noises : (T, n)
         What was drawn of the constant disturbance [state units / time unit], and of the standard
-        deviation of the measurement noise [state units].
+        deviation of the measurement noise [state units], (T, n + k) with that of exogenous inputs.
     exogenous : (T, k)
         Exogenous inputs at the start of each trial [their units].
     tracking : mapping of name to Tracking

@@ -18,10 +18,10 @@ from capsyn.execution.processors import processors
 from capsyn.modelling.switching import Switching
 from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy, cell_tree
-from capsyn.programs.program import Program
+from capsyn.programs.model import gathered_cost
 from capsyn.simulation.experiment import set_up
 from capsyn.simulation.options import LoopOptions
-from capsyn.simulation.plant import Plant, plant_of
+from capsyn.simulation.plant import plant_of
 from capsyn.subdivision.limits import Limits
 from capsyn.subdivision.plan import SubdivisionPlan
 from capsyn.subdivision.subdivide import Labelling, carry_out
@@ -297,7 +297,9 @@ def _figures(
     policy: Policy, states: np.ndarray, options: LoopOptions
 ) -> tuple[float, float, float | None]:
     """Return switches per time unit, mean cost, and share in the target at the end."""
-    plant = _gathering(plant_of(policy))
+    plant = plant_of(policy)
+    cost = gathered_cost(plant.running_cost, plant.terminal_cost)
+    plant = dataclasses.replace(plant, running_cost=cost)
     experiment = set_up(policy, plant, options)
     count = len(states)
     trials = experiment.trials(states, np.full(count, plant.delay), np.zeros((count, 0)))
@@ -308,18 +310,6 @@ def _figures(
         at_end = experiment.loop.inside.evaluate(trials["state"].T)[0][0]
         success = float((at_end != 0).mean())
     return float(trials["switches"].sum() / time), float(trials["cost"].mean()), success
-
-
-def _gathering(plant: Plant) -> Plant:
-    """Return a plant whose running cost is its terminal cost where it has no other."""
-    if (
-        plant.running_cost.evaluate(np.zeros((plant.n, 1)))[0].any()
-        or plant.running_cost.used_inputs()
-    ):
-        return plant
-    end = plant.terminal_cost
-    cost = Program(end.name, end.inputs, end.outputs[:1], end.instructions, end.results[:1])
-    return dataclasses.replace(plant, running_cost=cost)
 
 
 def _recommended(points: Sequence[SwitchingPoint]) -> SwitchingPoint:

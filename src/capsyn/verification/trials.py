@@ -10,7 +10,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.targets import check_target, target_axes
+from capsyn.modelling.targets import check_initial, placed
 from capsyn.simulation.exogenous import ExogenousSignal, exogenous_signal
 from capsyn.simulation.experiment import per_state
 from capsyn.simulation.options import LoopOptions
@@ -123,7 +123,9 @@ def draw(
 ) -> Drawn:
     """Return what trials of a plant draw besides their parameters, each from its own stream."""
     loop, count, n, seed = options.loop, options.trials, plant.states, options.loop.seed
-    states = _initial_states(options.initial, plant.domain, count, seed)
+    initial, domain = options.initial, plant.domain
+    check_initial(initial, domain)
+    states = placed(domain.sample(count, [seed, 6]), initial, domain, [seed, 7])
     disturbances, noises = np.zeros((count, n)), np.zeros((count, n))
     if loop.disturbance is not None and not callable(loop.disturbance):
         disturbances = _draw("disturbance", loop.disturbance, count, n, [seed, 2])
@@ -146,14 +148,3 @@ def _draw(
     if (high < low).any():
         raise ProblemError(f"`{name}` must have low <= high; got {describe(value)}")
     return low + (high - low) * np.random.default_rng(seed).random((count, size))
-
-
-def _initial_states(initial: Any, domain: Box, count: int, seed: int) -> np.ndarray:
-    states = domain.sample(count, [seed, 6])
-    if initial is None:
-        return states
-    if not isinstance(initial, (Ball, Box)):
-        raise ProblemError(f"`initial` must be a Ball or a Box; got {describe(initial)}")
-    check_target(initial, domain, "initial")
-    states[:, target_axes(initial, domain)] = initial.sample(count, [seed, 7])
-    return states

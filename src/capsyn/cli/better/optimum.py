@@ -10,7 +10,6 @@ from capsyn.cli.console import print_line
 from capsyn.cli.loop import loop_options
 from capsyn.cli.options import number, region, whole_number_list
 from capsyn.errors import ProblemError
-from capsyn.modelling.domain import Box
 from capsyn.verification.sentences import vector
 
 if TYPE_CHECKING:
@@ -40,13 +39,16 @@ def compare_with_optimum(policy: Policy, options: Any, client: Any) -> dict[str,
     if duration is None:
         duration = HORIZONS * (policy.horizon or 1.0)
     loop = loop_options(policy, dataclasses.replace(options, duration=duration))
+    initial = None
+    if options.initial is not None:
+        initial = region("--initial", options.initial, policy.domain.names)
     best = optimum(
         policy,
         duration,
         rate=options.rate,
         counts=whole_number_list("--counts", options.counts),
         starts=options.optimum,
-        initial=_region(policy, options.initial),
+        initial=initial,
         seed=options.seed,
         exogenous=loop.exogenous,
         memory=options.memory,
@@ -64,19 +66,6 @@ def compare_with_optimum(policy: Policy, options: Any, client: Any) -> dict[str,
         save_optimum_plot(comparison, policy.domain, policy.name, options.output)
     picture = {} if options.output is None else {"picture": options.output}
     return comparison.to_json() | {"time_unit": policy.time_unit} | best.to_json() | picture
-
-
-def _region(policy: Policy, text: str | None) -> Box | None:
-    """Return where loops start: the domain, but for the states that a text names."""
-    if text is None:
-        return None
-    named = region("--initial", text, policy.domain.names)
-    assert isinstance(named, Box)  # without a tolerance
-    lower, upper = policy.domain.lower.copy(), policy.domain.upper.copy()
-    for name, low, high in zip(named.names, named.lower, named.upper, strict=True):
-        k = policy.domain.names.index(name)
-        lower[k], upper[k] = low, high
-    return Box(lower, upper, policy.domain.names)
 
 
 def print_optimum(data: dict[str, Any], headline: str, *_: Any) -> None:

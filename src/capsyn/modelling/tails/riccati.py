@@ -85,7 +85,7 @@ def riccati_tail(problem: System, effort: float = 1.0, goal: Any = None) -> Tail
         control=read_only(shares @ problem.alphabet.values),
         effort=effort,
         horizon=_horizon(loop),
-        periods=read_only(np.where(domain.periodic, domain.widths, 0.0)),
+        periods=read_only(domain.periods),
     )
 
 
