@@ -50,7 +50,8 @@ def other(tmp_path):
     """A scheduler of its own, and what starts workers for it and returns a client."""
     with processes() as start:
         address, scheduler = start_scheduler(start, tmp_path)
-        with distributed.Client(address) as client:
+        # what is submitted while a client tries to reconnect is lost when it gives up
+        with distributed.Client(address, timeout=cluster.CONNECT_SECONDS) as client:
 
             def workers(*environments):
                 started = [
