@@ -18,6 +18,38 @@ QUESTIONS = (
     "closed_loop explorer command counts exports timing cluster"
 ).split()
 
+FIRST = {
+    "solve": (
+        "one solve: capsyn c, double, 1 thread",
+        "one solve: capsyn c, double over CasADi JIT (scalar C), 1 thread",
+    ),
+    "command": ("capsyn synth cart-pendulum, warm kernel cache",),
+    "lookup": ("lookup: cart-pendulum level 4, c, 1 core",),
+    "closed_loop": ("closed loop: cart-pendulum, 1,000 trials of 15 s at 1 kHz, all processors",),
+    "tails": (
+        "planar quadrotor with a tail, within 0.2 of the origin from 10 to 20 s: success",
+        "cart-pole with a tail, starts within 5 % of the domain, up for 10 s: success",
+        "docking with 9 symbols with a tail, arrived within 60 s: success",
+        "docking with 9 symbols with a tail, arrived within 60 s: mean fuel",
+        "quadrotor, one cell, starts from 0.6 of the domain, within 0.3 m from 6 s: success",
+    ),
+    "improve": (
+        "double-tank-a, 2 round(s): cost over the optimum's",
+        "cart-pendulum, 2 round(s): cost over the optimum's",
+        "boost-converter, 2 round(s): cost over the optimum's",
+    ),
+    "told": (
+        "building, law as default: largest mean error of 1,000 days",
+        "boost converter told its load: largest mean error, 30 to 50 V, 10 to 40 ohm",
+    ),
+    "inverter": ("inverter told 10 A: rms error over online control's",),
+    "exports": (
+        "export c: cart-pendulum level 4 exact, table lattice, cortex-m0",
+        "export c: cart-pendulum level 4 exact, grid double, gcc -O2, a decision",
+    ),
+}
+"""The rows that a reader wants first, of each question."""
+
 INTRODUCTION = """# Benchmarks
 
 `make bench` runs one script per question, each in a process of its own, and writes this file and
@@ -62,20 +94,29 @@ def measured(question):
     return [{"question": question, **row} for row in json.loads(run.stdout.splitlines()[-1])]
 
 
+def table(title, rows):
+    """Return the lines of a table under its title."""
+    lines = ["", f"## {title}", "", "| what | figure | wanted | met |", "|---|---|---|---|"]
+    for row in rows:
+        value, wanted = row["value"], row.get("wanted") or ""
+        figure = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+        cells = row["what"], f"{figure} {row['unit']}", wanted, met(value, wanted)
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
 def page(setting, rows):
-    """Return the lines of README.md: a table for each question."""
+    """Return the lines of README.md: a table of what matters most, and one for each question."""
     lines = [INTRODUCTION, *(f"- {key}: {value}" for key, value in setting.items())]
+    named = {(row["question"], row["what"]): row for row in rows}
+    wanted = [(question, what) for question in FIRST for what in FIRST[question]]
+    missing = [what for question, what in wanted if (question, what) not in named]
+    if missing:
+        sys.exit(f"no question has the row {missing[0]!r}, which is to be among the first")
+    lines += table("First of all", [named[key] for key in wanted])
     for question in QUESTIONS:
         title = question.replace("_", " ").capitalize()
-        lines += ["", f"## {title}", "", "| what | figure | wanted | met |", "|---|---|---|---|"]
-        for row in rows:
-            if row["question"] != question:
-                continue
-            value, wanted = row["value"], row.get("wanted") or ""
-            figure = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
-            lines.append(
-                f"| {row['what']} | {figure} {row['unit']} | {wanted} | {met(value, wanted)} |"
-            )
+        lines += table(title, [row for row in rows if row["question"] == question])
     return lines
 
 
