@@ -1,6 +1,5 @@
 """Intervals: what a program gives in a box lies in its bounds, whatever the operation."""
 
-import itertools
 import math
 from fractions import Fraction
 
@@ -12,12 +11,7 @@ from hypothesis import strategies as st
 from capsyn.programs.intervals import INTERVALS, evaluate_intervals
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Program
-from support.random_programs import random_program
-
-SPECIAL = [0.0, 5e-324, 1e-310, 1e-8, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 7.0, 710.0, 1e6, 1e15 + 0.5]
-SPECIAL += [1e300, 1.7976931348623157e308, math.inf]
-SPECIAL += [k * math.pi / 4 for k in (1, 2, 3, 4, 6, 8, 1e4, 1e6 + 2)]
-SPECIAL = sorted({*SPECIAL, *(-v for v in SPECIAL)})
+from support.random_programs import SPECIAL, random_intervals, random_program
 
 
 def single(name):
@@ -33,19 +27,6 @@ def enclose(name, *intervals):
         single(name), *(([[low]], [[high]]) for low, high in intervals)
     )
     return low[0, 0], high[0, 0]
-
-
-def random_intervals(rng, count):
-    """Return bounds (2, count): special ones, and random ones of all sizes and places."""
-    pairs = np.array(list(itertools.combinations_with_replacement(SPECIAL, 2))).T
-    special = pairs[:, rng.integers(0, pairs.shape[1], count // 2)]
-    size = 10.0 ** rng.uniform(-3, 2, (1, count - count // 2))
-    middle = rng.normal(size=size.shape) * size
-    width = rng.random(size.shape) * 10.0 ** rng.uniform(-6, 1, size.shape)
-    integer = rng.random(size.shape) < 0.3
-    low, high = middle - width, middle + width
-    low, high = (np.where(integer, np.rint(v), v) for v in (low, high))
-    return np.concatenate([special, np.concatenate([low, high])], axis=1)
 
 
 def points_in(rng, bounds, count=12):

@@ -57,7 +57,7 @@ def evaluate_intervals(
                 result = _square(arguments[0])
             else:
                 result = INTERVALS[name](*arguments)
-            if name == "add" and _exhaustive(program, *operands):
+            if name == "add" and exhaustive(program, *operands):
                 result = _clip(result, 1.0, 2.0)
             result = _taint(*result)
             if name != "select":  # the branch that is not taken may be undefined
@@ -74,7 +74,7 @@ def evaluate_intervals(
     return outputs
 
 
-def _exhaustive(program: Program, *values: int) -> bool:
+def exhaustive(program: Program, *values: int) -> bool:
     """Return whether two values are ``a <= b`` and ``b <= a``; gradients of fmax divide by both."""
     first = program.input_count
     one, two = (program.instructions[k - first] if k >= first else ("input",) for k in values)
