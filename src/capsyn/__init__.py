@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from capsyn.simulation.tracking import tracking as tracking
     from capsyn.subdivision.subdivide import subdivide as subdivide
     from capsyn.synthesis.synthesize import synthesize as synthesize
+    from capsyn.tuning.free import Free as Free
+    from capsyn.tuning.tune import tune as tune
     from capsyn.verification.agreement import agreement as agreement
     from capsyn.verification.lyapunov import lyapunov as lyapunov
     from capsyn.verification.monte_carlo import monte_carlo as monte_carlo
@@ -43,6 +45,7 @@ _PUBLIC = {
     "Box": "modelling.domain",
     "CapsynError": "errors",
     "DecisionTree": "policies.policy",
+    "Free": "tuning.free",
     "Policy": "policies.policy",
     "Problem": "modelling.problem",
     "SsacSettings": "modelling.settings",
@@ -64,6 +67,7 @@ _PUBLIC = {
     "subdivide": "subdivision.subdivide",
     "synthesize": "synthesis.synthesize",
     "tracking": "simulation.tracking",
+    "tune": "tuning.tune",
 }
 __all__ = list(_PUBLIC)
 

@@ -9,8 +9,9 @@ import typer
 
 from capsyn import SsacSettings, synthesize
 from capsyn.cli.app import SettingsOptions, SubdivisionOptions
+from capsyn.cli.better.tune import tune
 from capsyn.cli.evidence import KINDS, VerifyOptions, verify
-from capsyn.cli.loop import LoopTexts, SimulateOptions, simulate
+from capsyn.cli.loop import ControllerTexts, LoopTexts, SimulateOptions, simulate
 from capsyn.cli.options import flat, option
 from capsyn.simulation.options import LoopOptions
 
@@ -51,8 +52,9 @@ def test_commands_have_the_options_of_closed_loops():
     assert [texts[name] for name in plain] == [loop[name] for name in plain]
     as_texts = {"model", "parameter", "disturbance", "noise", "delay", "target", "exogenous"}
     assert {name for name in as_texts if texts[name] is not None} == set()
-    own = {"tolerance", "online", "background", "track"}
-    assert set(texts) == {*plain} | as_texts | own
+    assert set(texts) == {*plain} | as_texts | {"tolerance"}
+    more = defaults(ControllerTexts)
+    assert set(more) == {*texts} | {"online", "background", "track"}
     # the number of steps is the library's to choose
     assert set(loop) - {*plain} - as_texts == {
         "parameters",
@@ -61,8 +63,8 @@ def test_commands_have_the_options_of_closed_loops():
         "executor",
     }
     assert defaults(SimulateOptions)["stop_at_target"] is loop["stop_at_target"]
-    for command in (simulate, verify):
-        assert set(texts) <= set(inspect.signature(command).parameters)
+    for command, own in ((simulate, more), (verify, more), (tune, texts)):
+        assert set(own) <= set(inspect.signature(command).parameters)
 
 
 def test_kinds_of_evidence_name_options():

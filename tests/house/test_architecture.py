@@ -19,8 +19,8 @@ TOP = Path(__file__).parents[2]
 ORDER = """
 errors validation random_streams statistics version
 
-programs: operations program texts builder intervals expansion model step_doubling
-native: build compiled source
+programs: operations program texts builder intervals interval_text expansion model step_doubling
+native: build compiled source bounds
 modelling: domain alphabet exogenous settings targets grid time_unit switching
 modelling.tails: tail equilibrium riccati
 modelling: problem transcription
@@ -46,7 +46,10 @@ integrations: single_lookup stepping evaluation gymnasium control
 compression: rows optimal induction freedom coarsening affine_tree
 compression.fitted: surface plane_tree oblique
 compression.features: growing space cell_fit controller_fit
-compression: proof judge compress curve complexity
+compression: proof judge trees
+compression.looped: loops choice growing fitting by_loop
+compression: compress curve complexity
+tuning: free family figures goal study advice tune
 plots: figure policy trajectory automaton curve switching optimum
 exports: crossings text plan constants golden sequence target certificate identifiers
     feature_texts
@@ -68,7 +71,7 @@ cli: options console printed problem_finder loop
 cli.better: optimum
 cli: paper evidence compression export look
     import_table doctor
-cli.better: improve
+cli.better: improve tune
 cli: app
 
 __main__

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from capsyn.cli.better.improve import improve
+from capsyn.cli.better.tune import tune
 from capsyn.cli.compression import automaton, compress
 from capsyn.cli.console import notes, print_table, progress_bars, show, working
 from capsyn.cli.doctor import doctor
@@ -113,6 +114,9 @@ class ProblemOptions:
     partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
     refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
     leaves: str | None = option("constant, or affine for far fewer solves.")
+    tuned: str | None = option(
+        "Settings that capsyn tune found, for what is free.", "--settings", metavar="FILE"
+    )
     source: str = option(
         "Whose symbols: those of sSAC, or the best for closed loops of time T [default: 10 "
         "horizons], of at most three states.",
@@ -241,12 +245,12 @@ def synth(
 
 def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
     """Return the problem that a text names, changed, and the path of its policy, checked."""
-    from capsyn.cli.problem_finder import find_problem
+    from capsyn.cli.better.tune import problem_of
     from capsyn.execution.files import check_writable
 
     if changes.output is not None:
         check_writable(changes.output)
-    problem = find_problem(text)
+    problem = problem_of(text, changes.tuned)
     if changes.tail == "none":
         problem = problem.replace(tail=None)
     elif changes.tail is not None:
@@ -334,6 +338,7 @@ app.command(context_settings={"ignore_unknown_options": True})(query)  # -1 is n
 app.command()(at)
 app.command("import")(import_table)
 app.command()(improve)
+app.command()(tune)
 app.command()(compress)
 app.command()(automaton)
 app.command()(export)

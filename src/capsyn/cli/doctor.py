@@ -70,6 +70,7 @@ EXTRAS: dict[str, tuple[str, str, str]] = {
     "gymnasium": ("gymnasium", "`capsyn.integrations.gymnasium`", "all else"),
     "control": ("control", "`capsyn.integrations.control`", "all else"),
     "distributed": ("distributed", "clusters: `--dask`, `executor=`", "threads of this machine"),
+    "optuna": ("tune", "`capsyn tune`, `capsyn.tune`", "all else"),
     "scikit-learn": ("bench", "CART in the benchmarks", "all else"),
     "ziglang": ("fmu", "binaries of other platforms in an FMU", "that of this one, and sources"),
     "fmpy": ("dev", "tests of the FMU", "exporting it"),

@@ -12,7 +12,7 @@ import typer
 
 from capsyn.cli.better.optimum import compare_with_optimum, print_optimum
 from capsyn.cli.console import print_table, show, working
-from capsyn.cli.loop import LoopTexts, controller_of, loop_options, tracked
+from capsyn.cli.loop import ControllerTexts, controller_of, loop_options, tracked
 from capsyn.cli.options import (
     Backend,
     Dask,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class VerifyOptions(LoopTexts):
+class VerifyOptions(ControllerTexts):
     """Options of ``capsyn verify``."""
 
     monte_carlo: int | None = option(

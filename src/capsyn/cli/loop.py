@@ -29,6 +29,7 @@ from capsyn.cli.options import (
 from capsyn.errors import ProblemError
 
 if TYPE_CHECKING:
+    from capsyn.modelling.problem import Problem
     from capsyn.policies.policy import Policy
     from capsyn.simulation.options import LoopOptions
 
@@ -38,7 +39,7 @@ MOST_STEPS = 6
 
 @dataclass(frozen=True)
 class LoopTexts:
-    """`capsyn.simulation.options.LoopOptions` as texts, and which controller runs the loop."""
+    """`capsyn.simulation.options.LoopOptions` as texts."""
 
     duration: float | None = option(
         "Time to simulate, as all times in the model's time unit.", default=20.0
@@ -67,11 +68,6 @@ class LoopTexts:
         "the box what is not given. May be repeated.",
         metavar="NAME=W|NAME=T:W,T:W[,..]|FILE.csv",
     )
-    track: list[str] | None = option(
-        "Say how closely a state follows an exogenous input, or a number; in verify until a trial "
-        "arrives, unless there is --hold. Once for each state.",
-        metavar="STATE=NAME|W",
-    )
     disturbance: str | None = option(
         "Added to the rates, of all states or of each; verify takes a range D[,D..]:D[,D..], too.",
         metavar="D[,D..]",
@@ -86,28 +82,43 @@ class LoopTexts:
     min_dwell: MinDwell = None
     outside: Outside = None
     outside_at_once: OutsideAtOnce = None
-    online: str | None = option(
-        "ssac or sac: solve online in receding horizon instead of the policy."
-    )
-    background: bool = option(
-        "Let the policy be the default control of the online controller.", default=False
-    )
     seed: Seed = 0
     backend: Backend = "auto"
     threads: Threads = None
 
 
+@dataclass(frozen=True)
+class ControllerTexts(LoopTexts):
+    """Options of a loop, what is told of it, and which controller runs it."""
+
+    track: list[str] | None = option(
+        "Say how closely a state follows an exogenous input, or a number; in verify until a trial "
+        "arrives, unless there is --hold. Once for each state.",
+        metavar="STATE=NAME|W",
+        before="disturbance",
+    )
+    online: str | None = option(
+        "ssac or sac: solve online in receding horizon instead of the policy.", before="seed"
+    )
+    background: bool = option(
+        "Let the policy be the default control of the online controller.",
+        default=False,
+        before="seed",
+    )
+
+
 def loop_options(
-    policy: Policy,
+    policy: Policy | Problem,
     texts: LoopTexts,
     *,
     one: Callable[[str, str], Any] = number,
     each: Callable[[str, str], Any] = one_or_list,
     **more: Any,
 ) -> LoopOptions:
-    """Return the options that texts mean for a policy, and `more`; what is None is left out.
+    """Return the options that texts mean for a policy, or that of a problem, and `more`.
 
-    `one` and `each` give the meaning of a text for one quantity, and for each state.
+    What is None is left out. `one` and `each` give the meaning of a text for one quantity, and for
+    each state.
     """
     from capsyn.simulation.options import LoopOptions
 
@@ -185,7 +196,7 @@ def _name_or_number(text: str) -> str | float:
         return text
 
 
-def controller_of(policy: Policy, texts: LoopTexts) -> Any:
+def controller_of(policy: Policy, texts: ControllerTexts) -> Any:
     """Return what acts in the loop: the policy, or an online controller for its model."""
     if texts.online is None:
         if texts.background:
@@ -210,7 +221,7 @@ def _model(text: str | None) -> Any:
     return Policy.load(text) if text.endswith(".cap") else find_problem(text)
 
 
-def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
+def _target(policy: Policy | Problem, text: str | None, tolerance: float | None) -> Any:
     from capsyn.cli.problem_finder import find_function
     from capsyn.modelling.targets import with_tolerance
 
@@ -222,7 +233,7 @@ def _target(policy: Policy, text: str | None, tolerance: float | None) -> Any:
 
 
 @dataclass(frozen=True)
-class SimulateOptions(LoopTexts):
+class SimulateOptions(ControllerTexts):
     """Options of ``capsyn simulate``."""
 
     x0: list[str] | None = option(

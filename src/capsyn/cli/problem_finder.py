@@ -15,6 +15,7 @@ from typing import Any
 from capsyn import problems
 from capsyn.errors import ProblemError
 from capsyn.modelling.problem import Problem
+from capsyn.tuning.free import free_arguments
 
 
 def find_problem(text: str) -> Problem:
@@ -26,8 +27,25 @@ def find_problem(text: str) -> Problem:
     Raises
     ------
     ProblemError
-        There is no such problem, or the file that holds it fails; the message names the file and,
-        where it can, the line.
+        There is no such problem, the file that holds it fails, or some of it is free; the message
+        names the file and, where it can, the line.
+    """
+    found = find_tunable(text)
+    if isinstance(found, Problem):
+        return found
+    raise ProblemError(
+        f"'{text}' has free settings ({', '.join(free_arguments(found))}): give them with "
+        "--settings, or find them with capsyn tune"
+    )
+
+
+def find_tunable(text: str) -> Any:
+    """Return what `find_problem` does, or a function that returns a problem, with free arguments.
+
+    Raises
+    ------
+    ProblemError
+        There is neither, or the file that holds it fails.
     """
     place, colon, name = text.rpartition(":")
     if not colon or name.endswith(".py"):
@@ -41,12 +59,13 @@ def find_problem(text: str) -> Problem:
             )
         return problems.get(text)
     module = _load(place)
-    problem = getattr(module, name, None)
-    if not isinstance(problem, Problem):
+    found = getattr(module, name, None)
+    if not isinstance(found, Problem) and not free_arguments(found):
         held = [key for key, value in vars(module).items() if isinstance(value, Problem)]
+        held += [key for key, value in vars(module).items() if free_arguments(value)]
         names = ", ".join(f"{place}:{key}" for key in held) or "none"
         raise ProblemError(f"'{place}' must hold a capsyn.Problem named '{name}'; found {names}")
-    return problem
+    return found
 
 
 def find_function(text: str, others: tuple[type, ...] = ()) -> Any:

@@ -22,7 +22,7 @@ def conditions(controller: Any, options: TrialOptions, experiment: Experiment) -
     """Return what trials have in common, as plain data."""
     loop, rule = options.loop, experiment.outside
     domain, space = experiment.plant.domain, experiment.plant.space
-    assert experiment.target is not None
+    target = experiment.target
     unit = experiment.plant.time_unit
     return {
         **({} if unit == "s" else {"time_unit": unit}),
@@ -30,7 +30,7 @@ def conditions(controller: Any, options: TrialOptions, experiment: Experiment) -
         "rate": experiment.rate,
         "within": options.within,
         "hold": options.hold,
-        "target": describe_target(experiment.target, space),
+        "target": None if target is None else describe_target(target, space),
         "initial": describe_target(options.initial or domain, domain),
         **_holds(experiment),
         "substeps": experiment.loop.substeps,

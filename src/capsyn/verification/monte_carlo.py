@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from capsyn.modelling.alphabet import Outside
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.targets import with_tolerance
 from capsyn.policies.policy import Policy
+from capsyn.programs.program import Program
 from capsyn.simulation.closed_loop import Noise, new_record
 from capsyn.simulation.experiment import Experiment, described, padded, sampling, set_up
 from capsyn.simulation.options import LoopOptions
@@ -146,8 +148,42 @@ def monte_carlo(
     return try_out(controller, TrialOptions(loop, *own))
 
 
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """Trials of a controller that are drawn, and not yet run."""
+
+    controller: Any
+    options: TrialOptions
+    experiment: Experiment
+    drawn: Drawn
+    trials: np.ndarray  # (T,) as `capsyn.simulation.closed_loop.new_trials` makes them
+    noise: Noise | None
+
+    def charging(self, cost: Program, paid: np.ndarray | None = None) -> Experiment:
+        """Return the experiment whose trials gather a cost x -> rate, and pay for labels.
+
+        What is `paid` (N + 1, N + 1) is that of a sample, see `capsyn.simulation.closed_loop.Loop`.
+        """
+        experiment = self.experiment
+        plant = dataclasses.replace(experiment.plant, running_cost=cost)
+        loop = dataclasses.replace(experiment.loop, paid=paid)
+        return dataclasses.replace(experiment, plant=plant, loop=loop)
+
+
 def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     """Return what `monte_carlo` does."""
+    test = prepared(controller, options)
+    if test.experiment.target is None:
+        raise ProblemError("`target` must be given: neither policy nor problem has one")
+    return _result(test, _run(test))
+
+
+def prepared(controller: Any, options: TrialOptions) -> Prepared:
+    """Return the trials of a controller, all that is random in them drawn.
+
+    They need no target: without one they end with their time. With one, and no time to hold, they
+    end there.
+    """
     parameters = drawn_parameters(options)
     plant = plant_of(controller, options.loop.model, tuple(parameters))
     if options.loop.delay is None:
@@ -156,7 +192,7 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     target = options.loop.target
     if target is None:
         target = (described(controller) or plant).target
-    if target is None:
+    if target is None and (options.tolerance is not None or options.hold):
         raise ProblemError("`target` must be given: neither policy nor problem has one")
     target = with_tolerance(target, options.tolerance)
     if options.track is not None:
@@ -169,7 +205,7 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     loop = dataclasses.replace(
         options.loop,
         target=target,
-        stop_at_target=options.hold == 0,
+        stop_at_target=options.hold == 0 and target is not None,
         disturbance=disturbance if callable(disturbance) else None,
     )
     values = np.array(list(parameters.values())).reshape(len(parameters), options.trials)
@@ -182,20 +218,15 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
         seeds = [(loop.seed, 5, k + 1) for k in range(options.trials)]
         whole = drawn.noises.shape[1] == plant.n
         noise = Noise(drawn.noises if whole else padded(plant, drawn.noises), seeds)
-    tracked = _run(experiment, trials, noise, options.track)
-    return _result(controller, options, experiment, drawn, trials, tracked)
+    return Prepared(controller, options, experiment, drawn, trials, noise)
 
 
-def _run(
-    experiment: Experiment,
-    trials: np.ndarray,
-    noise: Noise | None,
-    track: Mapping[str, str | float] | None,
-) -> dict[str, Tracking]:
+def _run(test: Prepared) -> dict[str, Tracking]:
     """Run trials, and return how closely states followed what they should, by name.
 
     For this they are recorded, as many at a time as `RECORDED` bytes hold.
     """
+    track, experiment, trials, noise = test.options.track, test.experiment, test.trials, test.noise
     if track is None:
         experiment.run(trials, noise, None)
         return {}
@@ -221,22 +252,28 @@ def _run(
     return {key: joined_figures(some) for key, some in parts.items()}
 
 
-def _result(
-    controller: Any,
-    options: TrialOptions,
-    experiment: Experiment,
-    drawn: Drawn,
-    trials: np.ndarray,
-    tracked: dict[str, Tracking],
-) -> MonteCarlo:
-    """Return how the trials of an experiment went."""
-    rate, samples, count = experiment.rate, experiment.loop.samples, options.trials
-    arrived = np.where(trials["arrived"] < 0, np.nan, trials["arrived"] / rate)
+def succeeded(options: TrialOptions, experiment: Experiment, trials: np.ndarray) -> np.ndarray:
+    """Return which of trials (T,) that have run succeeded."""
+    arrived = _arrived(experiment, trials)
     with np.errstate(invalid="ignore"):
         success = arrived <= options.within * (1 + ROUNDING)
     if options.hold:
-        stayed = trials["away"] < samples - options.hold * rate - SLACK
+        samples = experiment.loop.samples
+        stayed = trials["away"] < samples - options.hold * experiment.rate - SLACK
         success &= (trials["ended"] == TIME) & stayed
+    return np.asarray(success)
+
+
+def _arrived(experiment: Experiment, trials: np.ndarray) -> np.ndarray:
+    """Return when trials (T,) first were in the target [time unit]; NaN where never."""
+    return np.where(trials["arrived"] < 0, np.nan, trials["arrived"] / experiment.rate)
+
+
+def _result(test: Prepared, tracked: dict[str, Tracking]) -> MonteCarlo:
+    """Return how trials went that have run."""
+    controller, options, experiment = test.controller, test.options, test.experiment
+    drawn, trials, count = test.drawn, test.trials, options.trials
+    success = succeeded(options, experiment, trials)
     n = experiment.plant.states
     states = np.vstack([np.hstack([drawn.initial, drawn.exogenous]), trials["state"]])
     costs = default_costs(controller, states, options.loop.backend)
@@ -250,8 +287,8 @@ def _result(
         success=success,
         final=trials["state"][:, :n].copy(),
         ended=trials["ended"].copy(),
-        times=trials["end"] / rate,
-        arrived=arrived,
+        times=trials["end"] / experiment.rate,
+        arrived=_arrived(experiment, trials),
         switches=trials["switches"].copy(),
         outside=trials["outside"].copy(),
         initial_cost=costs[:count],

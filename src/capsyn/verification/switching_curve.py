@@ -136,7 +136,7 @@ def switching_curve(
         if progress is not None:
             progress(f"price {told}, hold {switching.hold}")
         points.append(_point(repriced(policy, base, switching, threads), told, states, options))
-    best = _recommended(points)
+    best = knee(points)
     return tuple(dataclasses.replace(p, recommended=p is best) for p in points)
 
 
@@ -312,8 +312,11 @@ def _figures(
     return float(trials["switches"].sum() / time), float(trials["cost"].mean()), success
 
 
-def _recommended(points: Sequence[SwitchingPoint]) -> SwitchingPoint:
-    """Return the point of fewest switches that costs and loses little more than the best."""
+def knee(points: Sequence[Any]) -> Any:
+    """Return the point of fewest switches that costs and loses little more than the best.
+
+    Points have ``switches``, ``cost`` and ``success`` as `SwitchingPoint` has them.
+    """
     least = min(point.cost for point in points)
     most = max(point.success or 0.0 for point in points)
     good = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -56,6 +57,23 @@ class TrialOptions:
     hold: float = 0.0
     confidence: float = 0.95
     track: Mapping[str, str | float] | None = None
+
+    @staticmethod
+    def of(**arguments: Any) -> TrialOptions:
+        """Return the options that arguments of `monte_carlo` mean, by name.
+
+        Raises
+        ------
+        ProblemError
+            There is no argument of a name, or a value cannot be used.
+        """
+        own = {f.name for f in dataclasses.fields(TrialOptions)} - {"loop"}
+        shared = {f.name for f in dataclasses.fields(LoopOptions)}
+        for name in arguments:
+            if name not in own | shared:
+                raise ProblemError(f"there is no argument `{name}` of closed loops")
+        loop = LoopOptions(**{name: v for name, v in arguments.items() if name in shared})
+        return TrialOptions(loop, **{name: v for name, v in arguments.items() if name in own})
 
     def __post_init__(self) -> None:
         keep(self, trials=whole_number("trials", self.trials, least=1, most=MOST_TRIALS))

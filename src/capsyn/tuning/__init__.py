@@ -1,0 +1,1 @@
+"""Free settings of problems, and the search for those that meet a goal."""

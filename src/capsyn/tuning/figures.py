@@ -1,0 +1,135 @@
+"""What closed loops of a policy do: successes, cost, effort, switches, and the policy's size."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.compression.trees import tree_of
+from capsyn.controllers.command import TARGET, TIME
+from capsyn.errors import ProblemError
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.transcription import transcribe, user_program
+from capsyn.policies.policy import Policy
+from capsyn.programs.model import gathered_cost
+from capsyn.programs.program import Program
+from capsyn.statistics import clopper_pearson
+from capsyn.validation import called, numbers
+from capsyn.verification.monte_carlo import prepared, succeeded
+from capsyn.verification.trials import TrialOptions
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What closed loops of a policy do.
+
+    Parameters
+    ----------
+    starts : int
+        Loops, from as many random states.
+    success, low, high : float, optional
+        Share that succeeds, as `capsyn.monte_carlo` says, and its interval; None without a target.
+    cost, effort : float, optional
+        Means over the loops that go on to their end: of what the cost gathers, and of the effort
+        [its unit times the time unit]. None where all are lost.
+    switches : float
+        Per time unit, over all loops.
+    cells : int
+        Leaves of the policy.
+    nodes : int, optional
+        Of its exact tree; None where it was not asked for, or has too many.
+    """
+
+    starts: int
+    success: float | None
+    low: float | None
+    high: float | None
+    cost: float | None
+    effort: float | None
+    switches: float
+    cells: int
+    nodes: int | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as plain data."""
+        return dataclasses.asdict(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Charges:
+    """What loops are charged, the same for all policies that are compared."""
+
+    cost: Program  # x -> cost that a loop gathers [cost / time unit]
+    nothing: Program  # the same, of no cost
+    effort: Callable[..., Any] | None  # u -> effort of a time unit; None: u^T u
+    nodes: bool  # whether the nodes of exact trees are counted
+
+    @staticmethod
+    def of(problem: Problem, cost: Any, effort: Any, nodes: bool) -> Charges:
+        """Return those of a problem's own cost, or of a function ``x -> cost`` or ``(x, w)``."""
+        model, n = transcribe(problem), problem.space.n
+        ports: tuple[Any, ...] = (("x", n),), (("cost", 1),)
+        told = n - problem.domain.n
+        own = gathered_cost(model.running_cost, model.terminal_cost)
+        if cost is not None:
+            own = user_program("cost", cost, *ports, told=told)
+        if effort is not None and not callable(effort):
+            raise ProblemError("`effort` must be a function of the control u; got no function")
+        return Charges(own, user_program("cost", lambda *_: 0.0, *ports, told=told), effort, nodes)
+
+    def efforts(self, controls: np.ndarray) -> np.ndarray:
+        """Return the efforts (N,) of controls (N, m)."""
+        if self.effort is None:
+            return np.asarray((controls**2).sum(axis=1))
+        each = [called("effort", self.effort, u) for u in controls]
+        values = numbers("effort", [np.asarray(one, dtype=object).item() for one in each])
+        if not np.isfinite(values).all():
+            raise ProblemError("`effort` must be a finite number for every symbol")
+        return values
+
+
+def figures_of(policy: Policy, options: TrialOptions, charges: Charges) -> Figures:
+    """Return what closed loops of a policy do.
+
+    They run twice, for the cost and for the effort, with the same draws.
+    """
+    test = prepared(policy, options)
+    efforts = charges.efforts(policy.controls)
+    paid = np.tile(efforts * test.experiment.loop.period, (len(efforts), 1))
+    trials, other = test.trials.copy(), test.trials.copy()
+    test.charging(charges.cost).run(trials, test.noise, None)
+    test.charging(charges.nothing, paid).run(other, test.noise, None)
+    regular = np.isin(trials["ended"], (TIME, TARGET)) & np.isfinite(trials["cost"])
+    success: dict[str, Any] = {"success": None, "low": None, "high": None}
+    if test.experiment.target is not None:
+        count = int(succeeded(test.options, test.experiment, trials).sum())
+        low, high = clopper_pearson(count, options.trials, options.confidence)
+        success = {"success": count / options.trials, "low": low, "high": high}
+    time = trials["end"].sum() / test.experiment.rate
+    return Figures(
+        starts=options.trials,
+        **success,
+        cost=_mean(trials["cost"][regular]),
+        effort=_mean(other["cost"][regular]),
+        switches=float(trials["switches"].sum() / time) if time else 0.0,
+        cells=policy.cells.leaf_count,
+        nodes=_nodes(policy) if charges.nodes else None,
+    )
+
+
+def _mean(values: np.ndarray) -> float | None:
+    mean = float(values.mean()) if values.size else math.inf
+    return mean if math.isfinite(mean) else None
+
+
+def _nodes(policy: Policy) -> int | None:
+    """Return the nodes of a policy's exact tree; None where there is none, or it has too many."""
+    try:
+        return tree_of(policy).node_count
+    except ProblemError:
+        return None

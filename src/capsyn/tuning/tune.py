@@ -1,0 +1,320 @@
+"""Free settings of a problem, found by closed loops for a goal."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.errors import ProblemError
+from capsyn.execution.files import write_text
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.transcription import transcribe, transcribe_target
+from capsyn.policies.policy import Policy
+from capsyn.random_streams import derived_seed
+from capsyn.synthesis.synthesize import synthesize
+from capsyn.tuning.advice import advice
+from capsyn.tuning.family import Family
+from capsyn.tuning.figures import Charges, Figures, figures_of
+from capsyn.tuning.free import Free
+from capsyn.tuning.goal import Goal, front
+from capsyn.validation import true_or_false, whole_number
+from capsyn.verification.conditions import conditions
+from capsyn.verification.monte_carlo import prepared
+from capsyn.verification.switching_curve import knee
+from capsyn.verification.trials import TrialOptions
+
+JUDGING = 21
+"""Purpose of the seeds of starts: of the search, of the choice among the best, of the judge."""
+QUICK = 5
+"""Share of the starts, one in so many, that the quick stage takes."""
+FEWEST = 20
+"""Fewest starts of the quick stage."""
+CANDIDATES = 5
+"""Best settings of the search among which fresh starts choose."""
+AXES = ("success", "cost", "effort", "switches", "nodes")
+"""What the front trades off."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """What `tune` returns.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the best settings.
+    policy : Policy
+        Its policy.
+    settings : dict
+        The best, by name: ``function(**settings)`` is the problem again.
+    figures : Figures
+        What closed loops of the policy do, from starts that the search did not see.
+    goal : Goal
+        What was wanted.
+    met : bool
+        Whether those figures meet it.
+    advice : str, optional
+        Where they do not: what to free next.
+    tried : tuple of Tried
+        All settings that were tried.
+    front : tuple of Tried
+        Those judged in full that no other beats in one figure at no loss in the others. Where some
+        meet the goal, these alone.
+    free : dict of name to Free
+        What was free.
+    """
+
+    problem: Problem
+    policy: Policy
+    settings: dict[str, Any]
+    figures: Figures
+    goal: Goal
+    met: bool
+    advice: str | None
+    tried: tuple[Any, ...]
+    front: tuple[Any, ...]
+    free: dict[str, Free]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the settings, and all that was found, as plain data."""
+        return {
+            "problem": self.problem.name,
+            "settings": self.settings,
+            "goal": self.goal.to_json(),
+            "met": self.met,
+            "advice": self.advice,
+            "figures": self.figures.to_json(),
+            "free": {name: free.to_json() for name, free in self.free.items()},
+            "front": [one.to_json() for one in self.front],
+            "tried": [one.to_json() for one in self.tried],
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write `to_json` to the file `path`, which ``capsyn synth --settings`` takes."""
+        write_text(path, json.dumps(self.to_json(), indent=1) + "\n")
+
+    def __repr__(self) -> str:
+        settings = ", ".join(f"{name}={value}" for name, value in self.settings.items())
+        return f"Tuning({self.goal}: {'met' if self.met else 'not met'}, {settings})"
+
+
+def tune(
+    problem: Any,
+    free: Mapping[str, Free] | None = None,
+    *,
+    success: float | None = None,
+    least: str | None = None,
+    trials: int = 60,
+    starts: int = 200,
+    fresh: int = 1000,
+    cost: Callable[..., Any] | None = None,
+    effort: Callable[..., Any] | None = None,
+    quick: bool = True,
+    synthesis: Mapping[str, Any] | None = None,
+    storage: str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    threads: int | None = None,
+    progress: Callable[[str], None] | None = None,
+    **loops: Any,
+) -> Tuning:
+    """Return the settings of a problem that meet a goal best in closed loop.
+
+    Each trial makes the policy for other settings, and runs its closed loops from random starts,
+    the same for all. The first takes the middle of the ranges, some more spread over them, and the
+    others follow what was found (a tree-structured Parzen estimator, by Optuna). A quick stage,
+    with one level less and a fifth of the starts, decides which go on to be judged in full. The
+    best few are judged on other starts, and the best of those on yet others, which gives `figures`.
+
+    Parameters
+    ----------
+    problem : Problem, or function that returns one
+        What is free among the arguments of the function are defaults that are `Free`.
+    free : mapping of name to Free, optional
+        More that is free: arguments of the function, or of any problem ``horizon``,
+        ``control_weight``, ``gamma``, ``rule``, ``price`` of a switch, and ``tail``, the effort of
+        a Riccati tail, which brings its horizon.
+    success : float, optional
+        Least share of loops that succeed, as `capsyn.monte_carlo` says. It needs a target.
+    least : "cost", "effort", "switches", "nodes" or "knee", optional
+        What is least among the settings that succeed; "cost" where only `success` is given.
+        ``nodes`` are those of the exact tree; ``knee`` has the fewest switches at 3 % more than the
+        least cost.
+    trials : int
+        Settings to try, with those that the storage already has.
+    starts, fresh : int
+        Starts of a trial, and of the judge.
+    cost : callable ``x -> scalar``, or ``(x, w)``, optional
+        What loops are charged [cost / time unit]. Default: the problem's own cost with all that is
+        free in the middle of its range, so that it is the same for all.
+    effort : callable ``u -> scalar``, optional
+        Effort of a control (m,) [effort / time unit]. Default: ``u^T u``.
+    quick : bool
+        Whether there is a quick stage. The knee has none.
+    synthesis : mapping, optional
+        Arguments of `capsyn.synthesize`, as ``{"max_solves": 60_000}``.
+    storage : path or URL, optional
+        Where the trials are kept: a study that was killed goes on when it is started again, and
+        processes that are given the same storage share the work. A SQLite file, a journal
+        (``.journal``) where machines share a file system, or the URL of a database.
+    seed : int
+        Of everything that is random.
+    backend, threads
+        As in `capsyn.synthesize`.
+    progress : callable, optional
+        Told in words what is next.
+    **loops
+        How loops run: the arguments of `capsyn.monte_carlo`, as ``duration``, ``rate``,
+        ``initial``, ``target``, ``within``, ``hold``.
+
+    Raises
+    ------
+    ProblemError
+        No goal, nothing free, a storage of another study, or an argument that cannot be used.
+    """
+    goal = Goal(success, least)
+    family = Family.of(problem, free)
+    if not family.free:
+        raise ProblemError(
+            "nothing is free: give an argument of the function the default capsyn.Free(low, high),"
+            " or `free`"
+        )
+    whole_number("trials", trials, least=1)
+    whole_number("seed", seed, least=0)
+    true_or_false("quick", quick)
+    plan = TrialOptions.of(trials=starts, backend=backend, threads=threads, **loops)
+    options = {"backend": backend, "threads": threads} | dict(synthesis or {})
+    judge = _Judge.of(family, goal, plan, options, (cost, effort), seed)
+    from capsyn.tuning.study import Study
+
+    study = Study(judge.base.name, family.free, goal, judge.asked(seed, quick), storage, seed)
+    study.search(trials, judge.stages if quick and goal.least != "knee" else judge.full, progress)
+    tried = study.tried()
+    if progress is not None:
+        progress("judging the best on fresh starts")
+    return judge.result(tried, whole_number("fresh", fresh, least=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """Judges settings of a family by closed loops."""
+
+    family: Family
+    goal: Goal
+    plan: TrialOptions
+    options: dict[str, Any]  # of `synthesize`
+    charges: Charges
+    base: Problem  # in the middle of the ranges
+    conditions: dict[str, Any]  # of its loops
+    efforts: list[float]  # of its symbols
+    seed: int
+
+    @staticmethod
+    def of(
+        family: Family,
+        goal: Goal,
+        plan: TrialOptions,
+        options: dict[str, Any],
+        charged: tuple[Any, Any],
+        seed: int,
+    ) -> _Judge:
+        """Return the judge of a family; what cannot be used is found here, before any search."""
+        base = family(family.middle)
+        charges = Charges.of(base, *charged, goal.least == "nodes")
+        coarse = {"partitions": 1, "max_level": 0} | {k: options[k] for k in ("backend", "threads")}
+        policy = synthesize(base, **coarse)
+        test = prepared(policy, plan)
+        if test.experiment.target is None and goal.success is not None:
+            raise ProblemError("`target` must be given: neither policy nor problem has one")
+        told = conditions(policy, test.options, test.experiment)
+        efforts = charges.efforts(policy.controls).tolist()
+        return _Judge(family, goal, plan, options, charges, base, told, efforts, seed)
+
+    def asked(self, seed: int, quick: bool) -> dict[str, str]:
+        """Return what a study that goes on must have in common with this one."""
+        base, plan = self.base, self.plan
+        target = plan.loop.target if plan.loop.target is not None else base.target
+        if callable(target):
+            target = transcribe_target(base.replace(target=target))
+        facts = [
+            base.domain.to_json(), base.alphabet.to_json(), base.settings.to_json(),
+            base.grid.to_json(), base.leaves, base.horizon, base.default_control, base.outside,
+            transcribe(base).to_json(), base.delay, base.min_dwell,
+            None if base.switching is None else base.switching.to_json(),
+        ]  # fmt: skip
+        own = {k: v for k, v in self.options.items() if k not in ("backend", "threads")}
+        judged = [self.conditions, getattr(target, "to_json", lambda: target)(), own, self.efforts]
+        judged += [self.charges.cost.to_json(), plan.trials, quick]
+        ranges = {name: str(free) for name, free in self.family.free.items()}
+        return {
+            "goal": str(self.goal),
+            "ranges": "; ".join(f"{name} {text}" for name, text in ranges.items()),
+            "problem": _digest(facts),
+            "loops": _digest(judged),
+            "seed": str(seed),
+        }
+
+    def policy(self, problem: Problem, **changes: Any) -> Policy:
+        """Return the policy of a problem."""
+        return synthesize(problem, **self.options | changes)
+
+    def judged(self, policy: Policy, part: int, starts: int) -> Figures:
+        """Return what loops of a policy do; each part has starts of its own."""
+        loop = dataclasses.replace(self.plan.loop, seed=derived_seed(self.seed, JUDGING, part))
+        plan = dataclasses.replace(self.plan, loop=loop, trials=starts)
+        return figures_of(policy, plan, self.charges)
+
+    def full(self, settings: dict[str, Any]) -> list[Callable[[], Figures]]:
+        """Return what judges settings in full, as one stage."""
+        return [lambda: self.judged(self.policy(self.family(settings)), 0, self.plan.trials)]
+
+    def stages(self, settings: dict[str, Any]) -> list[Callable[[], Figures]]:
+        """Return what judges settings: quickly, then in full."""
+        problem = self.family(settings)
+        level = self.options.get("max_level", problem.max_level)
+        few = min(self.plan.trials, max(FEWEST, self.plan.trials // QUICK))
+        coarse = functools.cache(lambda: self.policy(problem, max_level=max(level - 1, 0)))
+
+        def whole() -> Figures:
+            policy = self.policy(problem) if level else coarse()
+            return self.judged(policy, 0, self.plan.trials)
+
+        return [lambda: self.judged(coarse(), 0, few), whole]
+
+    def result(self, tried: list[Any], fresh: int) -> Tuning:
+        """Return what came of all trials: the best of them on starts that none saw."""
+        full = [one for one in tried if one.full]
+        if not full:
+            errors = [one.error for one in tried if one.error]
+            raise ProblemError(f"no settings could be used; of the last: {errors[-1]}")
+        met = [one for one in full if self.goal.met(one.figures)]
+        best = sorted(met or full, key=lambda one: self.goal.objectives(one.figures))
+        if self.goal.least == "knee" and met:
+            chosen = knee([one.figures for one in met])
+            best = [one for one in met if one.figures is chosen]
+        found = []
+        for one in best[:CANDIDATES]:
+            problem = self.family(one.settings)
+            policy = self.policy(problem)
+            found.append((one, problem, policy, self.judged(policy, 1, fresh)))
+        one, problem, policy, _ = min(found, key=lambda each: self.goal.objectives(each[3]))
+        figures = self.judged(policy, 2, fresh)
+        reached = self.goal.met(figures)
+        told = None if reached else advice(self.family, one.settings, self.goal)
+        traded = front(met or full, AXES)
+        return Tuning(problem, policy, one.settings, figures, self.goal, reached, told,
+                      tuple(tried), traded, self.family.free)  # fmt: skip
+
+
+def _digest(facts: Any) -> str:
+    """Return a short text for plain data, another for other data."""
+    text = json.dumps(facts, sort_keys=True, default=lambda a: np.asarray(a).tolist())
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
