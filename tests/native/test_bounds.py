@@ -131,3 +131,25 @@ def test_inputs_and_backends_are_checked(monkeypatch):
     assert not low.any() and not high.any()
     with pytest.raises(KernelBuildError):
         box_bounds(program, "c")
+
+
+def test_a_choice_is_one_of_its_branches():
+    """What CasADi makes of if_else: both branches where either may hold, and no 0 beside them."""
+    rows = [
+        ("lt", 0, 1),
+        ("not", 2),
+        ("select", 2, 0),
+        ("sqrt", 1),
+        ("select", 3, 5),
+        ("add", 4, 6),
+    ]
+    program = of_two(rows)
+    lower = np.array([[1.0, 5.0, 2.0, 3.0]]), np.array([[4.0, 4.0, 3.0, -2.0]])
+    upper = np.array([[2.0, 6.0, 4.0, 4.0]]), np.array([[4.0, 4.0, 5.0, -1.0]])
+    boxes = (lower[0], upper[0]), (lower[1], upper[1])
+    wanted = evaluate_intervals(program, *boxes)
+    check_not_tighter(range(len(rows)), BoundsKernel.build(program)(*boxes), wanted)
+    low, high = wanted[-1]
+    assert low[0, :2].tolist() == [1.0, pytest.approx(2.0)] and high[0, 0] == 2.0
+    assert 1.7 < low[0, 2] < 3**0.5 and high[0, 2] == 4.0  # a state of either branch
+    assert np.isnan(low[0, 3])  # the branch that is taken is undefined

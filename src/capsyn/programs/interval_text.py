@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from capsyn.programs.intervals import exhaustive
+from capsyn.programs.patterns import alternatives, exhaustive
 from capsyn.programs.program import Program, c_number
 
 
@@ -88,6 +88,9 @@ def interval_c(program: Program, function: str, inexact: frozenset[int] = frozen
 def _operation(program: Program, name: str, operands: list[int]) -> str:
     """Return the bounds of an operation, undefined where those of an operand are."""
     names = [f"v{k}" for k in operands]
+    chosen = alternatives(program, *operands) if name == "add" else None
+    if chosen:
+        return f"i_either({', '.join(f'v{k}' for k in chosen)})"
     if name == "mul" and operands[0] == operands[1]:
         text = f"i_square({names[0]})"
     elif name in LIBRARY_FORMS:

@@ -175,6 +175,17 @@ FORM interval i_select(interval condition, interval a)
     return undefined((condition.lo != condition.lo) | (!never & unknown(a)), r);
 }
 
+/* The bounds of `a` where the condition holds, else of `b`; of both where it may. */
+FORM interval i_either(interval condition, interval a, interval b)
+{
+    const interval t = truth(condition);
+    const int never = t.hi == 0, always = t.lo == 1;
+    const interval r = {never ? b.lo : always ? a.lo : least(a.lo, b.lo),
+                        never ? b.hi : always ? a.hi : most(a.hi, b.hi)};
+    const int bad = (!never & unknown(a)) | (!always & unknown(b)) | unknown(condition);
+    return undefined(bad, r);
+}
+
 /* A library function that rises; `zero` is where it changes sign, `bottom` and `top` bound it. */
 FORM interval rising(double lo, double hi, interval a, double zero, double bottom, double top)
 {

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.programs.operations import OPERATIONS
+from capsyn.programs.patterns import alternatives, exhaustive
 from capsyn.programs.program import Program
 
 Interval = tuple[Any, Any]
@@ -53,6 +54,10 @@ def evaluate_intervals(
                 values.append(outward(number, number))
                 continue
             arguments = [values[k] for k in operands]
+            chosen = alternatives(program, *operands) if name == "add" else None
+            if chosen:
+                values.append(_either(*(values[k] for k in chosen)))
+                continue
             if name == "mul" and operands[0] == operands[1]:
                 result = _square(arguments[0])
             else:
@@ -72,13 +77,6 @@ def evaluate_intervals(
         outputs.append((low, high))
         start += size
     return outputs
-
-
-def exhaustive(program: Program, *values: int) -> bool:
-    """Return whether two values are ``a <= b`` and ``b <= a``; gradients of fmax divide by both."""
-    first = program.input_count
-    one, two = (program.instructions[k - first] if k >= first else ("input",) for k in values)
-    return one[0] == two[0] == "le" and one[1:] == two[:0:-1]
 
 
 def _undefined(where: Any, a: Interval) -> Interval:
@@ -245,6 +243,17 @@ def _select(condition: Interval, a: Interval) -> Interval:
         np.where(never, 0.0, np.where(always, a[1], np.maximum(a[1], 0.0))),
     )
     return _undefined(np.isnan(condition[0]), result)
+
+
+def _either(condition: Interval, a: Interval, b: Interval) -> Interval:
+    """Return the bounds of `a` where the condition holds, else of `b`; of both where it may."""
+    low, high = _truth(condition)
+    never, always = high == 0, low == 1
+    result = (
+        np.where(never, b[0], np.where(always, a[0], np.minimum(a[0], b[0]))),
+        np.where(never, b[1], np.where(always, a[1], np.maximum(a[1], b[1]))),
+    )
+    return _taint(*_undefined(np.isnan(condition[0]), result))
 
 
 def _monotone(
