@@ -29,7 +29,7 @@ def advice(family: Family, settings: Mapping[str, Any], goal: Goal) -> str:
     }
     if first.tail is None:
         steps.append("give the problem a tail")
-    elif first.tail == other.tail and isinstance(first.tail, str):
+    elif first.tail == other.tail and str(first.tail).startswith("riccati"):
         same["tail"] = True
     steps += [f"free {name}" for name, is_same in same.items() if is_same]
     return ", ".join(steps) or "try more settings, or a finer grid"

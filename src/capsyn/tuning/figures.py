@@ -60,6 +60,36 @@ class Figures:
         return dataclasses.asdict(self)
 
 
+@dataclass(frozen=True)
+class Tried:
+    """Settings that were tried, and what closed loops did with them.
+
+    Parameters
+    ----------
+    number : int
+        Of the trial in the study.
+    settings : dict
+        By name.
+    figures : Figures, optional
+        What was found; None where the settings cannot be used.
+    full : bool
+        Whether it was judged in full, and not left after the quick stage.
+    error : str, optional
+        Why the settings cannot be used.
+    """
+
+    number: int
+    settings: dict[str, Any]
+    figures: Any
+    full: bool
+    error: str | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the trial as plain data."""
+        figures = None if self.figures is None else self.figures.to_json()
+        return vars(self) | {"figures": figures}
+
+
 @dataclass(frozen=True, eq=False)
 class Charges:
     """What loops are charged, the same for all policies that are compared."""

@@ -7,12 +7,11 @@ import json
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from capsyn.errors import CapsynWarning, ProblemError, SynthesisError
 from capsyn.random_streams import derived_seed
-from capsyn.tuning.figures import Figures
+from capsyn.tuning.figures import Figures, Tried
 from capsyn.tuning.free import Free
 from capsyn.tuning.goal import Goal
 from capsyn.validation import describe, one_line
@@ -30,36 +29,6 @@ SAMPLING = 22
 """Purpose of the seeds of settings."""
 JOURNALS = (".journal", ".log")
 """Endings of storages that are journals; others are SQLite files."""
-
-
-@dataclass(frozen=True)
-class Tried:
-    """Settings that were tried, and what closed loops did with them.
-
-    Parameters
-    ----------
-    number : int
-        Of the trial in the study.
-    settings : dict
-        By name.
-    figures : Figures, optional
-        What was found; None where the settings cannot be used.
-    full : bool
-        Whether it was judged in full, and not left after the quick stage.
-    error : str, optional
-        Why the settings cannot be used.
-    """
-
-    number: int
-    settings: dict[str, Any]
-    figures: Figures | None
-    full: bool
-    error: str | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the trial as plain data."""
-        figures = None if self.figures is None else self.figures.to_json()
-        return vars(self) | {"figures": figures}
 
 
 Stages = Callable[[dict[str, Any]], Sequence[Callable[[], Figures]]]

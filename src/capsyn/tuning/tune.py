@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import inspect
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -22,7 +23,7 @@ from capsyn.random_streams import derived_seed
 from capsyn.synthesis.synthesize import synthesize
 from capsyn.tuning.advice import advice
 from capsyn.tuning.family import Family
-from capsyn.tuning.figures import Charges, Figures, figures_of
+from capsyn.tuning.figures import Charges, Figures, Tried, figures_of
 from capsyn.tuning.free import Free
 from capsyn.tuning.goal import Goal, front
 from capsyn.validation import true_or_false, whole_number
@@ -39,6 +40,8 @@ FEWEST = 20
 """Fewest starts of the quick stage."""
 CANDIDATES = 5
 """Best settings of the search among which fresh starts choose."""
+RUN_BY = ("backend", "threads", "executor", "memory_limit", "progress")
+"""Arguments of `capsyn.synthesize` on which no result depends."""
 AXES = ("success", "cost", "effort", "switches", "nodes")
 """What the front trades off."""
 
@@ -79,8 +82,8 @@ class Tuning:
     goal: Goal
     met: bool
     advice: str | None
-    tried: tuple[Any, ...]
-    front: tuple[Any, ...]
+    tried: tuple[Tried, ...]
+    front: tuple[Tried, ...]
     free: dict[str, Free]
 
     def to_json(self) -> dict[str, Any]:
@@ -160,7 +163,8 @@ def tune(
     quick : bool
         Whether there is a quick stage. The knee has none.
     synthesis : mapping, optional
-        Arguments of `capsyn.synthesize`, as ``{"max_solves": 60_000}``.
+        Arguments of `capsyn.synthesize`, as ``{"max_solves": 60_000}``, or an ``executor``, whose
+        workers solve.
     storage : path or URL, optional
         Where the trials are kept: a study that was killed goes on when it is started again, and
         processes that are given the same storage share the work. A SQLite file, a journal
@@ -192,6 +196,9 @@ def tune(
     true_or_false("quick", quick)
     plan = TrialOptions.of(trials=starts, backend=backend, threads=threads, **loops)
     options = {"backend": backend, "threads": threads} | dict(synthesis or {})
+    for name in options:
+        if name not in inspect.signature(synthesize).parameters:
+            raise ProblemError(f"`synthesis` must be arguments of capsyn.synthesize; got '{name}'")
     judge = _Judge.of(family, goal, plan, options, (cost, effort), seed)
     from capsyn.tuning.study import Study
 
@@ -250,7 +257,7 @@ class _Judge:
             transcribe(base).to_json(), base.delay, base.min_dwell,
             None if base.switching is None else base.switching.to_json(),
         ]  # fmt: skip
-        own = {k: v for k, v in self.options.items() if k not in ("backend", "threads")}
+        own = {k: v for k, v in self.options.items() if k not in RUN_BY}
         judged = [self.conditions, getattr(target, "to_json", lambda: target)(), own, self.efforts]
         judged += [self.charges.cost.to_json(), plan.trials, quick]
         ranges = {name: str(free) for name, free in self.family.free.items()}
@@ -289,7 +296,7 @@ class _Judge:
 
         return [lambda: self.judged(coarse(), 0, few), whole]
 
-    def result(self, tried: list[Any], fresh: int) -> Tuning:
+    def result(self, tried: list[Tried], fresh: int) -> Tuning:
         """Return what came of all trials: the best of them on starts that none saw."""
         full = [one for one in tried if one.full]
         if not full:

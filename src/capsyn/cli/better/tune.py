@@ -181,7 +181,7 @@ def _print(result: Tuning) -> None:
     rows = []
     for one in shown:
         own = one.figures
-        row = {"trial": one.number}
+        row: dict[str, Any] = {"trial": one.number}
         row |= {} if own.success is None else {"success": f"{own.success:.1%}"}
         row |= {"mean cost": own.cost, "mean effort": own.effort}
         row |= {f"switches / {unit}": own.switches, "cells": own.cells}
