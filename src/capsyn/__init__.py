@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from capsyn.errors import CapsynError as CapsynError
     from capsyn.explorer.explore import explore as explore
     from capsyn.exports.export import export as export
+    from capsyn.improvement.fitted_tail import fitted_tail as fitted_tail
     from capsyn.improvement.improve import improve as improve
     from capsyn.modelling.alphabet import Alphabet as Alphabet
     from capsyn.modelling.domain import Ball as Ball
@@ -57,6 +58,7 @@ _PUBLIC = {
     "compress": "compression.compress",
     "explore": "explorer.explore",
     "export": "exports.export",
+    "fitted_tail": "improvement.fitted_tail",
     "improve": "improvement.improve",
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",

@@ -38,7 +38,9 @@ def test_synth_takes_a_tail_and_the_horizon_that_it_proposes(tmp_path, options, 
 
 
 def test_what_is_no_tail_is_one_line():
-    line = error_of("synth", "cart-pole", "--tail", "fit")
-    assert line == "error: `tail` must be 'riccati', 'riccati:EFFORT' or a function; got 'fit'\n"
-    line = error_of("synth", "cart-pendulum", "--tail", "riccati")
-    assert line.startswith("error: `tail` needs a `running_cost`")
+    line = error_of("synth", "cart-pole", "--tail", "lqr")
+    wanted = "'riccati', 'riccati:EFFORT', 'fit' or a function"
+    assert line == f"error: `tail` must be {wanted}; got 'lqr'\n"
+    for tail in ("riccati", "fit"):
+        line = error_of("synth", "cart-pendulum", "--tail", tail)
+        assert line.startswith("error: `tail` needs a `running_cost`")

@@ -214,8 +214,8 @@ def test_what_has_no_tail_is_told_in_one_line(changes, options, line):
 @pytest.mark.parametrize(
     ("tail", "line"),
     [
-        ("fit", "`tail` must be 'riccati', 'riccati:EFFORT' or a function; got 'fit'"),
-        (3, "`tail` must be 'riccati', 'riccati:EFFORT' or a function; got 3"),
+        ("fitted", "`tail` must be 'riccati', 'riccati:EFFORT', 'fit' or a function; got 'fitted'"),
+        (3, "`tail` must be 'riccati', 'riccati:EFFORT', 'fit' or a function; got 3"),
         ("riccati:-1", "`tail` must have an effort > 0; got 'riccati:-1'"),
         ("riccati:much", "`tail` must have an effort > 0; got 'riccati:much'"),
         (lambda x: [x[0], x[1]], "`tail` must return a scalar"),

@@ -108,7 +108,9 @@ class ProblemOptions:
 
     output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
     horizon: float | None = option("Prediction horizon [time unit].")
-    tail: str | None = option("Cost to go: riccati[:EFFORT], which also sets a horizon, or none.")
+    tail: str | None = option(
+        "Cost to go: riccati[:EFFORT], which also sets a horizon, fit (to closed loops), or none."
+    )
     default: str | None = option("Control of the prediction.", metavar="U[,U..]")
     max_level: int | None = option("Most times that a cell is split along an axis.")
     partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
@@ -251,8 +253,8 @@ def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
     if changes.output is not None:
         check_writable(changes.output)
     problem = problem_of(text, changes.tuned)
-    if changes.tail == "none":
-        problem = problem.replace(tail=None)
+    if changes.tail in ("none", "fit"):
+        problem = problem.replace(tail=None if changes.tail == "none" else changes.tail)
     elif changes.tail is not None:
         problem = problem.replace(tail=changes.tail, horizon=changes.horizon)
     if changes.horizon is not None:

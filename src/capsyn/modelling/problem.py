@@ -20,7 +20,7 @@ from capsyn.modelling.exogenous import check_exogenous, joined, of_states
 from capsyn.modelling.grid import LEAVES, Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching, check_switching
-from capsyn.modelling.tails.riccati import riccati_tail, tail_effort
+from capsyn.modelling.tails.riccati import FIT, NO_RUNNING_COST, riccati_tail, tail_effort
 from capsyn.modelling.tails.tail import Tail
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
@@ -85,9 +85,10 @@ class Problem:
         One symbol for each cell, or rows that are affine in the state for cells on a switching
         surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
         `partitions` and `max_level` are those for such leaves.
-    tail : "riccati", "riccati:EFFORT" or callable ``x -> scalar``, or ``(x, w)``, optional
+    tail : "riccati", "riccati:EFFORT", "fit" or callable ``x -> scalar``, or ``(x, w)``, optional
         A terminal cost that stands for the cost to go, in the place of `terminal_cost`: that of
-        `riccati_tail`, or a function. The horizon to give with it is short.
+        `riccati_tail`, or a function; "fit" is that of `fitted_tail`, which `synthesize` finds.
+        The horizon to give with it is short.
 
     Raises
     ------
@@ -162,9 +163,14 @@ class Problem:
                 raise ProblemError(f"`{name}` must be a function; got {describe(value)}")
         if self.tail is not None and not callable(self.tail):
             tail_effort(self.tail)
-        terminal = self.functions() and self._terminal
-        if self.horizon is None and isinstance(terminal, Tail):
-            keep(self, horizon=terminal.horizon)
+        if self.tail == FIT:
+            if self.running_cost is None:
+                raise ProblemError(NO_RUNNING_COST)
+            self.system()  # is checked; its tail is yet to be found
+        else:
+            terminal = self.functions() and self._terminal
+            if self.horizon is None and isinstance(terminal, Tail):
+                keep(self, horizon=terminal.horizon)
         keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         if callable(self.target):
             arguments = split_reading(ca.SX.sym("z", self.space.n), {}, self.domain.n)
@@ -186,7 +192,13 @@ class Problem:
         """The terminal cost, or the tail in its place."""
         if not isinstance(self.tail, str):
             return self.tail or self.terminal_cost
-        return riccati_tail(self, tail_effort(self.tail))
+        effort = tail_effort(self.tail)
+        if effort is None:
+            raise ProblemError(
+                "`tail` 'fit' is found by `synthesize`; here it must be given, as "
+                "`capsyn.fitted_tail(problem)` returns it"
+            )
+        return riccati_tail(self, effort)
 
     @property
     def has_law(self) -> bool:

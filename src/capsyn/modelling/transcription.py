@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.problem import Problem, casadi_function, expression, split_reading
 from capsyn.modelling.targets import INSIDE, Target
 from capsyn.programs.builder import ProgramBuilder
-from capsyn.programs.model import Model, Prediction, model_ports
+from capsyn.programs.model import Model, Prediction, gathered_cost, model_ports
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Ports, Program
 
@@ -23,6 +26,19 @@ _CASADI_NAMES = {
 _OPERATIONS = {code: name for code, name in _CASADI_NAMES.items() if name in OPERATIONS}
 _OPERATIONS |= {ca.OP_CONSTPOW: "pow", ca.OP_IF_ELSE_ZERO: "select"}
 
+_IN_CASADI: dict[str, Callable[..., Any]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "neg": operator.neg,
+    "pow": operator.pow,
+    "select": lambda condition, value: ca.if_else(condition, value, 0),
+    "not": ca.logic_not,
+    "and": ca.logic_and,
+    "or": ca.logic_or,
+}
+"""Operations of programs that CasADi has under other names."""
 _REWRITES: dict[int, Callable[[ProgramBuilder, int], int]] = {
     ca.OP_ASSIGN: lambda builder, a: a,
     ca.OP_SQ: lambda builder, a: builder.apply("mul", a, a),
@@ -69,6 +85,44 @@ def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs
     return builder.build(name, inputs, outputs, results)
 
 
+def casadi_from_program(program: Program) -> ca.Function:
+    """Return the CasADi function of a program's first output."""
+    symbols = [ca.SX.sym(name, size) for name, size in program.inputs]
+    values = [symbol[i] for symbol in symbols for i in range(symbol.numel())]
+    for name, *operands in program.instructions:
+        if name == "const":
+            values.append(ca.SX(operands[0]))
+        else:
+            operation = _IN_CASADI[name] if name in _IN_CASADI else getattr(ca, name)
+            values.append(operation(*(values[k] for k in operands)))
+    column = ca.vertcat(*(values[k] for k in program.first.results))
+    return ca.Function(program.name, symbols, [ca.densify(column)])
+
+
+@dataclass(frozen=True, eq=False)
+class ModelSystem:
+    """The system of a model as CasADi functions, as tails need it; of a policy, say."""
+
+    model: Model
+    domain: Box
+    exogenous: Box | None
+    alphabet: Alphabet
+    target: Target | None
+
+    @property
+    def running_cost(self) -> Program | None:
+        """The running cost; None where it is 0 everywhere."""
+        cost, end = self.model.running_cost, self.model.terminal_cost
+        return cost if gathered_cost(cost, end) is cost else None
+
+    def system(self) -> dict[str, ca.Function]:
+        """Return ``dynamics(z, u)`` and ``running_cost(z)``, as those of a problem."""
+        return {
+            name: casadi_from_program(getattr(self.model, name))
+            for name in ("dynamics", "running_cost")
+        }
+
+
 def user_program(
     name: str,
     function: Callable[..., Any],
@@ -97,6 +151,18 @@ def user_program(
     results = [ca.densify(value)] + ([_gradient(value, z)] if len(outputs) > 1 else [])
     whole = ca.Function(name, list(symbols.values()), results)
     return program_from_casadi(name, whole, inputs, outputs)
+
+
+def terminal_program(function: Callable[..., Any], n: int, told: int) -> Program:
+    """Return the program of a terminal cost of n states and so many exogenous inputs.
+
+    It is one of a `Model`: ``z -> (cost, gradient)``, the gradient 0 along exogenous inputs.
+    """
+    z = ca.SX.sym("z", n + told)
+    value = expression("tail", function, split_reading(z, {}, n), 1)
+    name, ports = "terminal_cost", model_ports(n + told, 1, 1)
+    whole = ca.Function(name, [z], [value, _gradient(value, z, n)])
+    return program_from_casadi(name, whole, *ports[name])
 
 
 def feature_program(

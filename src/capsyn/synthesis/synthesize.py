@@ -19,11 +19,14 @@ from capsyn.controllers.ssac import BatchController, batch_controller
 from capsyn.errors import ProblemError, warn
 from capsyn.execution.cluster import check_client
 from capsyn.execution.processors import processors
+from capsyn.improvement.refits import Refits, problem_tail
 from capsyn.modelling.alphabet import Outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching
+from capsyn.modelling.tails.riccati import FIT
+from capsyn.modelling.tails.tail import Tail
 from capsyn.modelling.transcription import transcribe, transcribe_target
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import Model
@@ -70,7 +73,8 @@ def synthesize(
     Parameters
     ----------
     problem : Problem
-        System, goal and alphabet, with their own settings.
+        System, goal and alphabet, with their own settings. A tail "fit" is found first: that of
+        `fitted_tail`, whose policies all have these options.
     partitions, refinement, max_level, leaves : optional
         Override the problem's own.
     settings, outside, min_dwell, outside_at_once : optional
@@ -163,6 +167,13 @@ def synthesize(
     return _synthesized(problem, plan, run)
 
 
+def _fitted(problem: Problem, plan: SubdivisionPlan, threads: int, backend: str) -> Tail:
+    """Return the tail that closed loops of the problem's own policies tell; see `fitted_tail`."""
+    run = _Run(threads, backend, None, None, None)
+    refits = Refits.of(problem, plan, backend, threads, plan.seed)
+    return problem_tail(problem, refits, lambda each: _synthesized(each, plan, run))
+
+
 @dataclass(frozen=True)
 class _Run:
     """How a synthesis is run; the result does not depend on it. See `synthesize`."""
@@ -176,6 +187,8 @@ class _Run:
 
 def _synthesized(problem: Problem, plan: SubdivisionPlan, run: _Run) -> Policy:
     """Return the policy of a problem on a plan, both checked."""
+    if problem.tail == FIT:
+        problem = problem.replace(tail=_fitted(problem, plan, run.threads, run.backend))
     started = time.perf_counter()
     switching, controller = priced(problem, transcribe(problem), run.backend, plan.seed)
     prepared = time.perf_counter() - started

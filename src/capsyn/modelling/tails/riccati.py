@@ -22,6 +22,9 @@ from capsyn.validation import (
     read_only,
 )
 
+FIT = "fit"
+"""What a tail is called that `synthesize` fits to what closed loops cost."""
+NO_RUNNING_COST = "`tail` needs a `running_cost`, whose cost to go it is; there is none"
 SMALL = 1e-8
 """What counts as zero, relative to what it is a part of."""
 AFFINE = 1e-5
@@ -62,18 +65,10 @@ def riccati_tail(problem: System, effort: float = 1.0, goal: Any = None) -> Tail
     """
     effort = finite_number("effort", effort, above=0.0)
     if problem.running_cost is None:
-        raise ProblemError("`tail` needs a `running_cost`, whose cost to go it is; there is none")
-    domain, told = problem.domain, problem.exogenous
-    goal = _goal(problem, goal)
-    w = np.empty(0) if told is None else (told.lower + told.upper) / 2
-    place = np.array([float(value) for value in goal(w)]) if callable(goal) else goal
-    shares = mixture(problem, place, w)
-    if shares is None:
-        parts = ", ".join(f"{name} = {v:g}" for name, v in zip(domain.names, place))
-        raise ProblemError(
-            "`tail` must have a goal where the system can rest: no mixture of the symbols holds "
-            + parts
-        )
+        raise ProblemError(NO_RUNNING_COST)
+    domain = problem.domain
+    goal = goal_of(problem, goal)
+    place, w, shares = rest_at(problem, goal)
     half = domain.widths / 2
     a, q = _linearised(problem, np.concatenate([place, w]), shares)
     a, q = a * half / half[:, None], q * np.outer(half, half)
@@ -89,15 +84,17 @@ def riccati_tail(problem: System, effort: float = 1.0, goal: Any = None) -> Tail
     )
 
 
-def tail_effort(text: Any) -> float:
-    """Return the effort that ``"riccati"`` or ``"riccati:EFFORT"`` means.
+def tail_effort(text: Any) -> float | None:
+    """Return the effort that ``"riccati"`` or ``"riccati:EFFORT"`` means; None of ``"fit"``.
 
     Something else is a `ProblemError`.
     """
+    if isinstance(text, str) and text == FIT:
+        return None
     kind, colon, number = text.partition(":") if isinstance(text, str) else ("", "", "")
     if kind != "riccati":
         raise ProblemError(
-            f"`tail` must be 'riccati', 'riccati:EFFORT' or a function; got {describe(text)}"
+            f"`tail` must be 'riccati', 'riccati:EFFORT', 'fit' or a function; got {describe(text)}"
         )
     try:
         effort = float(number) if colon else 1.0
@@ -108,7 +105,25 @@ def tail_effort(text: Any) -> float:
     return effort
 
 
-def _goal(problem: System, goal: Any) -> Any:
+def rest_at(problem: System, goal: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a goal (n,), the exogenous inputs (k,) there, and shares (N,) of symbols that hold it.
+
+    The inputs are those in the middle of their box. Where no mixture holds it: a `ProblemError`.
+    """
+    domain, told = problem.domain, problem.exogenous
+    w = np.empty(0) if told is None else (told.lower + told.upper) / 2
+    place = np.array([float(value) for value in goal(w)]) if callable(goal) else goal
+    shares = mixture(problem, place, w)
+    if shares is None:
+        parts = ", ".join(f"{name} = {v:g}" for name, v in zip(domain.names, place))
+        raise ProblemError(
+            "`tail` must have a goal where the system can rest: no mixture of the symbols holds "
+            + parts
+        )
+    return place, w, shares
+
+
+def goal_of(problem: System, goal: Any) -> Any:
     """Return the goal (n,), or as a function of exogenous inputs; see `riccati_tail`."""
     domain, told = problem.domain, problem.exogenous
     if callable(goal):

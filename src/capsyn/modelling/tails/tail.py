@@ -11,11 +11,12 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """A terminal cost ``V = d^T P d`` for the cost to go near a goal; see `riccati_tail`.
+    """A terminal cost ``V = d^T P d`` for the cost to go near a goal.
 
-    Here d is the distance from the goal. On a periodic axis of period L, with the angle
-    ``a = 2 pi d / L`` and ``s = L / (2 pi)``, it is ``s sin a``, and ``P[i, i] s^2 (1 - cos a)^2``
-    is added: smooth everywhere, of the same second derivatives at the goal, 0 there alone.
+    It is what `riccati_tail` and `fitted_tail` return. Here d is the distance from the goal. On a
+    periodic axis of period L, with the angle ``a = 2 pi d / L`` and ``s = L / (2 pi)``, it is
+    ``s sin a``, and ``P[i, i] s^2 (1 - cos a)^2`` is added: smooth everywhere, of the same second
+    derivatives at the goal, 0 there alone.
 
     Parameters
     ----------
@@ -25,8 +26,8 @@ class Tail:
         The goal [state units]; of a callable, where the exogenous inputs put it.
     control : (m,)
         The mean control that holds the goal, a mixture of symbols [input units].
-    effort : float
-        What the symbols' use was weighed with.
+    effort : float or None
+        What the symbols' use was weighed with; None of a fitted tail.
     horizon : float
         Proposed prediction horizon [time unit].
     periods : (n,)
@@ -36,7 +37,7 @@ class Tail:
     matrix: np.ndarray
     goal: np.ndarray | Callable[..., Any]
     control: np.ndarray
-    effort: float
+    effort: float | None
     horizon: float
     periods: np.ndarray
 
@@ -44,10 +45,8 @@ class Tail:
     def text(self) -> str:
         """The tail in one line."""
         goal = "a function of w" if callable(self.goal) else _list(self.goal)
-        return (
-            f"Riccati tail of effort {self.effort:g}: goal {goal}, held by {_list(self.control)}, "
-            f"horizon {self.horizon:.3g}"
-        )
+        kind = "fitted tail" if self.effort is None else f"Riccati tail of effort {self.effort:g}"
+        return f"{kind}: goal {goal}, held by {_list(self.control)}, horizon {self.horizon:.3g}"
 
     def __call__(self, x: Any, w: Any = None) -> Any:
         """Return V at a state x (n,), with exogenous inputs w (k,): CasADi columns or arrays."""
