@@ -14,8 +14,8 @@ from capsyn.version import __version__
 
 HERE = Path(__file__).parent
 QUESTIONS = (
-    "solve synthesis dimensions lookup compression sources tails improve optimum told inverter "
-    "closed_loop explorer command counts exports timing cluster"
+    "solve synthesis dimensions lookup compression sources tails improve tune optimum told "
+    "inverter closed_loop explorer command counts exports timing cluster"
 ).split()
 
 FIRST = {
@@ -37,6 +37,11 @@ FIRST = {
         "double-tank-a, 2 round(s): cost over the optimum's",
         "cart-pendulum, 2 round(s): cost over the optimum's",
         "boost-converter, 2 round(s): cost over the optimum's",
+    ),
+    "tune": (
+        "docking, 3 weights 10 times what does well, 40 settings: success",
+        "docking, 3 weights 10 times what does well, 40 settings: mean fuel",
+        "cart-pendulum, 24 prices of a switch: switches there",
     ),
     "told": (
         "building, law as default: largest mean error of 1,000 days",
