@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from capsyn import (
@@ -77,6 +77,7 @@ def test_steps_are_taken_at_their_sample(exogenous, backend):
 
 
 @pytest.mark.filterwarnings("ignore:`exogenous` leaves its box")
+@settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1))
 def test_compiled_and_numpy_loops_agree(seed):
     rng = np.random.default_rng(seed)

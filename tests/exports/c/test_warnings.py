@@ -98,6 +98,9 @@ def test_no_warning(request, written, compiler):
     need(compiler)
     directory, sources = request.getfixturevalue(written)
     assert len(sources) >= 100
-    command = [compiler, "-std=c99", "-O1", "-S", *WARNINGS, *sources]
+    how = (
+        ["-fsyntax-only"] if compiler == "clang" else ["-O1", "-S"]
+    )  # GCC warns while it optimises
+    command = [compiler, "-std=c99", *how, *WARNINGS, *sources]
     done = subprocess.run(command, cwd=directory, capture_output=True, text=True)
     assert done.returncode == 0 and not done.stderr, done.stderr[:4000]
