@@ -93,6 +93,8 @@ def test_settings_of_any_problem():
     tailed = with_settings(block(1.0, 0.1), {"tail": 0.5})
     assert tailed.tail == "riccati:0.5" and tailed.horizon != 1.0
     assert with_settings(block(1.0, 0.1), {"tail": 0.5, "horizon": 0.3}).horizon == 0.3
+    fitted = with_settings(block(1.0, 0.1), {"tail": "fit"})
+    assert (fitted.tail, fitted.horizon) == ("fit", 1.0)
 
 
 def test_settings_that_cannot_be_used():

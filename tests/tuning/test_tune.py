@@ -154,6 +154,15 @@ def test_costs_are_the_same_for_all_weights():
     assert free.settings == own.settings and free.figures == own.figures
 
 
+def test_a_tail_may_be_fitted():
+    free = {"tail": Free(choices=["riccati", "fit"])}
+    problem = block(0.5, 0.02).replace(target=None)
+    options = {"least": "cost", "trials": 3, "starts": 20, "fresh": 20, "quick": False}
+    result = tune(problem, free, **options, **LOOPS)
+    assert {one.settings["tail"] for one in result.tried} == {"riccati", "fit"}
+    assert all(one.full for one in result.tried) and result.figures.success is None
+
+
 def figures(success, cost, effort=1.0):
     return Figures(100, success, None, None, cost, effort, 1.0, 9)
 
@@ -164,6 +173,8 @@ def test_successes_come_first_then_what_is_least():
     values = [goal.objectives(figures(*one))[0] for one in rising]
     assert values == sorted(values) and len(set(values)) == len(values)
     assert [goal.met(figures(*one)) for one in rising] == [True] * 3 + [False] * 4
+    assert [goal.spares(figures(rate, 1)) for rate in (0.9, 0.92, 0.94)] == [False, False, True]
+    assert Goal(1.0).spares(figures(1.0, 1)) and Goal(least="cost").spares(figures(0.0, 1))
     assert str(Goal(0.99)) == "success >= 0.99, then least cost"
 
 

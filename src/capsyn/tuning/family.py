@@ -24,8 +24,14 @@ def _priced(problem: Problem, price: Any) -> Problem:
     return problem.replace(switching=dataclasses.replace(own, price=price))
 
 
+def _tailed(problem: Problem, tail: Any) -> Problem:
+    text = tail if isinstance(tail, str) else f"riccati:{tail!r}"
+    own = None if text.startswith("riccati") else problem.horizon
+    return problem.replace(tail=text, horizon=own)
+
+
 CHANGES: dict[str, Callable[[Problem, Any], Problem]] = {
-    "tail": lambda problem, r: problem.replace(tail=f"riccati:{r!r}", horizon=None),
+    "tail": _tailed,
     "horizon": lambda problem, time: problem.replace(horizon=time),
     "rule": lambda problem, rule: _with_settings(problem, rule=rule),
     "gamma": lambda problem, gamma: _with_settings(problem, gamma=gamma, alpha_d=None),
@@ -34,7 +40,7 @@ CHANGES: dict[str, Callable[[Problem, Any], Problem]] = {
 }
 """What any problem may leave free, by name, in the order in which it is changed.
 
-A tail is its effort, and brings its horizon; ``price`` is that of a switch.
+A number is the effort of a Riccati tail, which brings its horizon; ``price`` is that of a switch.
 """
 
 

@@ -14,9 +14,10 @@ from capsyn.compression.trees import tree_of
 from capsyn.controllers.command import TARGET, TIME
 from capsyn.errors import ProblemError
 from capsyn.modelling.problem import Problem
+from capsyn.modelling.tails.riccati import FIT
 from capsyn.modelling.transcription import transcribe, user_program
 from capsyn.policies.policy import Policy
-from capsyn.programs.model import gathered_cost
+from capsyn.programs.model import Model, gathered_cost
 from capsyn.programs.program import Program
 from capsyn.statistics import clopper_pearson
 from capsyn.validation import called, numbers
@@ -102,7 +103,7 @@ class Charges:
     @staticmethod
     def of(problem: Problem, cost: Any, effort: Any, nodes: bool) -> Charges:
         """Return those of a problem's own cost, or of a function ``x -> cost`` or ``(x, w)``."""
-        model, n = transcribe(problem), problem.space.n
+        model, n = model_of(problem), problem.space.n
         ports: tuple[Any, ...] = (("x", n),), (("cost", 1),)
         told = n - problem.domain.n
         own = gathered_cost(model.running_cost, model.terminal_cost)
@@ -121,6 +122,11 @@ class Charges:
         if not np.isfinite(values).all():
             raise ProblemError("`effort` must be a finite number for every symbol")
         return values
+
+
+def model_of(problem: Problem) -> Model:
+    """Return the model of a problem, without a tail that is yet to be fitted."""
+    return transcribe(problem.replace(tail=None) if problem.tail == FIT else problem)
 
 
 def figures_of(policy: Policy, options: TrialOptions, charges: Charges) -> Figures:

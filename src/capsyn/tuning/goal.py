@@ -65,6 +65,13 @@ class Goal:
         enough = self.success is None or (figures.success or 0.0) >= self.success
         return enough and all(getattr(figures, axis) is not None for axis in self.axes)
 
+    def spares(self, figures: Figures) -> bool:
+        """Return whether figures meet the goal by a standard deviation of the successes or more."""
+        if self.success is None or not self.met(figures):
+            return self.met(figures)
+        deviation = math.sqrt(self.success * (1 - self.success) / figures.starts)
+        return (figures.success or 0.0) >= min(self.success + deviation, 1.0)
+
     def objectives(self, figures: Figures) -> list[float]:
         """Return what the search makes least: first the lack of successes, then each figure.
 

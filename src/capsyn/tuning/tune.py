@@ -17,13 +17,14 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
 from capsyn.modelling.problem import Problem
-from capsyn.modelling.transcription import transcribe, transcribe_target
+from capsyn.modelling.tails.riccati import FIT
+from capsyn.modelling.transcription import transcribe_target
 from capsyn.policies.policy import Policy
 from capsyn.random_streams import derived_seed
 from capsyn.synthesis.synthesize import synthesize
 from capsyn.tuning.advice import advice
 from capsyn.tuning.family import Family
-from capsyn.tuning.figures import Charges, Figures, Tried, figures_of
+from capsyn.tuning.figures import Charges, Figures, Tried, figures_of, model_of
 from capsyn.tuning.free import Free
 from capsyn.tuning.goal import Goal, front
 from capsyn.validation import true_or_false, whole_number
@@ -135,7 +136,8 @@ def tune(
     the same for all. The first takes the middle of the ranges, some more spread over them, and the
     others follow what was found (a tree-structured Parzen estimator, by Optuna). A quick stage,
     with one level less and a fifth of the starts, decides which go on to be judged in full. The
-    best few are judged on other starts, and the best of those on yet others, which gives `figures`.
+    best few are judged on other starts, and the best of those that meet the goal there, if any by a
+    standard deviation of the successes, on yet others, which gives `figures`.
 
     Parameters
     ----------
@@ -143,8 +145,8 @@ def tune(
         What is free among the arguments of the function are defaults that are `Free`.
     free : mapping of name to Free, optional
         More that is free: arguments of the function, or of any problem ``horizon``,
-        ``control_weight``, ``gamma``, ``rule``, ``price`` of a switch, and ``tail``, the effort of
-        a Riccati tail, which brings its horizon.
+        ``control_weight``, ``gamma``, ``rule``, ``price`` of a switch, and ``tail``, numbers for
+        the effort of a Riccati tail, which brings its horizon.
     success : float, optional
         Least share of loops that succeed, as `capsyn.monte_carlo` says. It needs a target.
     least : "cost", "effort", "switches", "nodes" or "knee", optional
@@ -254,7 +256,7 @@ class _Judge:
         facts = [
             base.domain.to_json(), base.alphabet.to_json(), base.settings.to_json(),
             base.grid.to_json(), base.leaves, base.horizon, base.default_control, base.outside,
-            transcribe(base).to_json(), base.delay, base.min_dwell,
+            model_of(base).to_json(), base.tail == FIT, base.delay, base.min_dwell,
             None if base.switching is None else base.switching.to_json(),
         ]  # fmt: skip
         own = {k: v for k, v in self.options.items() if k not in RUN_BY}
@@ -312,7 +314,9 @@ class _Judge:
             problem = self.family(one.settings)
             policy = self.policy(problem)
             found.append((one, problem, policy, self.judged(policy, 1, fresh)))
-        one, problem, policy, _ = min(found, key=lambda each: self.goal.objectives(each[3]))
+        one, problem, policy, _ = min(
+            found, key=lambda each: (not self.goal.spares(each[3]), self.goal.objectives(each[3]))
+        )
         figures = self.judged(policy, 2, fresh)
         reached = self.goal.met(figures)
         told = None if reached else advice(self.family, one.settings, self.goal)
