@@ -11,8 +11,8 @@ import time
 import pytest
 
 from capsyn import Policy
+from support.problems.block import TEXT
 from support.processes.command_line import capsyn, error_of
-from support.tunable import TEXT
 
 QUICK = "--rate 10 --duration 8 --starts 40 --fresh 100 --success 0.95 --least effort".split()
 

@@ -8,7 +8,7 @@ from capsyn.tuning.advice import advice
 from capsyn.tuning.family import Family, with_settings
 from capsyn.tuning.free import free_arguments
 from capsyn.tuning.goal import Goal
-from support.tunable import block
+from support.problems.block import block
 
 
 def test_a_range_over_a_factor_of_ten_is_searched_by_its_logarithm():

@@ -12,7 +12,7 @@ from capsyn.errors import ProblemError
 from capsyn.tuning.figures import Charges, Figures, figures_of
 from capsyn.tuning.goal import Goal, front
 from capsyn.verification.trials import TrialOptions
-from support.tunable import LOOPS, block
+from support.problems.block import LOOPS, block
 
 QUICK = {"success": 0.95, "least": "effort", "starts": 40, "fresh": 200, **LOOPS}
 
