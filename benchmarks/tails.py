@@ -7,7 +7,7 @@ import numpy as np
 
 import capsyn
 from capsyn import problems
-from capsyn.problems import docking
+from capsyn.problems import docking, double_pendulum
 from capsyn.statistics import clopper_pearson
 
 COUNT, CHUNK = 1000, 50
@@ -91,7 +91,23 @@ def docked(run):
     )
 
 
+def pumped(run):
+    """Judge whether a double pendulum holds the energy of standing from 15 to 20 s, within 10 %."""
+    x, whole = run.states, 6 * 9.81
+    shares = np.abs([double_pendulum.energy(z) for z in x.transpose(0, 2, 1)]) / whole
+    return (shares[:, 7500:] <= 0.1).all(axis=1), (shares <= 0.05).any(axis=1)
+
+
 if __name__ == "__main__":
+    slow = starts(problems.plain("double-pendulum"))
+    for how, make in (("", problems.get), (" that knows slow links alone", problems.plain)):
+        policy = capsyn.synthesize(make("double-pendulum"))
+        good, reached = loops(policy, slow, 20, 500, pumped)
+        what = f"double pendulum{how}, within 10 % of the energy from 15 to 20 s"
+        judged(what, good, "" if how else ">= 99")
+        row(f"double pendulum{how}: within 5 % at some time", 100 * reached.mean(), "%")
+        row(f"double pendulum{how}: solves", policy.statistics["solves"])
+
     for tail, make in (("with", problems.get), ("without", problems.plain)):
         policy = capsyn.synthesize(make("planar-quadrotor"))
         good, cost = loops(policy, starts(policy), 20, 1000, near(6, 0.2, 10_000))

@@ -105,15 +105,16 @@ EXPECTED = {
         "target": Ball([0.0] * 6, 0.05),
     },
     "double-pendulum": {
-        "bounds": ([0.0, 0.0, -6.0, -9.0], [2 * np.pi, 2 * np.pi, 6.0, 9.0]),
+        "bounds": ([0.0, 0.0, -9.0, -18.0], [2 * np.pi, 2 * np.pi, 9.0, 18.0]),
         "periodic": (True, True, False, False),
         "outside": "nearest",
         "symbols": [[-5.0], [0.0], [5.0]],
         "default": [0.0],
         "horizon": 0.5,
-        "settings": SsacSettings(rule="steepest", control_weight=0.5, steps=48),
-        "partitions": (4,) * 4,
-        "max_level": 2,
+        "settings": SsacSettings(rule="steepest", control_weight=1.0, steps=48),
+        "partitions": (5, 6, 5, 6),
+        "max_level": 1,
+        "leaves": "affine",
         "target": double_pendulum.has_upright_energy,
     },
     "boost-converter": {
@@ -331,6 +332,12 @@ def test_plain_problems_have_no_tail_and_look_further():
         assert plain.tail is None and plain.switching is None
         if name != "quadrotor":
             assert (plain.horizon > with_tail.horizon) == (with_tail.tail is not None)
+
+
+def test_the_plain_double_pendulum_knows_slow_links_alone():
+    problem, plain = problems.get("double-pendulum"), problems.plain("double-pendulum")
+    assert plain.domain.upper[2:].tolist() == [6.0, 9.0] < problem.domain.upper[2:].tolist()
+    assert plain.leaves == "constant" and plain.settings.control_weight == 0.5
 
 
 def test_spacecraft_turns_as_its_attitude_says():

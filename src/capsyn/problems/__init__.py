@@ -32,7 +32,7 @@ _GREEDY: dict[str, dict[str, Any]] = {
     "spacecraft": {"tail": None, "horizon": 2.0, "max_level": 1},
     "planar-quadrotor": {"tail": None, "horizon": 0.8, "max_level": 1},
 }
-"""What problems with a tail were before they had one."""
+"""What problems were before they had what serves them; `GREEDY` of a module says it, too."""
 
 
 def names() -> list[str]:
@@ -50,7 +50,9 @@ def plain(name: str) -> Problem:
     ProblemError
         There is none of this name; the message suggests the nearest.
     """
-    return get(name).replace(switching=None, **{"tail": None, **_GREEDY.get(name, {})})
+    problem, (module, _) = get(name), _MAKERS[name]
+    before = getattr(_module(module), "GREEDY", _GREEDY.get(name, {}))
+    return problem.replace(switching=None, **{"tail": None, **before})
 
 
 def get(name: str) -> Problem:
@@ -66,7 +68,9 @@ def get(name: str) -> Problem:
         hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(_MAKERS)}"
         raise ProblemError(f"there is no problem '{name}'; {hint}")
     module, function = _MAKERS[name]
-    maker: Callable[[], Problem] = getattr(
-        importlib.import_module(f"capsyn.problems.{module}"), function
-    )
+    maker: Callable[[], Problem] = getattr(_module(module), function)
     return maker()
+
+
+def _module(name: str) -> Any:
+    return importlib.import_module(f"capsyn.problems.{name}")
