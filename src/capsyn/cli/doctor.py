@@ -22,6 +22,7 @@ DATA = {
     "controllers": ("action.c", "ssac.c"),
     "optima": ("dynamic_programming.c",),
     "policies": ("lookup.c",),
+    "programs": ("intervals.c",),
     "simulation": ("simulate.c",),
     "sources": ("finite_control_set.c",),
     "exports": (
