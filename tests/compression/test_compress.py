@@ -586,7 +586,7 @@ def test_a_tree_keeps_no_evidence_of_the_policy(small):
     ("arguments", "message"),
     [
         ({"mode": "other"}, "`mode` must be one of 'exact', 'freedom', 'linear'; got 'other'"),
-        ({"mode": None}, "`mode` must be"),
+        ({"mode": 3}, "`mode` must be"),
         ({"agreement": 0.9}, "`agreement` is for mode freedom and linear only; got 0.9"),
         ({"mode": "linear", "level": 1}, "`level` is for mode exact and freedom only; got 1"),
         ({"node_price": 1.0}, "`node_price` is for mode freedom only; got 1.0"),

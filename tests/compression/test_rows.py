@@ -56,7 +56,7 @@ def small():
 @pytest.fixture
 def quick(monkeypatch):
     """Fits of mode linear to few samples, of one search."""
-    monkeypatch.setattr("capsyn.compression.compress.fit_tree", partial(fit_tree, samples=20_000))
+    monkeypatch.setattr("capsyn.compression.trees.fit_tree", partial(fit_tree, samples=20_000))
     monkeypatch.setattr("capsyn.compression.judge.PILOT", 20_000)
     monkeypatch.setattr("capsyn.compression.fitted.oblique.AIMS", (1.0,))
     monkeypatch.setattr("capsyn.compression.fitted.oblique.ATTEMPTS", 3)

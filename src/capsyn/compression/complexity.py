@@ -9,8 +9,8 @@ import numpy as np
 
 from capsyn.automata.automaton import Automaton
 from capsyn.cells.cell_tree import CellTree
-from capsyn.compression.compress import affine_tree_of, tree_of
 from capsyn.compression.rows import policy_bytes
+from capsyn.compression.trees import affine_tree_of, tree_of
 from capsyn.policies.policy import DecisionTree, Policy
 
 MOST_NODES = 1_000_000

@@ -9,23 +9,27 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import FeatureTree
-from capsyn.compression.affine_tree import MAX_NODES, affine_tree
-from capsyn.compression.coarsening import cut_off
 from capsyn.compression.features.cell_fit import MOST_CELLS, fit_cells
 from capsyn.compression.features.space import LEAST_MARGIN, Functions, Space, check_functions
-from capsyn.compression.fitted.oblique import Fit, fine_lattice, fit_tree
-from capsyn.compression.freedom import cell_votes, exact_prices, free_prices
-from capsyn.compression.induction import Prices, induce
+from capsyn.compression.fitted.oblique import fine_lattice
 from capsyn.compression.judge import Judge
+from capsyn.compression.looped.by_loop import MODES as LOOP_MODES
+from capsyn.compression.looped.by_loop import check_budget, loop_tree, trial_options
 from capsyn.compression.proof import prove
 from capsyn.compression.rows import tree_of_rows
+from capsyn.compression.trees import (
+    exact_tree,
+    free_trees,
+    linear_of,
+    linear_tree,
+    rows_of,
+    smallest_free_tree,
+)
 from capsyn.errors import ProblemError, warn
 from capsyn.policies.file import content_hash
 from capsyn.policies.guarantee import MODES, Guarantee
@@ -33,8 +37,6 @@ from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number
 from capsyn.verification.agreement import Controller
 
-FREE_PRICES = (16.0, 2.0, 1.0, 0.5, 0.25, 0.1, 0.05)
-"""Finest cells of disagreement that a node is worth, from the smallest tree on."""
 DEFAULT_AGREEMENT = 0.99
 """That of mode linear."""
 FEATURE_STEPS = 4096
@@ -43,14 +45,6 @@ NODE_PRICE = 0.5
 """That of mode freedom where no agreement is asked for."""
 MAX_STATES = 10_000_000
 """Most states at which trees are judged."""
-MAX_NODE_PRICE = 1000.0
-"""Larger prices make no smaller trees."""
-WAYS_OUT = (
-    "export the cells themselves (style cells of c and structured-text; python, javascript, json "
-    "and fmu do), compress in mode linear, or synthesize with fewer symbols or solves, or a larger "
-    "leaf_error"
-)
-"""What may be done where the tree of a policy with affine leaves is too large."""
 OPTION_MODES = {
     "agreement": ("freedom", "linear"),
     "level": ("exact", "freedom"),
@@ -61,7 +55,7 @@ OPTION_MODES = {
 
 def compress(
     policy: Policy,
-    mode: str = "exact",
+    mode: str | None = None,
     *,
     agreement: float | None = None,
     level: int | None = None,
@@ -71,6 +65,12 @@ def compress(
     controller: Controller | None = None,
     features: Functions | None = None,
     backend: str = "auto",
+    judge: str = "volume",
+    nodes: int | None = None,
+    bytes: int | None = None,
+    size: Callable[[DecisionTree], int] | None = None,
+    progress: Callable[[str], None] | None = None,
+    **loop: Any,
 ) -> DecisionTree:
     """Return a small decision tree that does the work of a policy.
 
@@ -78,12 +78,12 @@ def compress(
     ----------
     policy : Policy
         A policy of cells.
-    mode : "exact", "freedom" or "linear"
-        ``exact``: equal to the policy everywhere. ``freedom``: mixed cells, those at the finest
-        level whose test points did not agree, may take any symbol seen in them; with memory any row
-        of the policy whose symbols were all seen in them, each for its symbol in force. ``linear``:
-        splits
-        may be affine in the state, fitted to the controller that the policy came from.
+    mode : "exact", "freedom" or "linear", optional
+        By default ``exact``, and with `judge` "loop" ``linear``. ``exact``: equal to the policy
+        everywhere. ``freedom``: mixed cells, those at the finest level whose test points did not
+        agree, may take any symbol seen in them; with memory any row of the policy whose symbols
+        were all seen in them, each for its symbol in force. ``linear``: splits may be affine in the
+        state, fitted to the controller that the policy came from.
     agreement : float, optional
         Least share of the volume, above 0 and below 1, where the tree shall agree with the
         controller. For ``linear`` 0.99 by default, for ``freedom`` what `node_price` gives. Not for
@@ -109,7 +109,25 @@ def compress(
         lattice, and those that a tree does not use are dropped. Not with `level`, `node_price`, or,
         in mode ``freedom``, `agreement`.
     backend : "auto", "c" or "numpy"
-        How sSAC is solved.
+        How sSAC is solved, and loops are simulated.
+    judge : "volume" or "loop"
+        Whether trees are chosen by where they agree with the controller, by volume, or by what
+        their closed loops cost and how many succeed. Then mode ``linear`` fits trees to the states
+        that closed loops visit, and mode ``freedom`` has its trees of several levels and prices.
+        The tree is the best within `nodes` or `bytes`, or the smallest that is near the policy
+        where neither is given; it is judged by trials that no choice saw. Not with mode ``exact``,
+        `agreement`, `node_price` or `features`.
+    nodes, bytes : int, optional
+        Most nodes, or most bytes, of a tree that loops judge.
+    size : callable ``tree -> bytes``, optional
+        What `bytes` counts, such as `capsyn.exports.c.sizes.CodeSize`. Default: the tree's arrays,
+        each in the smallest integers that hold it.
+    progress : callable, optional
+        Called with a text now and then, where loops judge.
+    **loop
+        How these run: arguments of `capsyn.monte_carlo` by name, such as `duration`, `rate`,
+        `initial`, `within`, `hold`, `exogenous`. By default 400 trials, of 10 horizons of the
+        policy. Without a target, trials succeed that go on to their end.
 
     Returns
     -------
@@ -119,9 +137,11 @@ def compress(
     Warns
     -----
     CapsynWarning
-        `agreement` was not reached, and the best tree found is returned; or it is finer than the
-        cells of a policy without a controller, so that the tree follows their stairs. `features`
-        make no tree smaller, and one without is returned; or one comes very near to a threshold.
+        No tree was found that fits, or the best loses more than a tenth against the policy, in
+        success or cost of closed loops. `agreement` was not reached, and the best tree found is
+        returned; or it is finer than the cells of a policy without a controller, so that the tree
+        follows their stairs. `features` make no tree smaller, and one without is returned; or one
+        comes very near to a threshold.
 
     Raises
     ------
@@ -129,8 +149,13 @@ def compress(
         An argument that cannot be used.
     """
     cells = cell_tree(policy)
+    by_loop = one_of("judge", judge, ("volume", "loop")) == "loop"
+    if mode is None:
+        mode = "linear" if by_loop else "exact"
     options = {"agreement": agreement, "level": level, "node_price": node_price}
     _check_mode(policy, mode, options)
+    _check_judge(by_loop, mode, options | {"features": features},
+                 {"nodes": nodes, "bytes": bytes, "size": size} | loop)  # fmt: skip
     if features is not None:
         check_functions(features)
         _check_features(cells, mode, options)
@@ -148,26 +173,34 @@ def compress(
     states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, BACKENDS)
-    if features is not None:
-        judge = Judge.of(policy, states, seed, backend, controller)
-        return _told(judge, feature_tree(judge, mode, features, agreement))
-    if mode == "exact":
+    if mode == "exact" and features is None:
         return exact_tree(policy, level)
-    judge = Judge.of(policy, states, seed, backend, controller)
+    known = Judge.of(policy, states, seed, backend, controller)
+    if by_loop:
+        budget = check_budget(nodes, bytes, size)
+        loops = trial_options(policy, seed, backend, loop)
+        return loop_tree(known, mode, level, budget, loops, progress)
+    if features is not None:
+        return _told(known, feature_tree(known, mode, features, agreement))
+    return _told(known, _volume_tree(known, mode, level, agreement, node_price))
+
+
+def _volume_tree(
+    judge: Judge, mode: str, level: int | None, agreement: float | None, node_price: float
+) -> DecisionTree:
+    """Return the tree of mode freedom or linear that agreement by volume chooses."""
     if mode == "linear":
         target = DEFAULT_AGREEMENT if agreement is None else agreement
-        if judge.source is None and policy.mixed_share > 1 - target:
+        if judge.source is None and judge.policy.mixed_share > 1 - target:
             warn(
-                f"cells whose test points disagree cover {policy.mixed_share:.2%} of the volume: "
-                f"an agreement of {target:g} follows their stairs; give a controller, or ask for "
-                "less"
+                f"cells whose test points disagree cover {judge.policy.mixed_share:.2%} of the "
+                f"volume: an agreement of {target:g} follows their stairs; give a controller, or "
+                "ask for less"
             )
-        tree = linear_tree(judge, target)
-    elif agreement is None:
-        (tree,) = free_trees(judge, level, (node_price,))
-    else:
-        tree = _smallest_free_tree(judge, level, agreement)
-    return _told(judge, tree)
+        return linear_tree(judge, target)
+    if agreement is None:
+        return next(free_trees(judge, level, (node_price,)))
+    return smallest_free_tree(judge, level, agreement)
 
 
 def _told(judge: Judge, tree: DecisionTree) -> DecisionTree:
@@ -195,9 +228,9 @@ def feature_tree(
     if mode == "linear":
         target = DEFAULT_AGREEMENT if agreement is None else agreement
         space = Space.of(functions, policy.space, fine_lattice(policy.space, FEATURE_STEPS), told)
-        rows = _rows(judge, target)
+        rows = rows_of(judge, target)
         fit = fit_controller(judge.masks(rows), space, len(rows), target, judge.seed, judge.states)
-        return _linear(judge, fit, rows, target)
+        return linear_of(judge, fit, rows, target)
     plain = exact_tree(policy) if mode == "exact" else next(free_trees(judge, None, (NODE_PRICE,)))
     space = Space.of(functions, policy.space, cell_tree(policy).counts, told)
     cells = fit_cells(policy, space, mode == "freedom", plain.node_count)
@@ -225,6 +258,26 @@ def _check_features(cells: CellTree, mode: str, options: dict[str, Any]) -> None
         )
 
 
+def _check_judge(
+    by_loop: bool, mode: str, options: dict[str, Any], of_loops: dict[str, Any]
+) -> None:
+    """Raise `ProblemError` unless options are for trees that loops judge, or do not."""
+    if not by_loop:
+        for name, value in of_loops.items():
+            if value is not None:
+                raise ProblemError(f"`{name}` is for judge 'loop' only; got {describe(value)}")
+        return
+    if mode not in LOOP_MODES:
+        raise ProblemError(
+            f"`mode` must be {' or '.join(LOOP_MODES)} with judge 'loop'; got '{mode}', whose tree "
+            "is equal to the policy"
+        )
+    for name in ("agreement", "node_price", "features"):
+        if options[name] is not None:
+            got = describe(options[name])
+            raise ProblemError(f"`{name}` is not for judge 'loop', which has a budget; got {got}")
+
+
 def _check_mode(policy: Policy, mode: str, options: dict[str, Any]) -> None:
     """Raise `ProblemError` unless a policy has a tree of a mode with such options."""
     one_of("mode", mode, list(MODES))
@@ -244,114 +297,3 @@ def _check_mode(policy: Policy, mode: str, options: dict[str, Any]) -> None:
         raise ProblemError(
             f"`policy` has affine leaves, for which there {there}, without level; got {got}"
         )
-
-
-def tree_of(policy: Policy) -> DecisionTree:
-    """Return a decision tree as it is, and of a policy of cells its exact tree."""
-    return policy if isinstance(policy, DecisionTree) else exact_tree(policy)
-
-
-def exact_tree(policy: Policy, level: int | None = None) -> DecisionTree:
-    """Return the tree of mode exact of a policy, cut off at a level.
-
-    That of a policy with affine leaves has oblique splits.
-    """
-    if cell_tree(policy).priced:
-        raise ProblemError(
-            "`policy` has affine leaves with prices, which have no exact tree: export the cells "
-            "themselves, or compress in mode linear"
-        )
-    if cell_tree(policy).affine is not None:
-        tree = affine_tree_of(policy, MAX_NODES)
-        if tree is None:
-            raise ProblemError(
-                f"the tree of this policy with affine leaves has more than {MAX_NODES:,} nodes: "
-                f"{WAYS_OUT}"
-            )
-        return tree
-    base = policy if level is None else cut_off(policy, level)
-    return _proved_tree(policy, base, "exact", level, exact_prices(base))
-
-
-def affine_tree_of(policy: Policy, most: int) -> DecisionTree | None:
-    """Return the exact tree of a policy with affine leaves; None where it has too many nodes.
-
-    So it is where leaves have prices, which no tree of rows is equal to.
-    """
-    tree = affine_tree(cell_tree(policy), most)
-    guarantee = Guarantee("exact", content_hash(policy))  # by construction
-    return None if tree is None else DecisionTree.of(policy, tree, guarantee)
-
-
-def free_trees(
-    judge: Judge, level: int | None, node_prices: Iterable[float]
-) -> Iterator[DecisionTree]:
-    """Yield the trees of mode freedom of a policy, cut off at a level, for some prices; judged."""
-    for tree in _free_trees(judge, level, node_prices):
-        yield judge.judged(tree, None)
-
-
-def _free_trees(
-    judge: Judge, level: int | None, node_prices: Iterable[float]
-) -> Iterator[DecisionTree]:
-    policy = judge.policy
-    base = policy if level is None else cut_off(policy, level)
-    votes = cell_votes(base, None if judge.source is None else judge.sets, judge.seed)
-    for node_price in node_prices:
-        prices = free_prices(base, votes, min(node_price, MAX_NODE_PRICE))
-        yield _proved_tree(policy, base, "freedom", level, prices)
-
-
-def _proved_tree(
-    policy: Policy, base: Policy, mode: str, level: int | None, prices: Prices
-) -> DecisionTree:
-    """Return the tree of a cut-off policy under some prices, its guarantee proved cell by cell."""
-    claim = Guarantee(mode, content_hash(policy), level)
-    tree = tree_of_rows(policy, induce(cell_tree(base), prices), base.transitions, claim)
-    guarantee = dataclasses.replace(claim, changed=prove(tree, policy))
-    return dataclasses.replace(tree, guarantee=guarantee)
-
-
-def _smallest_free_tree(judge: Judge, level: int | None, target: float) -> DecisionTree:
-    """Return the smallest tree of mode freedom that reaches a target, or else the best.
-
-    A tree that reaches it at the states that trees are chosen by is judged at states of its own.
-    """
-    tried: list[DecisionTree] = []
-    own = judge.compare(judge.policy)
-    prices = FREE_PRICES if own.high >= target else FREE_PRICES[-1:]  # freedom only loses
-    for look, tree in enumerate(_free_trees(judge, level, prices), start=1):
-        tried.append(judge.judged(tree, target))
-        if tried[-1].guarantee.reached:
-            tried[-1] = judge.judged(tree, target, look)
-            if tried[-1].guarantee.reached:
-                return tried[-1]
-    best = max(tried, key=lambda tree: tree.guarantee.agreeing)
-    return judge.judged(best, target, len(tried) + 1)
-
-
-def linear_tree(judge: Judge, target: float) -> DecisionTree:
-    """Return the tree of mode linear that `fit_tree` finds for a target, judged."""
-    policy, rows = judge.policy, _rows(judge, target)
-    kept = {"seed": judge.seed, "states": judge.states}
-    fit = fit_tree(judge.masks(rows), policy.space, len(rows), target, **kept)
-    return _linear(judge, fit, rows, target)
-
-
-def _rows(judge: Judge, target: float) -> np.ndarray:
-    """Return the rows (R, N + 1) that trees are fitted with, and warn where they are too few."""
-    rows, share = judge.rows()
-    if share < target:
-        warn(
-            f"the controller has more rows than the {len(rows)} most frequent, which are right at "
-            f"{share:.2%} of the states: a tree with these cannot agree at {target:.6g}"
-        )
-    return rows
-
-
-def _linear(judge: Judge, fit: Fit, rows: np.ndarray, target: float) -> DecisionTree:
-    """Return a tree of some rows fitted to a controller, judged."""
-    policy = judge.policy
-    tree = tree_of_rows(policy, fit.tree, rows, Guarantee("linear", content_hash(policy)))
-    changed = 1.0 - judge.compare(tree, with_policy=True).share
-    return judge.with_counts(tree, target, fit.judged, fit.right, changed=changed)

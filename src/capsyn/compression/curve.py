@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from capsyn.compression.coarsening import cut_off
-from capsyn.compression.compress import MAX_STATES, exact_tree, free_trees, linear_tree
+from capsyn.compression.compress import MAX_STATES
 from capsyn.compression.judge import Judge
 from capsyn.compression.rows import policy_bytes
+from capsyn.compression.trees import exact_tree, free_trees, linear_tree
 from capsyn.errors import ProblemError
 from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.validation import BACKENDS, one_of, whole_number

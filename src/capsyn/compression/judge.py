@@ -17,6 +17,7 @@ from capsyn.cells.masks import (
     last_all,
     masks_of_members,
     masks_of_symbols,
+    members,
     or_else,
     singles,
     word_count,
@@ -149,6 +150,16 @@ class Judge:
         kept = np.unique(table.labels()[often], axis=0)
         share = (counts[: len(constant)].sum() + counts[often].sum()) / PILOT
         return np.concatenate([constant, kept]), float(share)
+
+    def right(self, states: np.ndarray, in_force: np.ndarray) -> np.ndarray:
+        """Return which labels may follow those in force (B,) at states (B, n), (B, N + 1)."""
+        labels = len(self.policy.alphabet) + 1
+        found = np.empty((len(states), labels), dtype=bool)
+        for some in self._parts(len(states)):
+            sets = self.sets(states[some])
+            now = in_force[some] if sets.shape[1] > 1 else 0
+            found[some] = members(sets[np.arange(len(sets)), now], labels)
+        return found
 
     def masks(self, rows: np.ndarray) -> Label:
         """Return a function of states (B, n) to masks (B, W) of the rows (R, N + 1) right there.

@@ -12,7 +12,7 @@ import numpy as np
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.feature_tree import FeatureTree
 from capsyn.cells.split_tree import SplitTree
-from capsyn.compression.compress import affine_tree_of, tree_of
+from capsyn.compression.trees import affine_tree_of, tree_of
 from capsyn.errors import ProblemError
 from capsyn.exports.crossings import reading_factors
 from capsyn.exports.text import kind, price, with_unit

@@ -73,10 +73,11 @@ class ChargedLoop:
 
     def charging(self, scale: float) -> ChargedLoop:
         """Return the loop that charges effort and prices times a scale."""
-        efforts, known = efforts_of(self.policy), self.policy.rules.prices
-        charged = scale * np.where(np.isfinite(known), known, 0.0)
-        prices = np.where(np.isfinite(known), charged, np.inf)
-        paid = (charged + scale * efforts) * self.loop.period
+        known = self.policy.rules.prices
+        prices = np.where(
+            np.isfinite(known), scale * np.where(np.isfinite(known), known, 0.0), np.inf
+        )
+        paid = paid_by(self.policy, scale) * self.loop.period
         return dataclasses.replace(
             self, loop=dataclasses.replace(self.loop, paid=paid), prices=prices
         )
@@ -126,3 +127,14 @@ def efforts_of(policy: Policy) -> np.ndarray:
         return np.zeros(len(policy.controls))
     efforts = policy.settings.efforts(policy.controls)
     return np.asarray(efforts - efforts[:-1].min())
+
+
+def paid_by(policy: Policy, scale: float) -> np.ndarray:
+    """Return what labels of a policy are charged, by label before and taken [cost / time unit].
+
+    That is (N + 1, N + 1): effort and prices, of transitions that are not forbidden, times a scale.
+    """
+    prices = policy.rules.prices
+    return np.asarray(
+        scale * np.where(np.isfinite(prices), prices, 0.0) + scale * efforts_of(policy)
+    )

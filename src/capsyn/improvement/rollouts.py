@@ -8,17 +8,22 @@ References
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 
 import numpy as np
 
 from capsyn.cells.masks import masks_of_members, word_count
-from capsyn.improvement.charged_loop import ChargedLoop
+from capsyn.controllers.ssac import policy_controller
+from capsyn.improvement.charged_loop import ChargedLoop, efforts_of
+from capsyn.random_streams import derived_seed
 from capsyn.sources.finite_control_set import cheapest
 
 HELD = 1 << 40
 """Samples that an input has been held which may change."""
+SCALED, SCALING = 128, 1
+"""Random states at which what symbols differ by is seen, and the purpose of their seed."""
 
 
 @dataclass(frozen=True)
@@ -131,3 +136,26 @@ class Rollouts:
             own = policy.leaves(states[some], True, in_force=np.full(len(some), now, np.int32))
             good[some, j] = own[:, None] == np.array(self.labels)
         return good
+
+
+def charged_scale(loop: ChargedLoop, samples: int) -> float:
+    """Return what effort and prices count in closed loops, beside the cost of their trials.
+
+    They count as much, against what symbols differ by, as they do for the controller that the
+    policy came from: of its horizon and terminal cost closed loops know nothing.
+    """
+    policy = loop.policy
+    prices = policy.rules.prices
+    if not np.ptp(efforts_of(policy)[:-1]) and not prices[np.isfinite(prices)].any():
+        return 1.0
+    known = policy.statistics.get("improve", {}).get("scale")
+    controller = policy_controller(policy, loop.backend) if known is None else None
+    if controller is None:
+        return 1.0 if known is None else float(known)
+    states = policy.space.sample(SCALED, derived_seed(0, SCALING))
+    own = controller.spread(controller.solve(states))
+    rollouts = Rollouts.of(dataclasses.replace(loop, end=None), samples)
+    costs = rollouts.costs(states)[:, -1]
+    spreads = np.ptp(costs[np.isfinite(costs).all(axis=1)], axis=1) / loop.loop.period
+    scale = float(np.median(spreads)) / own if spreads.size and own > 0 else 1.0
+    return scale if np.isfinite(scale) and scale > 0 else 1.0

@@ -40,12 +40,12 @@ from capsyn.validation import describe, whole_numbers
 Made = TypeVar("Made")
 
 FORMAT = "capsyn-policy"
-VERSION = 10
+VERSION = 11
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
 split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6, trees
 with features 7, more than 63 symbols, or some of equal control, 8, what depends on the symbol in
-force, has prices or least times of its own, or compensates a delay, 9,
-and what is told exogenous inputs, was cut at some, or predicts under a default law 10."""
+force, has prices or least times of its own, or compensates a delay, 9, what is told exogenous
+inputs, was cut at some, or predicts under a default law, 10, trees judged by closed loops 11."""
 CELL_ENTRIES = ("entries", "mixed_cells")
 """The arrays of all cells, whatever is known of the mixed ones."""
 TRANSITIONS = {"transitions": np.uint16}
@@ -164,6 +164,7 @@ def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> in
     values = [tuple(value) for value in content["alphabet"]["values"]]
     news = {"transitions", "row_prices", "mixed_sets"} & set(arrays)
     needed = {
+        11: "loop" in content.get("guarantee", {}),
         10: "exogenous" in content
         or "prediction" in (content["model"] or {})
         or "cut" in content.get("guarantee", {}),
@@ -281,11 +282,10 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     if is_tree:
         counts = whole_numbers("counts", content["counts"], space.n, least=1, most=MAX_COUNT)
         space.check_resolution(counts)
-        guarantee = Guarantee(**content["guarantee"])
         tree = SplitTree(counts, **arrays)
         if "features" in content:
             tree = FeatureTree(counts, **arrays, features=Features.from_json(content["features"]))
-        return fields | {"cells": tree, "guarantee": guarantee}
+        return fields | {"cells": tree, "guarantee": Guarantee.from_json(content["guarantee"])}
     grid = Grid.of(content["partitions"], content["refinement"], content["max_level"], space.n)
     affine = None
     if "row_starts" in arrays:

@@ -4,16 +4,156 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from capsyn.errors import ProblemError
 from capsyn.statistics import clopper_pearson
-from capsyn.validation import one_of, true_or_false
+from capsyn.validation import describe, one_of, true_or_false
 
 CONFIDENCE = 0.95
 """Of the interval of the share of judging states that agree."""
+LOSS = 0.1
+"""Share of a policy's success, and of its cost, that a tree judged by closed loops may lose."""
 MODES = ("exact", "freedom", "linear")
+
+
+def cost_ratio(before: float, after: float) -> float:
+    """Return a mean cost over another, of whatever sign; infinite where either is."""
+    if not (math.isfinite(before) and math.isfinite(after)):
+        return math.inf
+    if before == 0:
+        return 1.0 if after <= 0 else math.inf
+    return 1 + (after - before) / abs(before)
+
+
+@dataclass(frozen=True)
+class LoopFigures:
+    """What closed loops of a tree did, beside those of its policy: trials that no choice saw.
+
+    Parameters
+    ----------
+    trials, successes, own_successes : int
+        Trials, and those in which the tree and the policy succeeded, from the same starts: arrived
+        at the `target` and stayed as asked; without one went on to the end.
+    cost, own_cost : float, optional
+        Mean costs of the tree and of the policy over the trials that are lost under neither; None:
+        there are none, or it is not finite.
+    low, high : float, optional
+        Interval of what a trial costs more with the tree, on average.
+    lost, own_lost : int
+        Trials that left the domain under a rule that ends them, or were not finite.
+    switches, own_switches : float
+        Per time unit.
+    visited, agreeing : int
+        States that loops of the tree visit, and those at which it gives a symbol of the controller.
+    confidence : float
+        Of the intervals.
+    scale : float
+        What effort and prices are charged times.
+    duration, rate : float
+        Of a trial [time unit], and of its samples [1 / time unit].
+    target : bool
+        Whether there was a target.
+    limit, size : int
+        What the tree might take, None for as little as possible, and what it takes.
+    measure : str
+        What they count: ``nodes``, or bytes of what.
+    """
+
+    trials: int
+    successes: int
+    own_successes: int
+    cost: float | None
+    own_cost: float | None
+    low: float | None
+    high: float | None
+    lost: int
+    own_lost: int
+    switches: float
+    own_switches: float
+    visited: int
+    agreeing: int
+    confidence: float
+    scale: float
+    duration: float
+    rate: float
+    target: bool
+    limit: int | None
+    size: int
+    measure: str
+
+    def __post_init__(self) -> None:
+        plain = vars(self)
+        counts = [plain[name] for name in ("successes", "own_successes", "lost", "own_lost")]
+        some = ("cost", "own_cost", "low", "high")
+        numbers = [plain[name] for name in some if plain[name] is not None]
+        numbers += [self.switches, self.own_switches, self.confidence, self.scale, self.duration]
+        sound = (
+            all(type(count) is int and 0 <= count <= self.trials for count in counts)
+            and all(type(value) in (int, float) and math.isfinite(value) for value in numbers)
+            and type(self.trials) is type(self.visited) is type(self.agreeing) is int
+            and 0 < self.trials < 2**53
+            and 0 <= self.agreeing <= self.visited < 2**53
+            and type(self.rate) in (int, float)
+            and 0 < self.confidence < 1
+            and type(self.target) is bool
+            and (self.limit is None or type(self.limit) is int)
+            and type(self.size) is int
+            and isinstance(self.measure, str)
+        )
+        if not sound:
+            raise ProblemError(f"the closed loops of a tree do not make sense: {plain}")
+
+    @property
+    def success(self) -> float:
+        """Share of the trials in which the tree succeeded."""
+        return self.successes / self.trials
+
+    @property
+    def own_success(self) -> float:
+        """Share of those in which the policy did."""
+        return self.own_successes / self.trials
+
+    @property
+    def agreement(self) -> float:
+        """Share of the visited states at which the tree agrees with the controller; else NaN."""
+        return self.agreeing / self.visited if self.visited else float("nan")
+
+    @property
+    def ratio(self) -> float:
+        """Mean cost over that of the policy; infinite where either is not known."""
+        before, after = (math.inf if x is None else x for x in (self.own_cost, self.cost))
+        return cost_ratio(before, after)
+
+    @property
+    def fits(self) -> bool:
+        """Whether the tree takes no more than it might."""
+        return self.limit is None or self.size <= self.limit
+
+    @property
+    def near(self) -> bool:
+        """Whether the tree loses at most `LOSS` against the policy, in success and in cost."""
+        return self.success >= (1 - LOSS) * self.own_success and self.ratio <= 1 + LOSS
+
+    @property
+    def text(self) -> str:
+        """What the loops did, in words."""
+        low, high = clopper_pearson(self.successes, self.trials, self.confidence)
+        done = "succeeds in" if self.target else "goes on to the end in"
+        success = (
+            f"{done} {_percent(self.success)} of {self.trials:,} closed loops ({_percent(low)} to "
+            f"{_percent(high, up=True)} with {self.confidence:.0%} confidence), the policy in "
+            f"{_percent(self.own_success)}"
+        )
+        cost = "no mean cost"
+        if self.cost is not None and self.own_cost is not None:
+            change = ""
+            if self.low is not None and self.high is not None:
+                change = f" ({self.low:+.3g} to {self.high:+.3g})"
+            cost = f"mean cost {self.cost:.4g}{change}, the policy's {self.own_cost:.4g}"
+        agrees = f"agrees at {_percent(self.agreement)} of the states that its loops visit"
+        return f"{success}; {cost}; {agrees}" if self.visited else f"{success}; {cost}"
 
 
 @dataclass(frozen=True)
@@ -49,6 +189,8 @@ class Guarantee:
     cut : bool
         Whether the tree is the one that was judged with its exogenous inputs fixed: shares are then
         those of the whole.
+    loop : LoopFigures, optional
+        What closed loops did that judged the tree.
     """
 
     mode: str
@@ -60,10 +202,13 @@ class Guarantee:
     agreeing: int = 0
     target: float | None = None
     cut: bool = False
+    loop: LoopFigures | None = None
 
     def __post_init__(self) -> None:
         one_of("mode", self.mode, list(MODES))
         true_or_false("cut", self.cut)
+        if self.loop is not None and not isinstance(self.loop, LoopFigures):
+            raise ProblemError(f"`loop` must be LoopFigures; got {describe(self.loop)}")
         one_of("controller", self.controller, ["", "ssac", "function", "policy"])
         shares = [self.changed] + ([] if self.target is None else [self.target])
         sound = (
@@ -103,14 +248,20 @@ class Guarantee:
 
     @property
     def reached(self) -> bool:
-        """Whether the interval is above the target, if there is one."""
+        """Whether the interval is above the target, if there is one.
+
+        Of a tree that closed loops judged whether it fits, and loses little against the policy.
+        """
+        if self.loop is not None:
+            return self.loop.fits and self.loop.near
         return self.target is None or self.low >= self.target
 
     @property
     def text(self) -> str:
         """What is guaranteed, in a sentence; shares are rounded to the careful side."""
         whole = "; stated of the whole, before exogenous inputs were fixed" if self.cut else ""
-        return self._text() + whole
+        loop = "" if self.loop is None else f"; {self.loop.text}"
+        return self._text() + loop + whole
 
     def _text(self) -> str:
         policy = "the policy" if self.level is None else f"the policy cut off at level {self.level}"
@@ -136,9 +287,16 @@ class Guarantee:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the guarantee as plain data; what is not cut does not say so."""
+        """Return the guarantee as plain data; what is not cut, or not judged, does not say so."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {k: v for k, v in plain.items() if k != "cut" or v}
+        plain["loop"] = None if self.loop is None else asdict(self.loop)
+        return {k: v for k, v in plain.items() if k not in ("cut", "loop") or v}
+
+    @staticmethod
+    def from_json(plain: dict[str, Any]) -> Guarantee:
+        """Return the guarantee that plain data says."""
+        loop = {"loop": LoopFigures(**plain["loop"])} if "loop" in plain else {}
+        return Guarantee(**plain | loop)
 
 
 def _percent(share: float, up: bool = False) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from capsyn.compression.compress import WAYS_OUT
+from capsyn.compression.trees import WAYS_OUT
 from capsyn.errors import ProblemError
 from capsyn.exports.golden import Golden
 from capsyn.exports.plan import MOST_NODES, Plan, tree_within
