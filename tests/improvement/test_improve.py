@@ -236,10 +236,41 @@ def test_what_cannot_be_improved_is_told_in_one_line(tank, change, options, text
     assert "\n" not in str(caught.value)
 
 
-def test_beyond_four_states_a_tail_is_the_way():
-    policy = capsyn.synthesize(problems.get("planar-quadrotor"), partitions=1, max_level=0)
-    with pytest.raises(ProblemError, match="at most 4 states .* got 6: .* a tail is the way"):
-        improve(policy)
+def chain(**changes):
+    """Return five lags in a row, the last of which is pushed, and a short look ahead."""
+    settings = {
+        "name": "chain",
+        "dynamics": lambda x, u: [x[1] - x[0], x[2] - x[1], x[3] - x[2], x[4] - x[3], u[0]],
+        "domain": capsyn.Box([-1] * 5, [1] * 5),
+        "alphabet": [-1.0, 0.0, 1.0],
+        "default": 0.0,
+        "horizon": 2.0,
+        "running_cost": lambda x: x[0] ** 2,
+        "outside": "nearest",
+        "settings": capsyn.SsacSettings(rule="steepest", sample_time=0.1, steps=8),
+        "partitions": 1,
+        "max_level": 0,
+        "leaves": "affine",
+    }
+    return capsyn.Problem(**settings | changes)
+
+
+def test_beyond_four_states_it_goes_by_tails():
+    policy, said = capsyn.synthesize(chain()), []
+    options = {"starts": 100, "duration": 15, "horizons": 1.0}
+    result = improve(policy, **options, progress=said.append)
+    assert result.improved and result.rounds[0].fitted and result.scale == 1
+    assert result.result.after < 0.8 * result.result.before and result.result.high < 0
+    assert "tail fitted, round 1" in said and result.to_json()["rounds"][0]["fitted"]
+    assert result.policy.horizon == result.rounds[0].horizon < policy.horizon
+
+
+def test_beyond_four_states_the_controller_is_needed():
+    policy = capsyn.synthesize(chain())
+    with pytest.raises(ProblemError, match="`policy` must carry its controller .*beyond 4 states"):
+        improve(dataclasses.replace(policy, settings=None), rate=10, horizons=1.0)
+    with pytest.raises(ProblemError, match="`tail` needs a `running_cost`"):
+        improve(capsyn.synthesize(chain(running_cost=None, terminal_cost=lambda x: x[0] ** 2)))
 
 
 @pytest.mark.parametrize("threads", [1, 2])

@@ -10,21 +10,17 @@ from typing import Any
 import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
-from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
-from capsyn.improvement.charged_loop import ChargedLoop, efforts_of
+from capsyn.improvement.charged_loop import ChargedLoop
 from capsyn.improvement.judged import Comparison
-from capsyn.improvement.rollouts import Rollouts
-from capsyn.improvement.rounds import CHOICE, Round, Rounds
+from capsyn.improvement.refits import Refits, plan_like
+from capsyn.improvement.rollouts import charged_scale
+from capsyn.improvement.rounds import Round, Rounds
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.grid import Grid
 from capsyn.modelling.targets import check_initial
 from capsyn.policies.policy import Policy, cell_tree
-from capsyn.random_streams import derived_seed
 from capsyn.statistics import check_confidence
-from capsyn.subdivision.limits import Limits
-from capsyn.subdivision.plan import SubdivisionPlan
 from capsyn.validation import (
     BACKENDS,
     describe,
@@ -36,14 +32,12 @@ from capsyn.validation import (
 
 MOST_STATES = 4
 """Most states of a policy that rollouts improve: beyond, their labels are too rough."""
-LADDER = (0.4, 0.7, 1.0, 1.4, 2.0)
-"""Horizons that are tried, in horizons of the policy."""
+LADDER, TAIL_LADDER = (0.4, 0.7, 1.0, 1.4, 2.0), (0.25, 0.5)
+"""Horizons that are tried, in horizons of the policy, of rollouts and with fitted tails."""
 JUDGED = 10.0
 """Time of a closed loop that judges, in horizons of the policy."""
 SOLVES = 4
 """Times the solves of the policy that a round may take, where none are given."""
-SCALED = 128
-"""Random states at which what symbols differ by is seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +114,10 @@ def improve(
 
     A symbol's cost at a state is that of holding it for one sample and then following the present
     policy for a horizon. The new policy takes the least, by Algorithm 1 on the policy's own grid.
-    A ladder of horizons is tried as long as the closed-loop cost of some starts falls, and the
-    best policy is judged on fresh starts: it is kept if these surely cost less, and then the next
-    round begins with it.
+    Beyond 4 states, where labels of rollouts are too rough, the new policy is that of a fitted
+    tail instead; see `fitted_tail`. A ladder of horizons is tried, and by some starts the best
+    policy is chosen. Fresh starts judge it: it is kept if these surely cost less, and then the
+    next round begins with it.
 
     What a closed loop costs is the running cost (of a policy that has none, the terminal cost, as
     one); the effort of its settings beyond that of the cheapest symbol; and for each switch its
@@ -133,12 +128,12 @@ def improve(
     Parameters
     ----------
     policy : Policy
-        A policy with its model, of at most 4 states. Of cells, no decision tree.
+        A policy with its model. Of cells, no decision tree.
     rounds : int
         Most rounds.
     horizons : number or sequence, optional
         Horizons of the rollouts, ascending [time unit], of two samples or more. Default: 0.4 to 2
-        times that of the policy.
+        times that of the policy. With tails, those of the policies: 0.25 and 0.5 times.
     rate : float, optional
         Samples per time unit of the loops: a symbol is held for exactly one sample. Default: 1 over
         the sample time of the policy's settings. The new policy has this one in its settings.
@@ -151,9 +146,11 @@ def improve(
     confidence : float
         Of the intervals by which a round is judged.
     scale : float, optional
-        Of effort and prices. Default: see above; 1 where the policy does not carry its controller.
+        Of effort and prices. Default: see above; 1 where the policy does not carry its controller,
+        and with tails.
     max_level, max_solves : int, optional
-        See `subdivide`. Default: those of the policy, and 4 times as many solves as it took.
+        See `subdivide`. Default: those of the policy, and 4 times as many solves as it took; with
+        tails, as many.
     seed : int
         Of the starts.
     backend : "auto", "c" or "numpy"
@@ -171,8 +168,8 @@ def improve(
     Raises
     ------
     ProblemError
-        An argument that cannot be used, or a policy without a model, with a delay, with gaps or
-        with more than 4 states.
+        An argument that cannot be used, or a policy without a model, with a delay, with gaps or,
+        beyond 4 states, without what `fitted_tail` needs.
     """
     cells = _improvable(policy)
     one_of("backend", backend, BACKENDS)
@@ -185,15 +182,21 @@ def improve(
     own, tried = _horizons(policy, horizons, rate)
     duration = finite_number("duration", JUDGED * own if duration is None else duration, above=0.0)
     threads = processors(threads)
-    plan = _plan(policy, cells, max_level, max_solves)
+    fits = policy.domain.n > MOST_STATES
+    plan = plan_like(policy, cells, max_level, max_solves, 1 if fits else SOLVES)
     samples = max(2, round(duration * rate))
     if scale is not None:
         scale = finite_number("scale", scale, least=0.0)
     loop = ChargedLoop.of(policy, rate, backend, threads)
     try:
-        scale = _scale(loop, samples) if scale is None else scale
+        if scale is None:
+            scale = 1.0 if fits else charged_scale(loop, samples)
+        refits = None
+        if fits:
+            refits = Refits.of(policy, plan, backend, threads, seed, initial=initial, rate=rate,
+                               duration=duration, scale=scale, progress=progress)  # fmt: skip
         work = Rounds(loop.charging(scale), plan, tried, samples, initial, starts, confidence,
-                     seed, {"horizon": own, "scale": scale}, progress)  # fmt: skip
+                     seed, refits, {"horizon": own, "scale": scale}, progress)  # fmt: skip
         best, done, result = work.run(rounds)
     except BaseException:  # Ctrl-C, too: threads look at this
         loop.stopped.set()
@@ -206,11 +209,10 @@ def _improvable(policy: Policy) -> CellTree:
     cells = cell_tree(policy)
     if policy.model is None:
         raise ProblemError("`policy` must carry its model, to be improved; it has none")
-    if policy.domain.n > MOST_STATES:
+    if policy.domain.n > MOST_STATES and (policy.horizon is None or policy.settings is None):
         raise ProblemError(
-            f"`policy` must have at most {MOST_STATES} states to be improved by rollouts; got "
-            f"{policy.domain.n}: there, a tail is the way (a terminal cost that stands for the "
-            "cost to go)"
+            f"`policy` must carry its controller to be improved by tails, beyond {MOST_STATES} "
+            "states; it has none"
         )
     if policy.delay:
         raise ProblemError(
@@ -236,7 +238,8 @@ def _horizons(policy: Policy, horizons: Any, rate: float) -> tuple[float, tuple[
     if horizons is None:
         if own is None:
             raise ProblemError("`horizons` must be given for a policy without a horizon")
-        horizons = [share * own for share in LADDER if share * own * rate >= 2] or [2 / rate]
+        ladder = LADDER if policy.domain.n <= MOST_STATES else TAIL_LADDER
+        horizons = [share * own for share in ladder if share * own * rate >= 2] or [2 / rate]
     values = finite_array("horizons", np.atleast_1d(np.asarray(horizons)), 1)
     samples = values * rate
     if not len(values) or (samples < 1.5).any() or (np.diff(values) <= 0).any():
@@ -245,49 +248,3 @@ def _horizons(policy: Policy, horizons: Any, rate: float) -> tuple[float, tuple[
             f"{describe(horizons)}"
         )
     return own or float(values[0]), tuple(values.tolist())
-
-
-def _plan(
-    policy: Policy, cells: CellTree, max_level: int | None, max_solves: int | None
-) -> SubdivisionPlan:
-    """Return the plan of a policy like a given one."""
-    known, level = policy.statistics, cells.max_level
-    if cells.affine is not None:  # then that of the cells' grid is that of their rows
-        level = max(int(cells.times(some).max()) for some in cells.levels())
-    level = level if max_level is None else max_level
-    if max_solves is None and "solves" in known:
-        max_solves = max(SOLVES * known["solves"], 1)
-    plan = SubdivisionPlan.of(
-        Grid.of(cells.partitions, cells.refinement, level, cells.n),
-        Limits.of(max_solves, None, None, None),
-        leaves="constant" if cells.affine is None else "affine",
-        leaf_error=known.get("leaf_error", 0.01),
-        refine="isotropic" if cells.splits is None else "adaptive",
-        test_points=known.get("test_points", "vertices+center"),
-        seed=known.get("seed", 0),
-    )
-    plan.check(policy.space, len(policy.alphabet), len(policy.alphabet) + 1)
-    return plan
-
-
-def _scale(loop: ChargedLoop, samples: int) -> float:
-    """Return what effort and prices count in closed loops, beside the cost of their trials.
-
-    They count as much, against what symbols differ by, as they do for the controller that the
-    policy came from: of its horizon and terminal cost closed loops know nothing.
-    """
-    policy = loop.policy
-    prices = policy.rules.prices
-    if not np.ptp(efforts_of(policy)[:-1]) and not prices[np.isfinite(prices)].any():
-        return 1.0
-    known = policy.statistics.get("improve", {}).get("scale")
-    controller = policy_controller(policy, loop.backend) if known is None else None
-    if controller is None:
-        return 1.0 if known is None else float(known)
-    states = policy.space.sample(SCALED, derived_seed(0, CHOICE))
-    own = controller.spread(controller.solve(states))
-    rollouts = Rollouts.of(dataclasses.replace(loop, end=None), samples)
-    costs = rollouts.costs(states)[:, -1]
-    spreads = np.ptp(costs[np.isfinite(costs).all(axis=1)], axis=1) / loop.loop.period
-    scale = float(np.median(spreads)) / own if spreads.size and own > 0 else 1.0
-    return scale if np.isfinite(scale) and scale > 0 else 1.0

@@ -46,6 +46,9 @@ TIME, TAIL_TIME = 10.0, 30.0
 """Time of closed loops, in horizons of a policy to begin with, and of a problem with a tail."""
 ROUNDS = 4
 """Fits, one after the other."""
+NOTHING_TO_FIT = (
+    "`tail` finds nothing to fit: closed loops from the domain cost nothing, or are not finite"
+)
 FIT, JUDGE = 3, 4
 """Purposes of seeds: starts of loops that are fitted, and of those that judge."""
 
@@ -82,6 +85,7 @@ class Refits:
         rate: float | None = None,
         duration: float | None = None,
         delta: float = DELTA,
+        scale: float | None = None,
         progress: Callable[[str], None] | None = None,
     ) -> Refits:
         """Return those of a problem or a policy, which has horizon and settings.
@@ -107,6 +111,7 @@ class Refits:
             backend,
             threads,
             progress,
+            scale,
         )
 
     @property
@@ -170,9 +175,7 @@ class Refits:
             if least is None or cheaper(costs, least):
                 best, least = (tail, policy), costs
         if best is None:
-            raise ProblemError(
-                "`tail` finds nothing to fit: closed loops from the domain cost nothing, or all end"
-            )
+            raise ProblemError(NOTHING_TO_FIT)
         return best
 
 

@@ -5,15 +5,17 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from capsyn.cells.affine_leaves import PriceRatios
+from capsyn.errors import ProblemError
 from capsyn.improvement.charged_loop import ChargedLoop
 from capsyn.improvement.judged import Comparison
+from capsyn.improvement.refits import NOTHING_TO_FIT, Refits
 from capsyn.improvement.rollouts import Rollouts
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.settings import SsacSettings
@@ -24,8 +26,8 @@ from capsyn.subdivision.lattice_points import Progress
 from capsyn.subdivision.plan import SubdivisionPlan
 from capsyn.subdivision.subdivide import Labelling, carry_out
 
-CHOICE, JUDGE = 1, 2
-"""Purposes of seeds: starts that choose a horizon, and starts that judge a round."""
+CHOICE, JUDGE, FITS = 1, 2, 3
+"""Purposes of seeds: starts that choose a horizon, that judge a round, and that tails fit."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class Round:
         Horizon of the rollouts [time unit].
     terminal : bool
         Whether they end with the policy's terminal cost.
+    fitted : bool
+        Whether it went by fitted tails, not by rollouts; the horizon is that of the policy then.
     result : Comparison
         The policy that it began with, and that it made, by starts that no choice saw.
     cells, solves : int
@@ -51,6 +55,7 @@ class Round:
     round: int
     horizon: float
     terminal: bool
+    fitted: bool
     result: Comparison
     cells: int
     solves: int
@@ -89,6 +94,7 @@ class Rounds:
     starts: int
     confidence: float
     seed: int
+    refits: Refits | None  # fitted tails, in the place of rollouts
     known: dict[str, float]  # what the next improvement of the policy needs
     progress: Callable[[str], None] | None
 
@@ -107,6 +113,7 @@ class Rounds:
                     number,
                     best.horizon,
                     best.terminal,
+                    self.refits is not None,
                     result,
                     best.policy.cells.leaf_count,
                     best.policy.statistics["solves"],
@@ -123,17 +130,28 @@ class Rounds:
 
     def _best(self, policy: Policy, number: int) -> Tried:
         """Return the best policy of the ladder, and of rollouts to the terminal cost."""
+        best: Tried | None = None
+        for tried in self._candidates(policy, number):
+            if best is None or _less(tried.costs, best.costs):
+                best = tried
+        if best is None:
+            raise ProblemError(NOTHING_TO_FIT)
+        return best
+
+    def _candidates(self, policy: Policy, number: int) -> Iterator[Tried]:
+        """Yield policies of rollouts, or of tails that are fitted, over the horizons."""
         states = self._states(number, CHOICE)
+        if self.refits is not None:
+            refits = dataclasses.replace(self.refits, seed=derived_seed(self.seed, number, FITS))
+            for horizon in self.horizons:
+                for _, made in refits.candidates(policy, horizon):
+                    yield Tried(horizon, False, made, self._costs(made, states))
+            return
         ways = [(horizon, False) for horizon in self.horizons]
         if self.loop.end is not None:
             ways.append((self.horizons[len(self.horizons) // 2], True))
-        best: Tried | None = None
         for horizon, terminal in ways:
-            tried = self._tried(policy, number, horizon, terminal, states)
-            if best is None or _less(tried.costs, best.costs):
-                best = tried
-        assert best is not None
-        return best
+            yield self._tried(policy, number, horizon, terminal, states)
 
     def _tried(
         self, policy: Policy, number: int, horizon: float, terminal: bool, states: np.ndarray

@@ -34,7 +34,8 @@ class ImproveOptions:
     )
     rounds: int = option("Most rounds; they end where the cost no longer falls.", default=1)
     horizons: str | None = option(
-        "Horizons of the rollouts to try [time unit] [default: 0.4 to 2 of the policy's].",
+        "Horizons of the rollouts to try [time unit] [default: 0.4 to 2 of the policy's; beyond "
+        "four states, of the policies with tails, 0.25 and 0.5].",
         metavar="T[,T..]",
     )
     rate: float | None = option("Samples per time unit [default: 1 over the policy's sample time].")
@@ -52,7 +53,9 @@ class ImproveOptions:
     max_level: int | None = option(
         "Most times that a cell is split along an axis [default: the policy's]."
     )
-    max_solves: int | None = option("Most solves of a round [default: 4 times the policy's].")
+    max_solves: int | None = option(
+        "Most solves of a policy [default: 4 times the policy's; with tails, as many]."
+    )
     seed: Seed = 0
     backend: Backend = "auto"
     threads: Threads = None
@@ -60,7 +63,10 @@ class ImproveOptions:
 
 @flat
 def improve(file: File, *, options: ImproveOptions, as_json: Json = False) -> None:
-    """Make a better policy by rollouts, judged in closed loop; the same one where none is."""
+    """Make a better policy, judged in closed loop; the same one where none is.
+
+    By rollouts up to four states, by fitted tails beyond.
+    """
     from capsyn.execution.files import check_writable
     from capsyn.improvement.improve import improve
     from capsyn.policies.policy import Policy
@@ -88,6 +94,7 @@ def _print(result: Improvement, unit: str) -> None:
     for one in result.rounds:
         outcome = one.result
         horizon = f"{one.horizon:.3g} {unit}" + (" and terminal cost" if one.terminal else "")
+        horizon += ", fitted tail" if one.fitted else ""
         rows.append(
             {
                 "round": one.round,
