@@ -40,8 +40,9 @@ def fitted_tail(
     Closed loops of a policy are simulated, and a quadratic V around the goal is fitted to what they
     cost: the running cost that they gather and, under the rule "steepest", the effort. With V as
     its terminal cost there is a next policy, whose loops tell the next V. The first ones may be
-    bad: the V is returned whose policy's loops cost least, from starts that no fit saw. No
-    linearisation has to be stabilisable, and any number of states will do.
+    bad: the V is returned whose policy's loops cost least, from starts that no fit saw; a warning
+    says where those that the fits began with cost less. No linearisation has to be stabilisable,
+    and any number of states will do.
 
     The fit is by least squares on the errors relative to ``cost + delta median``, at states that
     the loops visit. They start at random states that are scaled towards the goal by 0.05 to 1,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.ssac import batch_controller
-from capsyn.errors import ProblemError
+from capsyn.errors import ProblemError, warn
 from capsyn.improvement.charged_loop import ChargedLoop
 from capsyn.improvement.quadratic_fit import Starts, costs_to_go, fitted
 from capsyn.modelling.domain import Ball, Box
@@ -162,18 +162,30 @@ class Refits:
         return loop.costs_from(states, self.samples)
 
     def best_tail(self, policies: Sequence[Policy], horizon: float) -> Tail:
-        """Return the tail whose loops cost least, fitted from the best of some policies on."""
-        first = self._best((None, policy) for policy in policies)[1]
-        tail, _ = self._best(self.candidates(first, horizon))
+        """Return the tail whose loops cost least, fitted from the best of some policies on.
+
+        A warning says where those of the policies cost less.
+        """
+        _, first, before = self._best((None, policy) for policy in policies)
+        tail, _, costs = self._best(self.candidates(first, horizon))
         assert tail is not None
+        if cheaper(before, costs):
+            warn(
+                "closed loops of the policy with the fitted tail cost more than those of the "
+                f"policy that the fits began with, of horizon {first.horizon:g}: try a Riccati "
+                "tail, or another horizon"
+            )
         return tail
 
-    def _best(self, each: Any) -> tuple[Any, Policy]:
-        best, least = None, None
+    def _best(
+        self, each: Iterable[tuple[Tail | None, Policy]]
+    ) -> tuple[Tail | None, Policy, np.ndarray]:
+        """Return that whose loops cost least, and what they cost."""
+        best: tuple[Tail | None, Policy, np.ndarray] | None = None
         for tail, policy in each:
             costs = self.judged(policy)
-            if least is None or cheaper(costs, least):
-                best, least = (tail, policy), costs
+            if best is None or cheaper(costs, best[2]):
+                best = tail, policy, costs
         if best is None:
             raise ProblemError(NOTHING_TO_FIT)
         return best
