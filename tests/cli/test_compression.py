@@ -186,11 +186,45 @@ def test_a_curve_is_a_table_and_a_picture(boat, tmp_path):
         (("--curve", "--level", "1"), "--curve tries all modes and takes no --level"),
         (("--curve", "-o", "c.txt"), "a picture must end in .png, .pdf, .svg; got 'c.txt'"),
         (("-o", "/nowhere/t.cap"), "/nowhere"),
+        (("--nodes", "9"), "--nodes is for --judge loop only"),
+        (("--duration", "9"), "--duration is for --judge loop only"),
+        (("--judge", "loop", "--target", "avr"), "--target needs --bytes"),
+        (("--judge", "loop", "--bytes", "9", "--target", "z80"), "`target` must be one of 'cortex"),
+        (("--judge", "loop", "--mode", "exact"), "`mode` must be linear or freedom with judge 'l"),
+        (
+            ("--judge", "loop", "--curve", "--nodes", "9"),
+            "--curve tries all modes and takes no --n",
+        ),
+        (
+            ("--judge", "loop", "--initial", "y=0:1"),
+            "--initial must name states among theta, omega",
+        ),
     ],
 )
 def test_wrong_options_are_one_line(pendulum, tmp_path, arguments, error):
     assert error in error_of("compress", pendulum, *arguments, cwd=tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+QUICK = "--judge loop --duration 3 --rate 20 --trials 30 --states 1000".split()
+
+
+def test_loops_judge_a_tree(pendulum, tmp_path):
+    options = "--nodes 21 --arrive omega=-4.9:4.9 --hold 1 --initial theta=1:5".split()
+    out, _ = capsyn("compress", pendulum, *QUICK, *options, "--json", cwd=tmp_path)
+    told = json.loads(out)
+    tree = Policy.load(tmp_path / "pendulum-linear.cap")
+    assert tree.node_count == told["nodes"] <= 21
+    loop = told["guarantee"]["loop"]
+    assert (loop["duration"], loop["rate"], loop["trials"]) == (3.0, 20.0, 30)
+    assert loop["limit"] == 21 and loop["target"] and loop["successes"] >= 28
+    assert loop["visited"] > 0 and told["guarantee"]["states"] == 1000
+    assert "30 closed loops" in capsyn("info", tmp_path / "pendulum-linear.cap", "--quick")[0]
+
+
+def test_a_budget_that_no_tree_meets_is_exit_status_1(pendulum, tmp_path):
+    out, errors = capsyn("compress", pendulum, *QUICK, "--bytes", "1", cwd=tmp_path, code=1)
+    assert "no tree of at most 1 bytes packed was found" in errors and "wrote" in out
 
 
 def test_a_tree_is_not_compressed_again(pendulum, tmp_path):

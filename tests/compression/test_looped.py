@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 import capsyn
+from capsyn.compression import curve
 from capsyn.compression.fitted.plane_tree import Node
 from capsyn.compression.fitted.surface import Samples
 from capsyn.compression.looped.choice import JUDGING
 from capsyn.compression.looped.growing import growing, pruning
 from capsyn.compression.looped.loops import LOOPS, Loops
 from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.plots.curve import save_curve_plot
 from capsyn.policies.guarantee import Guarantee, LoopFigures
 from capsyn.policies.report import report
 from capsyn.random_streams import derived_seed
@@ -233,6 +235,29 @@ def test_a_policy_without_a_model_needs_one(policy):
     options = LOOP | {"model": point(), "states": 500}
     found = capsyn.compress(bare, judge="loop", nodes=15, **options)
     assert found.guarantee.controller == "policy" and found.guarantee.loop.ratio < 1.2
+
+
+def test_a_curve_says_what_loops_do_of_all_kinds_of_controllers(policy, tmp_path, monkeypatch):
+    monkeypatch.setattr(curve, "TARGETS", (0.9,))
+    monkeypatch.setattr(curve, "LOOP_NODES", (3, 9))
+    points = curve.size_curve(policy, judge="loop", **LOOP)
+    assert {point.mode for point in points} == {"cells", "exact", "freedom", "linear", "loop"}
+    own = [point for point in points if point.mode == "cells"][-1]
+    exact = [point for point in points if point.options == "--mode exact"][0]
+    assert own.cost_ratio == exact.cost_ratio == 1 and own.success == exact.success >= 0.95
+    assert own.visited == exact.visited > 0.5 and own.switches == exact.switches > 0
+    best = sorted((point for point in points if point.smallest), key=lambda point: point.nodes)
+    scores = [curve.score_of(point) for point in best]
+    assert scores == sorted(scores)
+    by_loop = [point for point in points if point.mode == "loop"]
+    assert by_loop[-1].nodes <= 9 and by_loop[-1].cost_ratio < 1.1
+    save_curve_plot(points, "point", tmp_path / "curve.png")
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_loops_a_curve_takes_none_of_their_options(policy):
+    with pytest.raises(ProblemError, match="`rate` is for judge 'loop' only"):
+        curve.size_curve(policy, rate=20)
 
 
 def halves():

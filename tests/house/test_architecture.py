@@ -57,7 +57,7 @@ exports: crossings text plan constants golden sequence target certificate identi
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
     styles.grid styles.cells readings.single readings.lines readings.counts features memory code
     readings.places readings.quantiser notes dwell timers header source packages sizes
-    timing.programs timing.emulators timing.states timing.slowest target
+    timing.programs timing.emulators timing.states timing.slowest target code_size
 exports.structured_text: words lines pou cells block cuts functions steps memory hold source
     dialects.siemens dialects.plcopen target
 exports.verilog: words ports module tree memory bench source target

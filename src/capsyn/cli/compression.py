@@ -2,52 +2,142 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from capsyn.cli.console import print_table, show, working
-from capsyn.cli.options import Backend, File, Json, Seed, flat, option
+from capsyn.cli.loop import LoopTexts, loop_options
+from capsyn.cli.options import File, Json, flat, number_or_range, option, region
 from capsyn.cli.printed import print_automaton, print_compression
 from capsyn.errors import ProblemError
 
+if TYPE_CHECKING:
+    from capsyn.policies.policy import Policy
+
+FOR_LOOPS = ("nodes", "bytes", "target", "trials", "initial", "arrive", "within", "hold")
+"""Options beside those of any loop that are for trees which loops judge."""
+SHARED = ("seed", "backend")
+"""Options of loops that all trees take."""
+NOT_ASKED = (*SHARED, "executor", "stop_at_target")
+"""Options of loops that `capsyn.compress` does not take among those of trials."""
+
 
 @dataclass(frozen=True)
-class CompressOptions:
+class CompressOptions(LoopTexts):
     """Options of ``capsyn compress``."""
 
-    mode: str = option("exact, freedom or linear.", default="exact")
+    mode: str | None = option(
+        "exact, freedom or linear [default: exact; with --judge loop linear].", before="duration"
+    )
     output: str | None = option(
         "The tree [default: FILE-MODE.cap]; with --curve a .png, .pdf or .svg picture, with a .csv "
         "beside it [default: FILE-curve.png].",
         "--output",
         "-o",
         metavar="FILE",
+        before="duration",
     )
     agreement: float | None = option(
-        "Least agreement, for freedom and linear [default for linear: 0.99]."
+        "Least agreement, for freedom and linear [default for linear: 0.99].", before="duration"
     )
-    level: int | None = option("Merge cells below this level first; not for linear.")
+    level: int | None = option(
+        "Merge cells below this level first; not for linear.", before="duration"
+    )
     node_price: float | None = option(
-        "For freedom: finest cells of disagreement that a node less is worth [default: 0.5]."
+        "For freedom: finest cells of disagreement that a node less is worth [default: 0.5].",
+        before="duration",
     )
     features: str | None = option(
         "Functions of x (and w) that splits may compare: a dict `features` in the file, by name.",
         metavar="FILE.py[:NAME]",
+        before="duration",
     )
-    curve: bool = option("Size against agreement, by mode and level.", "--curve", default=False)
-    states: int = option("Random states that trees are judged at.", default=100_000)
-    seed: Seed = 0
-    backend: Backend = "auto"
+    curve: bool = option(
+        "Size against agreement, by mode and level; with --judge loop against what loops do, too.",
+        "--curve",
+        default=False,
+        before="duration",
+    )
+    states: int = option(
+        "Random states that trees are judged at.", default=100_000, before="duration"
+    )
+    judge: str = option(
+        "What chooses and judges a tree: volume (its agreement), or loop: cost and success of "
+        "closed loops, which the options below are for.",
+        default="volume",
+        before="duration",
+    )
+    nodes: int | None = option("Most nodes.", before="duration")
+    bytes: int | None = option(
+        "Most bytes [of the tree's arrays; with --target of its C].", before="duration"
+    )
+    target: str | None = option(
+        "Processor whose bytes of C --bytes counts: cortex-m0, cortex-m4, avr or host.",
+        metavar="PROCESSOR",
+        before="duration",
+    )
+    trials: int | None = option(
+        "Closed loops that choose, and others that judge [default: 400].", before="duration"
+    )
+    duration: float | None = option(
+        "Time limit of a loop [time unit] [default: 10 horizons of the policy]."
+    )
+    initial: str | None = option(
+        "Where loops start: NAME=LOW:HIGH[,..] [default: the domain].",
+        metavar="SET",
+        before="tolerance",
+    )
+    arrive: str | None = option(
+        "Where they are to arrive, as --target of verify [default: the policy's target].",
+        metavar="SET",
+        before="tolerance",
+    )
+    within: float | None = option("Time to arrive in.", before="model")
+    hold: float | None = option("Time at the end to stay there [default: 0].", before="model")
+
+    def of_loops(self, policy: Policy) -> dict[str, Any]:
+        """Return the arguments of `compress` that are for trees that loops judge; else none."""
+        own = set(FOR_LOOPS) | {f.name for f in dataclasses.fields(LoopTexts)} - {*SHARED}
+        given = [name for name in own if getattr(self, name) is not None]
+        if self.judge != "loop":
+            for name in sorted(given):
+                raise ProblemError(f"--{name.replace('_', '-')} is for --judge loop only")
+            return {}
+        if self.target is not None and self.bytes is None:
+            raise ProblemError("--target needs --bytes")
+        loop = loop_options(
+            policy,
+            dataclasses.replace(self, target=self.arrive, duration=self.duration or 1.0),
+            one=number_or_range,
+            each=number_or_range,
+        )
+        names = [f.name for f in dataclasses.fields(loop) if f.name not in NOT_ASKED]
+        asked = {name: getattr(loop, name) for name in names} | {"duration": self.duration}
+        asked |= {name: getattr(self, name) for name in ("trials", "within", "hold")}
+        if self.initial is not None:
+            asked["initial"] = region("--initial", self.initial, policy.domain.names)
+        return {name: value for name, value in asked.items() if value is not None}
+
+    def budget(self) -> dict[str, Any]:
+        """Return what the tree may take."""
+        size = None
+        if self.target is not None:
+            from capsyn.exports.c.code_size import CodeSize
+
+            size = CodeSize(self.target)
+        return {"nodes": self.nodes, "bytes": self.bytes, "size": size}
 
 
 @flat
-def compress(file: File, options: CompressOptions, as_json: Json = False) -> None:
+def compress(file: File, *, options: CompressOptions, as_json: Json = False) -> None:
     """Make a small decision tree of a policy.
 
-    Exit status 1: the tree was written, but does not reach the agreement asked for.
+    Exit status 1: the tree was written, but does not reach the agreement asked for, does not fit,
+    or loses more than a tenth against the policy in closed loop.
     """
     if options.curve:
         _curve(file, options, as_json)
@@ -62,19 +152,19 @@ def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
     from capsyn.policies.policy import Policy
     from capsyn.policies.report import report
 
-    path = options.output
+    path, mode = options.output, options.mode or ("linear" if options.judge == "loop" else "exact")
     if path is None:  # in the working directory, named after the policy's file
-        path = f"{Path(file).stem}-{options.mode}.cap"
+        path = f"{Path(file).stem}-{mode}.cap"
     check_writable(path)
     if Path(path).resolve() == Path(file).resolve():
         raise ProblemError(f"the output must be another file than the policy; got '{path}'")
     policy = Policy.load(file)
     features = None if options.features is None else find_features(options.features)
-    with working(f"compressing, mode {options.mode}"):
-        names = "mode agreement level node_price states seed backend".split()
-        tree = compress(
-            policy, **{name: getattr(options, name) for name in names}, features=features
-        )
+    given = options.of_loops(policy) | options.budget()
+    with working(f"compressing, mode {mode}") as say:
+        names = "agreement level node_price states seed backend judge".split()
+        given |= {name: getattr(options, name) for name in names}
+        tree = compress(policy, mode, **given, features=features, progress=say)
     tree.save(path)
     data = report(tree) | {"file": path}
     show(as_json, data, lambda: print_compression(data, report(policy)), f"wrote {path}")
@@ -94,23 +184,23 @@ def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
         "--level": options.level,
         "--node-price": options.node_price,
         "--features": options.features,
+        "--nodes": options.nodes,
+        "--bytes": options.bytes,
     }
     wrong = [name for name, value in for_one.items() if value is not None]
-    if wrong or options.mode != "exact":
+    if wrong or options.mode not in (None, "exact"):
         raise ProblemError(f"--curve tries all modes and takes no {', '.join(wrong) or '--mode'}")
     policy = Policy.load(file)
+    given = options.of_loops(policy)
     picture = f"{Path(file).stem}-curve.png" if options.output is None else options.output
     check_format(picture)
     table = str(Path(picture).with_suffix(".csv"))
     for path in (picture, table):
         check_writable(path)
     with working("trying modes and levels") as say:
-        judged: dict[str, Any] = {
-            "states": options.states,
-            "seed": options.seed,
-            "backend": options.backend,
-        }
-        points = size_curve(policy, **judged, progress=say)
+        names = "states seed backend judge".split()
+        judged: dict[str, Any] = {name: getattr(options, name) for name in names}
+        points = size_curve(policy, **judged | given, progress=say)
     save_points(points, table)
     save_curve_plot(points, policy.name, picture)
     rows = [point.to_json() for point in points]

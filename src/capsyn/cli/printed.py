@@ -191,7 +191,11 @@ def _print_tree(data: dict[str, Any]) -> None:
             f"{', '.join(data['features']['names'])}: {data['features']['operations']} "
             f"operations at the centre of a step{near}",
         )
-    print_line("guarantee", data["guarantee"]["text"])
+    told = data["guarantee"]
+    loop = told.get("loop_text", "")
+    print_line("guarantee", told["text"].replace(f"; {loop}", "") if loop else told["text"])
+    if loop:
+        print_line("loops", loop)
 
 
 def print_report(data: dict[str, Any]) -> None:

@@ -152,8 +152,10 @@ class LoopFigures:
             if self.low is not None and self.high is not None:
                 change = f" ({self.low:+.3g} to {self.high:+.3g})"
             cost = f"mean cost {self.cost:.4g}{change}, the policy's {self.own_cost:.4g}"
+        if not self.visited:
+            return f"{success}; {cost}"
         agrees = f"agrees at {_percent(self.agreement)} of the states that its loops visit"
-        return f"{success}; {cost}; {agrees}" if self.visited else f"{success}; {cost}"
+        return f"{success}; {cost}; {agrees}"
 
 
 @dataclass(frozen=True)

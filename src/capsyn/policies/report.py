@@ -181,6 +181,7 @@ def _guarantee(guarantee: Guarantee) -> dict[str, Any]:
         guarantee.to_json()
         | (interval if guarantee.states else {})
         | {"reached": guarantee.reached, "text": guarantee.text}
+        | ({} if guarantee.loop is None else {"loop_text": guarantee.loop.text})
     )
 
 

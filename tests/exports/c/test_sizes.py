@@ -5,7 +5,9 @@ import time
 
 import pytest
 
+from capsyn.errors import ProblemError
 from capsyn.exports.c import sizes as c_sizes
+from capsyn.exports.c.code_size import CodeSize
 from capsyn.exports.c.sizes import sizes
 from support.exports.c_machines import need
 from support.exports.c_plans import files, plan_of
@@ -20,6 +22,22 @@ def test_sizes(mode, most):
     assert 0 < found["cortex-m0"]["quantiser"] <= 1000
     assert all(measured["ram"] == 0 for measured in found.values())
     assert all(0 < measured["stack"] <= 64 for measured in found.values())
+
+
+def test_a_budget_of_bytes_counts_what_an_export_says_a_decision_takes():
+    need("arm-none-eabi-gcc")
+    plan, size = plan_of("cart-pendulum", "freedom"), CodeSize("cortex-m0")
+    measured = sizes(files(plan, None), "cart_pendulum", ["cortex-m0"])
+    assert size(plan.tree) == measured["cortex-m0"]["decision"]
+    assert list(measured) == ["cortex-m0"] and size.name == "bytes of C on cortex-m0"
+
+
+def test_a_budget_of_bytes_needs_a_compiler(monkeypatch):
+    with pytest.raises(ProblemError, match="`target` must be one of 'cortex-m0'"):
+        CodeSize("z80")
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    with pytest.raises(ProblemError, match="`target` avr needs avr-gcc, which is not installed"):
+        CodeSize("avr")
 
 
 @pytest.mark.parametrize("tool", ["gcc", "nm", "size"])

@@ -77,6 +77,30 @@ def loop_tree(
 
     Without a limit it is the smallest that loses little against the policy.
     """
+    choice = _begun(judge, options, budget, progress)
+    look(choice, mode, level)
+    tree = choice.judged(*choice.best())
+    if not tree.guarantee.reached:
+        warn(_shortfall(tree))
+    return tree
+
+
+def loop_choice(
+    judge: Judge, options: TrialOptions, nodes: int, progress: Callable[[str], None] | None = None
+) -> LoopChoice:
+    """Return a choice among trees of mode linear, of up to so many nodes."""
+    choice = _begun(judge, options, Budget(nodes), progress)
+    look(choice, "linear", None)
+    return choice
+
+
+def _begun(
+    judge: Judge,
+    options: TrialOptions,
+    budget: Budget,
+    progress: Callable[[str], None] | None,
+) -> LoopChoice:
+    """Return a choice among no trees yet; `ProblemError` where the policy itself does nothing."""
     choice = LoopChoice.of(judge, Loops.of(judge.policy, options), budget, progress)
     if not choice.own.success.any():
         raise ProblemError(
@@ -84,11 +108,7 @@ def loop_tree(
             f"{options.loop.duration:g} {judge.policy.time_unit}: there is nothing to judge trees "
             "by; see `duration`, `initial` and `target`"
         )
-    look(choice, mode, level)
-    tree = choice.judged(*choice.best())
-    if not tree.guarantee.reached:
-        warn(_shortfall(tree))
-    return tree
+    return choice
 
 
 def look(choice: LoopChoice, mode: str, level: int | None) -> None:

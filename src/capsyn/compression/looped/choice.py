@@ -121,13 +121,20 @@ class LoopChoice:
                 high = middle
         return sizes[max(low - 1, 0)][0]
 
+    def outcomes(self, policy: Policy) -> tuple[Outcome, Outcome, Visits]:
+        """Return what trials that no choice saw do under the policy and under another.
+
+        And the states that the other visits.
+        """
+        own, other = (self.loops.outcome(each, JUDGING) for each in (self.judge.policy, policy))
+        return own, other, self.loops.visits(policy, JUDGING, self.judge.states)
+
     def judged(self, one: Candidate, size: int) -> DecisionTree:
         """Return a tree with what it guarantees, from trials and states that no choice saw."""
         judge, loops, tree = self.judge, self.loops, one.tree
-        own, outcome = (loops.outcome(policy, JUDGING) for policy in (judge.policy, tree))
+        own, outcome, seen = self.outcomes(tree)
         confidence = loops.options.confidence
         compared = Comparison.of(own.costs, outcome.costs, confidence)
-        seen = loops.visits(tree, JUDGING, judge.states)
         changed = 1.0 - judge.compare(tree, with_policy=True).share
         if tree.guarantee.mode == "linear":
             tree = dataclasses.replace(

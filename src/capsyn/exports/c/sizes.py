@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -27,7 +28,9 @@ FLASH = (".text", ".rodata", ".progmem")
 RAM = (".data", ".bss")
 
 
-def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
+def sizes(
+    files: Files, prefix: str, processors: Iterable[str] = tuple(COMPILERS)
+) -> dict[str, dict[str, int | str]]:
     """Return what the code takes at ``-Os``, by processor; `prefix` names header and source.
 
     Of each ``compiler``: its name and version; ``decision``: code and tables from lattice steps, or
@@ -39,9 +42,10 @@ def sizes(files: Files, prefix: str) -> dict[str, dict[str, int | str]]:
     compiler is missing, fails or has not its linker.
     """
     of_compiler = functools.partial(_of_compiler, files=files, prefix=prefix)
-    with ThreadPoolExecutor(len(COMPILERS)) as pool:
-        by_compiler = pool.map(of_compiler, COMPILERS.values())
-        return {name: measured for name, measured in zip(COMPILERS, by_compiler) if measured}
+    chosen = {name: COMPILERS[name] for name in processors}
+    with ThreadPoolExecutor(len(chosen)) as pool:
+        by_compiler = pool.map(of_compiler, chosen.values())
+        return {name: measured for name, measured in zip(chosen, by_compiler) if measured}
 
 
 def _of_compiler(command: list[str], files: Files, prefix: str) -> dict[str, int | str]:
