@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 import capsyn
+import tails
 from capsyn import problems
 from capsyn.improvement.charged_loop import ChargedLoop
 from capsyn.improvement.judged import Comparison
@@ -118,6 +119,27 @@ def no_harm():
     row("the largest", max(shares))
 
 
-over_the_optimum()
-no_harm()
-print(json.dumps(rows))
+def by_tails():
+    """Add rows of policies of six states, which go by fitted tails."""
+    for name, problem, options, share, duration, rate, judge, figure, unit in (
+        ("planar quadrotor", problems.plain("planar-quadrotor").replace(max_level=0), {}, 1.0,
+         20, 1000, tails.near(6, 0.2, 10_000), "cost", ""),
+        ("docking with 9 symbols", tails.nine_symbols(), {"max_solves": 60_000},
+         [0.9, 0.9, 0.9, 0.2, 0.2, 0.2], 60, 10, tails.docked, "fuel", "N s"),
+    ):  # fmt: skip
+        policy = capsyn.synthesize(problem, **options)
+        started = time.process_time()
+        better = capsyn.improve(policy)
+        seconds = time.process_time() - started
+        for when, each in (("given", policy), ("after one round", better.policy)):
+            good, used = tails.loops(each, tails.starts(each, share), duration, rate, judge)
+            row(f"{name}, no tail, {when}: success", 100 * good.mean(), "%")
+            row(f"{name}, no tail, {when}: mean {figure}", used.mean(), unit)
+        row(f"{name}, no tail: processor time of the round", seconds, "s")
+
+
+if __name__ == "__main__":
+    over_the_optimum()
+    no_harm()
+    by_tails()
+    print(json.dumps(rows))

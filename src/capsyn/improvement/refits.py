@@ -169,7 +169,7 @@ class Refits:
         _, first, before = self._best((None, policy) for policy in policies)
         tail, _, costs = self._best(self.candidates(first, horizon))
         assert tail is not None
-        if cheaper(before, costs):
+        if cheaper(before, costs) and before.mean() < costs.mean():
             warn(
                 "closed loops of the policy with the fitted tail cost more than those of the "
                 f"policy that the fits began with, of horizon {first.horizon:g}: try a Riccati "

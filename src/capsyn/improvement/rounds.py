@@ -15,7 +15,7 @@ from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.errors import ProblemError
 from capsyn.improvement.charged_loop import ChargedLoop
 from capsyn.improvement.judged import Comparison
-from capsyn.improvement.refits import NOTHING_TO_FIT, Refits
+from capsyn.improvement.refits import NOTHING_TO_FIT, Refits, cheaper
 from capsyn.improvement.rollouts import Rollouts
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.settings import SsacSettings
@@ -129,10 +129,13 @@ class Rounds:
         return policy, tuple(done), self.compared(self.loop.policy, policy, rounds + 1)
 
     def _best(self, policy: Policy, number: int) -> Tried:
-        """Return the best policy of the ladder, and of rollouts to the terminal cost."""
-        best: Tried | None = None
+        """Return the best policy of the ladder, and of rollouts to the terminal cost.
+
+        That with a fitted tail is chosen as `Refits` do.
+        """
+        best, less = None, _less if self.refits is None else cheaper
         for tried in self._candidates(policy, number):
-            if best is None or _less(tried.costs, best.costs):
+            if best is None or less(tried.costs, best.costs):
                 best = tried
         if best is None:
             raise ProblemError(NOTHING_TO_FIT)
@@ -140,13 +143,13 @@ class Rounds:
 
     def _candidates(self, policy: Policy, number: int) -> Iterator[Tried]:
         """Yield policies of rollouts, or of tails that are fitted, over the horizons."""
-        states = self._states(number, CHOICE)
         if self.refits is not None:
             refits = dataclasses.replace(self.refits, seed=derived_seed(self.seed, number, FITS))
             for horizon in self.horizons:
                 for _, made in refits.candidates(policy, horizon):
-                    yield Tried(horizon, False, made, self._costs(made, states))
+                    yield Tried(horizon, False, made, refits.judged(made))
             return
+        states = self._states(number, CHOICE)
         ways = [(horizon, False) for horizon in self.horizons]
         if self.loop.end is not None:
             ways.append((self.horizons[len(self.horizons) // 2], True))
