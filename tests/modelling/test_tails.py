@@ -163,8 +163,11 @@ def test_a_replaced_problem_has_the_tail_of_its_own_fields():
 def test_predictive_control_of_depth_one_takes_the_tail_too():
     plain, costs = double_integrator(), []
     starts = plain.domain.sample(50, 0) / 2
-    for problem, depth in ((plain.replace(tail="riccati"), 1), (plain, 5), (plain, 1)):
-        control = finite_control_set(problem, depth, sample_time=0.1)
+    with_tail = finite_control_set(plain, 1, sample_time=0.1, tail="riccati")
+    own = finite_control_set(plain.replace(tail="riccati"), 1, sample_time=0.1)
+    np.testing.assert_array_equal(with_tail.costs(starts), own.costs(starts))
+    deep, short = (finite_control_set(plain, depth, sample_time=0.1) for depth in (5, 1))
+    for control in (with_tail, deep, short):
 
         def act(time, states, control=control):
             return plain.alphabet.values[control(states)]

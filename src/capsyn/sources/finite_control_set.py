@@ -202,6 +202,7 @@ def finite_control_set(
     blocks: Any = 1,
     steps: int = 1,
     control_weight: Any = None,
+    tail: Any = None,
     backend: str = "auto",
     threads: int | None = None,
 ) -> FiniteControlSet:
@@ -226,6 +227,9 @@ def finite_control_set(
         Runge-Kutta steps per sample.
     control_weight : float or (m, m), optional
         R [cost / (input unit^2 time unit)]. Default: that of the problem's settings.
+    tail : optional
+        A terminal cost in the place of the problem's own; see `Problem`. With one, depth 1 or 2 may
+        do what long sequences do without.
     backend : "auto", "c" or "numpy"
         Compiled where there is a compiler, or as told.
     threads : int, optional
@@ -240,6 +244,8 @@ def finite_control_set(
     """
     if not isinstance(problem, Problem):
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
+    if tail is not None:
+        problem = problem.replace(tail=tail)
     values = problem.alphabet.values
     count = len(values)
     depth = whole_number("depth", depth, least=1, most=MOST_DEPTH)
