@@ -59,7 +59,7 @@ def tail(problem):
 @pytest.mark.filterwarnings("ignore::capsyn.errors.CapsynWarning")
 def test_of_the_loops_of_a_regulator_it_is_nearly_the_regulators():
     exact = solve_continuous_are(*RATES, np.diag([2, 0.5]), [[WEIGHT]])
-    fine = leaning(horizon=0.05, alphabet=np.linspace(-3, 3, 121), max_level=4).replace(
+    fine = leaning(horizon=0.05, alphabet=np.linspace(-3, 3, 121), max_level=5).replace(
         tail=lambda x: ca.bilin(ca.DM(exact), x, x)
     )
     found = capsyn.fitted_tail(capsyn.synthesize(fine), 1, goal=[0, 0], duration=6.0)
