@@ -53,7 +53,7 @@ def problem():
 
 @pytest.fixture(scope="module")
 def tail(problem):
-    return capsyn.fitted_tail(problem, loops=150)
+    return capsyn.fitted_tail(problem, 2, loops=150)
 
 
 @pytest.mark.filterwarnings("ignore::capsyn.errors.CapsynWarning")
@@ -83,7 +83,7 @@ def test_synthesize_finds_it_and_the_file_keeps_it(problem, tmp_path):
 
 
 def test_neither_threads_nor_units_change_it(problem, tail):
-    one = capsyn.fitted_tail(problem, loops=150, threads=1)
+    one = capsyn.fitted_tail(problem, 2, loops=150, threads=1)
     assert np.array_equal(one.matrix, tail.matrix)
     scaled = leaning(
         dynamics=lambda x, u: 1e-3 * ca.mtimes(RATES[0], 1e3 * x) + 1e-3 * ca.mtimes(RATES[1], u),
@@ -91,7 +91,7 @@ def test_neither_threads_nor_units_change_it(problem, tail):
         running_cost=lambda x: 7e6 * (2 * x[0] ** 2 + 0.5 * x[1] ** 2),
         settings=dataclasses.replace(problem.settings, control_weight=7 * WEIGHT),
     )
-    found = capsyn.fitted_tail(scaled, loops=150)
+    found = capsyn.fitted_tail(scaled, 2, loops=150)
     np.testing.assert_allclose(found.matrix, 7e6 * tail.matrix, rtol=0.02)
 
 
