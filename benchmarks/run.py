@@ -14,8 +14,8 @@ from capsyn.version import __version__
 
 HERE = Path(__file__).parent
 QUESTIONS = (
-    "solve synthesis dimensions lookup compression sources tails improve tune optimum told "
-    "inverter closed_loop explorer command counts exports timing cluster"
+    "solve synthesis dimensions lookup compression sources tails improve tune loop_trees optimum "
+    "told inverter closed_loop explorer command counts exports timing cluster"
 ).split()
 
 FIRST = {

@@ -124,7 +124,8 @@ def _family(choice: LoopChoice, rows: np.ndarray, samples: Samples, root: Node) 
     if known is not None:
         most = int(SPARE * known) + 2 if budget.counts_nodes else min(MOST, known // BYTES_A_NODE)
     for grown in growing(root, samples, most):
-        if known is None and choice.near(look(grown)):
+        one = look(grown)
+        if known is None and choice.near(one):
             known = grown.node_count
             most = min(most, int(SPARE * known))
         if grown.node_count >= most:

@@ -112,8 +112,9 @@ def best_split(
     `right` (B, L) says which labels are right, `label` is that of the leaf. None where no plane
     that was tried makes any right.
     """
-    own = right[:, label]
-    rivals = np.count_nonzero(right[~own], axis=0)
+    own, exact = right[:, label], right.astype(np.float32)  # counts below 2^24 are exact
+    total = exact.sum(axis=0)
+    rivals = total - own.astype(np.float32) @ exact
     best: tuple[int, Plane, list[int]] | None = None
     for rival in np.argsort(-rivals, kind="stable")[:RIVALS]:
         if rivals[rival] < LEAST:
@@ -121,7 +122,8 @@ def best_split(
         matters = np.flatnonzero(own != right[:, rival])[:SPLIT_ON]
         for plane in _planes(states[matters], right[matters, rival]):
             beyond = distances(states, plane) >= 0
-            counts = [np.count_nonzero(right[side], axis=0) for side in (~beyond, beyond)]
+            second = beyond.astype(np.float32) @ exact
+            counts = total - second, second
             gained = int(sum(count.max() for count in counts)) - int(own.sum())
             if not beyond.all() and beyond.any() and gained > (best[0] if best else 0):
                 best = gained, plane, [int(count.argmax()) for count in counts]
