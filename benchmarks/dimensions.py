@@ -11,6 +11,7 @@ import time
 import numpy as np
 
 from capsyn import Box, agreement, monte_carlo, problems, subdivide, synthesize
+from tails import loops, near, pumped, starts, upright
 
 STATES = 200_000
 """Random states of an agreement."""
@@ -307,7 +308,42 @@ def save_growth_plot(path):
         save_figure(figure, path)
 
 
+def in_the_loop():
+    """Return the rows of closed loops of policies without tails, and of the built-in ones."""
+    found = []
+    for name, level, solves, share, duration, rate, judge in (
+        ("cart-pole", 3, 15_000, 0.05, 10, 1000, upright),
+        ("planar-quadrotor", 3, 6_000, 1.0, 20, 1000, near(6, 0.2, 10_000)),
+        ("spacecraft", 3, 170_000, 1.0, 40, 100, near(6, 0.05, 3000)),
+        ("double-pendulum", 4, 100_000, 1.0, 20, 500, pumped),
+    ):
+        plain = {"leaves": "affine", "max_level": level, "max_solves": solves}
+        for how, problem, options in (
+            (f"affine, at most {solves:,} solves", problems.plain(name), plain),
+            ("built-in", problems.get(name), {}),
+        ):
+            policy, _, agreeing = made(problem, **options)
+
+            def figures(run, judge=judge):
+                return judge(run)[0], run.costs[:, -1], run.switches
+
+            good, costs, switches = loops(policy, starts(policy, share), duration, rate, figures)
+            values = {
+                "agreement": (agreeing, "%"),
+                "success in closed loop": (100 * good.mean(), "%"),
+                "mean cost of a loop": (costs.mean(), ""),
+                "switches": (switches.mean() / duration, "/ s"),
+            }
+            found += [
+                {"what": f"{name}, {how}: {what}", "value": float(value), "unit": unit}
+                for what, (value, unit) in values.items()
+                if np.isfinite(value) and (value or unit)  # no cost gathers without a running one
+            ]
+    return found
+
+
 PARTS = (
+    in_the_loop,
     cart_pole,
     planar_quadrotor,
     spacecraft,

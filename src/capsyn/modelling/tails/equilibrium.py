@@ -76,6 +76,7 @@ def cheapest_rest(
     `known` are components of it by axis. The search starts at the state `near`; without it from
     several. A `ProblemError` says that none is found.
     """
+    import casadi as ca
     from scipy.optimize import minimize
 
     domain, values = system.domain, system.alphabet.values
@@ -87,7 +88,7 @@ def cheapest_rest(
         )
     functions = system.system()
     cost, dynamics = functions["running_cost"], functions["dynamics"]
-    slope, change = cost.jacobian(), dynamics.jacobian()
+    slope = cost.jacobian()
     lower, widths = domain.lower, domain.widths
 
     def split(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,20 +98,21 @@ def cheapest_rest(
         z, _ = split(y)
         return np.concatenate([np.array(slope(z, 0)).ravel()[:n] * widths, np.zeros(count)])
 
-    def constraints(y: np.ndarray) -> np.ndarray:
-        z, shares = split(y)
-        mean = np.array(dynamics(z, values.T))[:n] @ shares
-        return np.append(mean / widths / unit, shares.sum() - 1)
-
-    def constraint_slopes(y: np.ndarray) -> np.ndarray:
-        z, shares = split(y)
-        by_share = np.array(dynamics(z, values.T))[:n]
-        by_state = sum(s * np.array(change(z, u, 0)[0])[:n, :n] for s, u in zip(shares, values))
-        top = np.hstack([by_state * widths, by_share]) / widths[:, None] / unit
-        return np.vstack([top, np.append(np.zeros(n), np.ones(count))])
-
     middle = lower + widths / 2
     unit = float(np.abs(rates(system, middle, w) / widths).max()) or 1.0
+    z, shares = ca.MX.sym("z", n + len(w)), ca.MX.sym("shares", count)
+    each = dynamics.map(count)(ca.repmat(z, 1, count), ca.DM(values.T))[:n, :]
+    off = ca.vertcat(each @ shares / widths / unit, ca.sum1(shares) - 1)
+    changes = [ca.jacobian(off, z)[:, :n] @ ca.diag(ca.DM(widths)), ca.jacobian(off, shares)]
+    balance = ca.Function("balance", [z, shares], [off])
+    balance_slopes = ca.Function("balance_slopes", [z, shares], [ca.horzcat(*changes)])
+
+    def constraints(y: np.ndarray) -> np.ndarray:
+        return np.array(balance(*split(y))).ravel()
+
+    def constraint_slopes(y: np.ndarray) -> np.ndarray:
+        return np.array(balance_slopes(*split(y)))
+
     bounds = [(0.0, 1.0)] * (n + count)
     for axis, value in known.items():
         place = (value - lower[axis]) / widths[axis]
@@ -126,7 +128,7 @@ def cheapest_rest(
             bounds=bounds,
             constraints={"type": "eq", "fun": constraints, "jac": constraint_slopes},
             method="SLSQP",
-            options={"ftol": 1e-12, "maxiter": 200},
+            options={"ftol": 1e-12, "maxiter": 80},
         )
         rests = np.isfinite(found.x).all() and np.abs(constraints(found.x)).max() <= REST
         if rests and found.fun < least - 1e-9:
