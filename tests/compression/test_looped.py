@@ -21,7 +21,7 @@ from capsyn.random_streams import derived_seed
 from capsyn.verification.trials import TrialOptions
 
 NEAR = capsyn.Box([-1, -1], [1, 1], names=["x", "v"])
-LOOP = {"duration": 6.0, "rate": 20, "trials": 40, "states": 2000, "initial": NEAR}
+LOOP = {"duration": 6.0, "rate": 10, "trials": 40, "states": 2000, "initial": NEAR}
 
 
 def point(**changes):
