@@ -50,7 +50,7 @@ class CodeSize:
         return f"bytes of C on {self.processor}"
 
     def __call__(self, policy: Policy) -> int:
-        """Return the bytes of a tree."""
+        """Return the bytes of a `policy`; `ProblemError` where the compiler fails for it."""
         code = Code.of(Plan.of(policy), "table", "lattice", "real", "tree", 1e-6)
         texts = {f"{code.prefix}.h": header(code), f"{code.prefix}.c": source(code)}
         files = {name: text.encode() for name, text in texts.items()}
