@@ -19,7 +19,8 @@ TOP = Path(__file__).parents[2]
 ORDER = """
 errors validation random_streams statistics version
 
-programs: operations program texts builder intervals interval_text expansion model step_doubling
+programs: operations program texts builder patterns intervals interval_text
+    expansion model step_doubling
 native: build compiled source bounds
 modelling: domain alphabet exogenous settings targets grid time_unit switching
 modelling.tails: tail equilibrium riccati

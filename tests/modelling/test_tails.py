@@ -235,3 +235,31 @@ def test_a_horizon_is_proposed_by_riccati_tails_only():
         double_integrator(horizon=None)
     with pytest.raises(ProblemError, match="`horizon` must be a number > 0; got None"):
         double_integrator(horizon=None, tail=lambda x: x[0] ** 2)
+
+
+def lagging(share, goal=None):
+    """Return a problem whose first state no symbol moves directly."""
+    return capsyn.Problem(
+        name="lag",
+        dynamics=lambda x, u: [0.7 * x[1] ** 2 - x[0] ** 2 - 0.5, 3 * u[0] - x[1]],
+        domain=capsyn.Box([0.1, 0], [2, 3]),
+        alphabet=[0, 1],
+        default=0,
+        horizon=0.5,
+        running_cost=lambda x: (x[0] - share) ** 2 + 0.1 * x[1] ** 2,
+        target=capsyn.Ball([share], 0.1, names=["x1"]) if goal is None else None,
+    )
+
+
+@pytest.mark.parametrize("place", [0.7, 0.9, 1.1, 1.3])
+def test_goals_that_rest_only_nearly_by_their_digits_are_held(place):
+    found = capsyn.riccati_tail(lagging(place))
+    rest = np.sqrt((place**2 + 0.5) / 0.7)
+    assert found.goal == pytest.approx([place, rest], abs=1e-5)
+    assert found.control == pytest.approx([rest / 3], abs=1e-3)
+    typed = [place, float(f"{rest:.6g}")]
+    assert capsyn.riccati_tail(lagging(place), goal=typed).control == pytest.approx(
+        found.control, abs=1e-3
+    )
+    with pytest.raises(ProblemError, match="no mixture of the symbols holds"):
+        capsyn.riccati_tail(lagging(place), goal=[place, rest + 0.05])

@@ -1,11 +1,13 @@
 """How far from the optimum, from the command line; policies of its symbols; its picture."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
 from capsyn import Policy, optimum, problems, synthesize
+from capsyn.optima.optimum import Optimum
 from capsyn.plots.figure import new_figure
 from capsyn.plots.optimum import plot_optimum
 from support.processes.command_line import capsyn
@@ -45,8 +47,25 @@ def test_verify_fails_where_too_far(run):
     assert "--require-optimality 0.9999 is not met" in err
     data = json.loads(out)["optimum"]
     assert 0.5 < data["optimality"] < 0.9999 and data["bound"] and data["counts"] == [60, 60]
+    assert not data["beaten"]
     narrow = json.loads(run(*arguments, "--initial", "x1=0.4:0.5")[0])["optimum"]
     assert 0.4 <= narrow["worst"]["start"]["x1"] <= 0.5
+
+
+def test_an_optimum_that_is_beaten_is_no_bound(run, monkeypatch):
+    """As that of a grid is which is too coarse, whatever its values say of its error."""
+    compare = Optimum.compare
+
+    def dearer(self, *arguments, **options):
+        return compare(dataclasses.replace(self, costs=2 * self.costs), *arguments, **options)
+
+    monkeypatch.setattr(Optimum, "compare", dearer)
+    arguments = ["verify", "tank.cap", "--optimum", "20", *LOOP, "--require-optimality", "0.5"]
+    out, err = run(*arguments, code=1)
+    assert "the policy costs less: the grid is too coarse" in out and "is no bound" in out
+    assert "--require-optimality 0.5 is not met: the optimum is no bound" in err
+    data = json.loads(run(*arguments, "--json", code=1)[0])["optimum"]
+    assert data["beaten"] and not data["bound"] and data["ratio_high"] < 1
 
 
 @pytest.mark.parametrize(

@@ -302,8 +302,14 @@ def _missed(options: VerifyOptions, evidence: dict[str, Any]) -> list[str]:
     sentences = []
     for kind in KINDS:
         least = getattr(options, kind.requirement)
-        if least is not None and (share := evidence[kind.name][kind.figure]) < least:
-            sentences.append(f"{_option(kind.requirement)} {least:g} is not met: {share:.6g}")
+        if least is None:
+            continue
+        data = evidence[kind.name]
+        asked = f"{_option(kind.requirement)} {least:g} is not met"
+        if not data.get("bound", True):
+            sentences.append(f"{asked}: the optimum is no bound")
+        elif (share := data[kind.figure]) < least:
+            sentences.append(f"{asked}: {share:.6g}")
     return sentences
 
 

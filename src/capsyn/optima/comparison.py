@@ -34,7 +34,7 @@ class OptimumComparison:
     worst : int
         The start that costs most beyond the least; one that is lost if any is.
     bound : bool
-        Whether the optimum is a bound; see `Optimum`.
+        Whether the optimum is a bound; see `Optimum`. It is none where `beaten`.
     names : n strings
         Of the states.
     """
@@ -50,6 +50,11 @@ class OptimumComparison:
     worst: int
     bound: bool
     names: tuple[str, ...]
+
+    @property
+    def beaten(self) -> bool:
+        """Whether loops surely cost less than those of the optimum: then its grid is too coarse."""
+        return bool(self.high < 1)
 
     @property
     def optimality(self) -> float:
@@ -86,6 +91,7 @@ class OptimumComparison:
                 "optimal_cost": number(self.optimal[k]),
             },
             "bound": self.bound,
+            "beaten": self.beaten,
         }
 
 
@@ -125,7 +131,8 @@ def compared(
         worse = np.nan_to_num(costs - best, nan=0.0, posinf=np.inf)
     return OptimumComparison(
         starts, costs, best, ratio, max(ratio - half, 0.0), ratio + half, confidence,
-        int((~ended).sum()), int(worse.argmax()), optimum.bound, task.domain.names,
+        int((~ended).sum()), int(worse.argmax()), optimum.bound and not ratio + half < 1,
+        task.domain.names,
     )  # fmt: skip
 
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
+import platform
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
+
+import psutil
 
 from capsyn.errors import CapsynWarning, ProblemError, SynthesisError
 from capsyn.random_streams import derived_seed
@@ -23,10 +27,12 @@ except ImportError:
 
 STARTUP = 10
 """Settings that spread over the ranges before the search follows what was found."""
-ASKED, FIGURES, ERROR = "capsyn", "figures", "error"
-"""Attributes of studies and trials: what was asked, what was found, why nothing was."""
+ASKED, FIGURES, ERROR, OWNER = "capsyn", "figures", "error", "owner"
+"""Attributes: what was asked of a study; what a trial found, why it found nothing, who runs it."""
 SAMPLING = 22
 """Purpose of the seeds of settings."""
+HOST = platform.node().replace(" ", "")
+"""Machine on which trials run."""
 JOURNALS = (".journal", ".log")
 """Endings of storages that are journals; others are SQLite files."""
 
@@ -101,16 +107,25 @@ class Study:
     def search(self, count: int, stages: Stages, progress: Callable[[str], None] | None) -> None:
         """Try settings until the study has `count`; those that cannot be used count, too.
 
-        A trial that is interrupted does not count; those before it are kept.
+        A trial that is interrupted does not count, and is the first when the study goes on.
         """
         with _quietly():
             while (done := len(self.tried())) < count:
                 if progress is not None:
                     progress(f"settings {done + 1} of {count}")
-                self._try(self._study.ask(), stages)
+                self._try(self._left() or self._study.ask(), stages)
+
+    def _left(self) -> Any:
+        """Return a trial that was begun by a process of this machine that is no more, or None."""
+        for trial in self._study.get_trials(False, (optuna.trial.TrialState.RUNNING,)):
+            host, _, process = trial.user_attrs.get(OWNER, f"{HOST} {os.getpid()}").partition(" ")
+            if host == HOST and not (process and psutil.pid_exists(int(process))):
+                return optuna.trial.Trial(self._study, trial._trial_id)
+        return None
 
     def _try(self, trial: Any, stages: Stages) -> None:
         ends = optuna.trial.TrialState
+        trial.set_user_attr(OWNER, f"{HOST} {os.getpid()}")
         found = {name: _suggested(trial, name, free) for name, free in self.free.items()}
         settings = {name: self.free[name].value(value) for name, value in found.items()}
         values: list[float] = []
@@ -130,7 +145,7 @@ class Study:
             trial.set_user_attr(ERROR, one_line(str(error)))
             self._study.tell(trial, state=ends.FAIL)
         except BaseException:
-            self._study.tell(trial, state=ends.FAIL)
+            trial.set_user_attr(OWNER, f"{HOST} ")  # whoever goes on begins with it
             raise
 
     def tried(self) -> list[Tried]:

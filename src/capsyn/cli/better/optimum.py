@@ -65,7 +65,7 @@ def compare_with_optimum(policy: Policy, options: Any, client: Any) -> dict[str,
     if options.output is not None:
         save_optimum_plot(comparison, policy.domain, policy.name, options.output)
     picture = {} if options.output is None else {"picture": options.output}
-    return comparison.to_json() | {"time_unit": policy.time_unit} | best.to_json() | picture
+    return best.to_json() | comparison.to_json() | {"time_unit": policy.time_unit} | picture
 
 
 def print_optimum(data: dict[str, Any], headline: str, *_: Any) -> None:
@@ -89,6 +89,8 @@ def print_optimum(data: dict[str, Any], headline: str, *_: Any) -> None:
     print_line("grid", f"{counts} over {box}, {data['memory'] / 1e6:.3g} MB{off}")
     if data["left"]:
         print_line("no bound", f"{data['left']:,} of the best loops leave the grid nevertheless")
+    elif data["beaten"]:
+        print_line("no bound", "the policy costs less: the grid is too coarse, see --counts")
     elif not data["bound"]:
         print_line("no bound", "the grid is too coarse, see --counts")
     if "picture" in data:
@@ -126,7 +128,7 @@ def optimal_policy(
         raise ProblemError(
             f"--source optimum is for at most {MOST_STATES} states; got {problem.domain.n}"
         )
-    duration = number("--source", text) if colon else HORIZONS * problem.horizon
+    duration = number("--source optimum:T, its T,", text) if colon else HORIZONS * problem.horizon
     given = {key: value for key, value in options.items() if value is not None}
     backend, threads = given.pop("backend"), processors(given.get("threads"))
     best = optimum(problem, duration, backend=backend, threads=threads)

@@ -11,6 +11,8 @@ from capsyn.modelling.domain import Box
 
 REST = 1e-7
 """Largest rate at rest, relative to the largest of any symbol, in widths of the domain."""
+NEARLY = 1e-4
+"""The same of goals that are given by a few digits, or whose rates no symbol has directly."""
 MOST_SYMBOLS = 256
 """Most symbols of an alphabet for which the cheapest place to rest is sought."""
 STARTS = 4
@@ -60,12 +62,13 @@ def mixture(system: System, x: np.ndarray, w: np.ndarray) -> np.ndarray | None:
         return None
     scaled = scaled / (np.abs(scaled).max() or 1.0)
     size = ((values / (np.abs(values).max(axis=0) + (values == 0).all(axis=0))) ** 2).sum(axis=1)
-    found = linprog(
-        size,
-        A_eq=np.vstack([scaled, np.ones(len(values))]),
-        b_eq=[*np.zeros(len(scaled)), 1.0],
-    )
-    return np.asarray(found.x) if found.status == 0 else None
+    whole = np.ones((1, len(values)))
+    exact = linprog(size, A_eq=np.vstack([scaled, whole]), b_eq=[*np.zeros(len(scaled)), 1.0])
+    if exact.status == 0:
+        return np.asarray(exact.x)
+    both = np.vstack([scaled, -scaled])
+    near = linprog(size, both, np.full(len(both), NEARLY), A_eq=whole, b_eq=[1.0])
+    return np.asarray(near.x) if near.status == 0 else None
 
 
 def cheapest_rest(
@@ -76,7 +79,6 @@ def cheapest_rest(
     `known` are components of it by axis. The search starts at the state `near`; without it from
     several. A `ProblemError` says that none is found.
     """
-    import casadi as ca
     from scipy.optimize import minimize
 
     domain, values = system.domain, system.alphabet.values
@@ -88,7 +90,7 @@ def cheapest_rest(
         )
     functions = system.system()
     cost, dynamics = functions["running_cost"], functions["dynamics"]
-    slope = cost.jacobian()
+    slope, change = cost.jacobian(), dynamics.jacobian()
     lower, widths = domain.lower, domain.widths
 
     def split(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,18 +102,19 @@ def cheapest_rest(
 
     middle = lower + widths / 2
     unit = float(np.abs(rates(system, middle, w) / widths).max()) or 1.0
-    z, shares = ca.MX.sym("z", n + len(w)), ca.MX.sym("shares", count)
-    each = dynamics.map(count)(ca.repmat(z, 1, count), ca.DM(values.T))[:n, :]
-    off = ca.vertcat(each @ shares / widths / unit, ca.sum1(shares) - 1)
-    changes = [ca.jacobian(off, z)[:, :n] @ ca.diag(ca.DM(widths)), ca.jacobian(off, shares)]
-    balance = ca.Function("balance", [z, shares], [off])
-    balance_slopes = ca.Function("balance_slopes", [z, shares], [ca.horzcat(*changes)])
 
     def constraints(y: np.ndarray) -> np.ndarray:
-        return np.array(balance(*split(y))).ravel()
+        z, shares = split(y)
+        mean = np.array(dynamics(z, values.T))[:n] @ shares
+        return np.append(mean / widths / unit, shares.sum() - 1)
 
     def constraint_slopes(y: np.ndarray) -> np.ndarray:
-        return np.array(balance_slopes(*split(y)))
+        z, shares = split(y)
+        by_share = np.array(dynamics(z, values.T))[:n]
+        each = np.array(change(z, values.T, 0)[0])[:n].reshape(n, count, len(z))[:, :, :n]
+        by_state = np.einsum("ikj,k->ij", each, shares)
+        top = np.hstack([by_state * widths, by_share]) / widths[:, None] / unit
+        return np.vstack([top, np.append(np.zeros(n), np.ones(count))])
 
     bounds = [(0.0, 1.0)] * (n + count)
     for axis, value in known.items():
