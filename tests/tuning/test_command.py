@@ -101,6 +101,12 @@ def test_a_killed_study_goes_on_and_two_processes_share_one(folder):
     run.communicate()
     kept = finished(folder / "study.db")
     assert kept >= 2
+    again = ["tune", "block.py", *QUICK, "--threads", "1", "--json", "--trials", str(kept + 1)]
+    alone, resumed = (
+        json.loads(capsyn(*again, *more, cwd=folder)[0]) for more in ([], ["--storage", "study.db"])
+    )
+    assert resumed == alone  # the trial that was under way is in its place
+    kept += 1
     more = [*command, "--trials", str(kept + 2)]
     both = [
         subprocess.Popen([*more, "-o", f"{k}.json"], cwd=folder, stdout=subprocess.PIPE, text=True)

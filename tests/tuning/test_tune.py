@@ -219,3 +219,22 @@ def test_nothing_free_no_target_and_a_missing_package(monkeypatch):
     monkeypatch.delitem(sys.modules, "capsyn.tuning.study", raising=False)
     with pytest.raises(ProblemError, match=r"`tune` needs Optuna: pip install 'capsyn\[tune\]'"):
         tune(block, least="cost", **LOOPS)
+
+
+def test_what_was_under_way_is_the_first_when_a_study_goes_on(tmp_path, monkeypatch):
+    options = {"success": 0.5, "trials": 4, "starts": 40, "fresh": 100} | LOOPS
+    whole = tune(block, **options)
+    study, seen = {"storage": tmp_path / "study.journal"}, []
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    def stop(text):
+        seen.append(text)
+        if len(seen) == 3:
+            monkeypatch.setattr("capsyn.tuning.tune.figures_of", interrupt)
+
+    with pytest.raises(KeyboardInterrupt):
+        tune(block, progress=stop, **options, **study)
+    monkeypatch.undo()
+    assert tune(block, **options, **study).to_json() == whole.to_json()

@@ -113,7 +113,9 @@ class Study:
             while (done := len(self.tried())) < count:
                 if progress is not None:
                     progress(f"settings {done + 1} of {count}")
-                self._try(self._left() or self._study.ask(), stages)
+                # another process may go on with what was left, too, and be first with the same
+                with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):
+                    self._try(self._left() or self._study.ask(), stages)
 
     def _left(self) -> Any:
         """Return a trial that was begun by a process of this machine that is no more, or None."""
@@ -138,12 +140,12 @@ class Study:
                 if len(values) == 1:  # no study of several objectives ends trials early
                     trial.report(values[0], step)
                     if step < len(judges) - 1 and trial.should_prune():
-                        self._study.tell(trial, state=ends.PRUNED)
+                        self._study.tell(trial, state=ends.PRUNED, skip_if_finished=True)
                         return
-            self._study.tell(trial, values)
+            self._study.tell(trial, values, skip_if_finished=True)
         except (ProblemError, SynthesisError) as error:
             trial.set_user_attr(ERROR, one_line(str(error)))
-            self._study.tell(trial, state=ends.FAIL)
+            self._study.tell(trial, state=ends.FAIL, skip_if_finished=True)
         except BaseException:
             trial.set_user_attr(OWNER, f"{HOST} ")  # whoever goes on begins with it
             raise
