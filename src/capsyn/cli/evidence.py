@@ -73,6 +73,11 @@ class VerifyOptions(ControllerTexts):
         metavar="C[,C..]",
         before="seed",
     )
+    control_weight: float | None = option(
+        "Weight R of an effort u^T R u that the optimum's costs count, too.",
+        metavar="R",
+        before="seed",
+    )
     memory: str | None = option(
         "Most that the grid may take, as 2GB [default: half of what is available].",
         metavar="BYTES",
@@ -208,7 +213,9 @@ KINDS = (
         "optimum",
         "require_optimality",
         "optimality",
-        tuple("rate initial duration outside exogenous counts memory output".split()),
+        tuple(
+            "rate initial duration outside exogenous counts control_weight memory output".split()
+        ),
         "looking for the optimum",
         compare_with_optimum,
         print_optimum,

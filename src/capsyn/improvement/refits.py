@@ -13,7 +13,7 @@ from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.ssac import batch_controller
-from capsyn.errors import ProblemError, warn
+from capsyn.errors import ProblemError, SynthesisError, warn
 from capsyn.improvement.charged_loop import ChargedLoop
 from capsyn.improvement.quadratic_fit import Starts, costs_to_go, fitted
 from capsyn.modelling.domain import Ball, Box
@@ -226,10 +226,16 @@ def starts_of(system: System, goal: Any, horizon: float, initial: Ball | Box | N
 def problem_tail(problem: Problem, refits: Refits, make: Callable[[Problem], Policy]) -> Tail:
     """Return the tail of a problem, fitted from the best policy that it has without one.
 
-    `make` gives policies of problems. Without a tail the horizon may have to be longer: `FIRST`.
+    `make` gives policies of problems. Without a tail the horizon may have to be longer: `FIRST`,
+    as far as predictions of that time are finite.
     """
     plain = problem.replace(tail=None, delay=0.0)
-    policies = [make(plain.replace(horizon=k * problem.horizon)) for k in FIRST]
+    policies = [make(plain)]
+    for k in FIRST[1:]:
+        try:
+            policies.append(make(plain.replace(horizon=k * problem.horizon)))
+        except SynthesisError:
+            break
     return refits.best_tail(policies, problem.horizon)
 
 

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from capsyn.optima.comparison import OptimumComparison
 
 
+MARGIN = 0.04
+"""Share of the starts' extent that is left free around them."""
+
+
 def plot_optimum(
     comparison: OptimumComparison, domain: Box, ax: Axes, plane: tuple[int, int] = (0, 1)
 ) -> Axes:
@@ -40,8 +44,11 @@ def plot_optimum(
         ax.set(xlabel=quantity(domain.names[0], domain.units[0]), ylabel="cost beyond the least")
     else:
         frame(ax, domain, plane)
+        for axis, i in zip("xy", plane):  # where the starts are
+            margin = MARGIN * (np.ptp(starts[:, i]) or domain.widths[i])
+            ax.set(**{f"{axis}lim": (starts[:, i].min() - margin, starts[:, i].max() + margin)})
         bar = ax.figure.colorbar(drawn, ax=ax)
-        bar.set_label("cost beyond the least, in means of the least")
+        bar.set_label("cost beyond the least from there, over the mean of the least")
     return ax
 
 
@@ -51,4 +58,4 @@ def save_optimum_plot(
     """Write the picture as PNG, PDF or SVG; see `capsyn.plots.figure.save_figure`."""
     with saved_figure(path, 6, 4.5) as figure:
         ax = plot_optimum(comparison, domain, figure.add_subplot())
-        ax.set_title(literal(f"{title}: {comparison.ratio:.3g} times the least cost"))
+        ax.set_title(literal(f"{title}: {comparison.ratio:.4g} times the least cost"))

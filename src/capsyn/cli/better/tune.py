@@ -14,6 +14,7 @@ from capsyn.cli.loop import LoopTexts, loop_options
 from capsyn.cli.options import Json, assignments, flat, number, number_or_range, option, region
 from capsyn.errors import ProblemError
 from capsyn.modelling.time_unit import NAMES
+from capsyn.validation import describe
 
 if TYPE_CHECKING:
     from capsyn.modelling.problem import Problem
@@ -46,7 +47,7 @@ class TuneOptions(LoopTexts):
     success: float | None = option("Least share of successes.", before="duration")
     least: str | None = option(
         "What is least then: cost, effort, switches, nodes, or knee, of switches against cost "
-        "[default: cost].",
+        "[default with --success: cost].",
         before="duration",
     )
     trials: int = option("Settings to try.", default=60, before="duration")
@@ -177,7 +178,10 @@ def _choice(text: str) -> Any:
 def _print(result: Tuning) -> None:
     """Print the trade-offs, what was found, and what fresh starts say of it."""
     figures, unit = result.figures, result.problem.time_unit
-    shown = sorted(result.front, key=lambda one: result.goal.objectives(one.figures))[:SHOWN]
+    best = [one for one in result.tried if one.full and one.settings == result.settings][:1]
+    traded = [one for one in result.front if one not in best]
+    shown = best + sorted(traded, key=lambda one: result.goal.objectives(one.figures))
+    shown = sorted(shown[:SHOWN], key=lambda one: result.goal.objectives(one.figures))
     rows = []
     for one in shown:
         own = one.figures
@@ -221,11 +225,16 @@ def problem_of(text: str, file: str | None) -> Problem:
         return find_problem(text)
     source = find_tunable(text)
     try:
-        settings = json.loads(Path(file).read_text(encoding="utf-8"))["settings"]
+        data = json.loads(Path(file).read_text(encoding="utf-8"))
+        settings = data["settings"]
         if not isinstance(settings, dict):
             raise TypeError
     except OSError as error:
         raise ProblemError(f"cannot read the settings '{file}': {error.strerror}") from None
     except (ValueError, KeyError, TypeError):
         raise ProblemError(f"'{file}' must be settings as capsyn tune writes them") from None
-    return with_settings(source, settings)
+    try:
+        return with_settings(source, settings)
+    except ProblemError as error:
+        owner = describe(data.get("problem"))
+        raise ProblemError(f"the settings in '{file}', of problem {owner}: {error}") from None
