@@ -48,7 +48,7 @@ def plot_optimum(
             margin = MARGIN * (np.ptp(starts[:, i]) or domain.widths[i])
             ax.set(**{f"{axis}lim": (starts[:, i].min() - margin, starts[:, i].max() + margin)})
         bar = ax.figure.colorbar(drawn, ax=ax)
-        bar.set_label("cost beyond the least from there, over the mean of the least")
+        bar.set_label("(cost - least) / mean of the least")
     return ax
 
 
@@ -58,4 +58,5 @@ def save_optimum_plot(
     """Write the picture as PNG, PDF or SVG; see `capsyn.plots.figure.save_figure`."""
     with saved_figure(path, 6, 4.5) as figure:
         ax = plot_optimum(comparison, domain, figure.add_subplot())
-        ax.set_title(literal(f"{title}: {comparison.ratio:.4g} times the least cost"))
+        bound = "" if comparison.bound else " (no bound)"
+        ax.set_title(literal(f"{title}: {comparison.ratio:.4g} times the least cost{bound}"))
