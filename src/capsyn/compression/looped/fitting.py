@@ -42,9 +42,10 @@ def fit_candidates(choice: LoopChoice, rows: np.ndarray) -> None:
 
     Samples are states that loops of the policy visit, and some of the whole volume, so that what
     loops do not reach is not arbitrary. Once trees are fitted, states that loops of the best ones
-    visit are added, labelled by the controller, and trees are fitted again (DAgger [1]_). Where
-    none of them is near the policy within the budget, the policy itself gives the labels: its cells
-    may do better in closed loop than the controller, for they have a hysteresis.
+    visit are added, labelled by the controller, and trees are fitted again (DAgger [1]_). Others
+    begin with the surface where symbols change, and some know the whole volume alike. Where none is
+    near the policy within the budget, the policy itself gives the labels: its cells may do better
+    in closed loop than the controller, for they have a hysteresis.
 
     References
     ----------
@@ -63,6 +64,9 @@ def fit_candidates(choice: LoopChoice, rows: np.ndarray) -> None:
                 purpose = VISITING + 1 + turn * FOLLOWED + k
                 visits.append(loops.visits(one.tree, purpose, VISITED // FOLLOWED))
     choice.say("trees along the surface where symbols change")
+    _family(choice, rows, samples, _along_surface(judge, rows))
+    choice.say("trees of the whole volume")
+    samples = _samples(judge, rows, [_volume(choice, VISITED)], ROUNDS + 1)
     _family(choice, rows, samples, _along_surface(judge, rows))
     if judge.name != "policy" and not choice.near(choice.best()[0]):
         choice.say("trees that do what the policy does")
