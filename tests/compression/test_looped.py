@@ -53,6 +53,16 @@ def tree(policy):
     return capsyn.compress(policy, judge="loop", nodes=15, **LOOP)
 
 
+def test_a_tree_whose_loops_are_lost_is_not_near_its_policy(tree):
+    figures = tree.guarantee.loop
+    assert figures.near and figures.lost == figures.own_lost == 0
+    assert not dataclasses.replace(figures, lost=5).near
+    assert dataclasses.replace(figures, lost=5, own_lost=1).near
+    for changes in ({"rate": 0.0}, {"duration": -1.0}, {"size": -1}, {"measure": "a\nb"}):
+        with pytest.raises(ProblemError, match="do not make sense"):
+            dataclasses.replace(figures, **changes)
+
+
 def test_a_small_tree_does_what_its_policy_does(policy, tree):
     figures = tree.guarantee.loop
     assert tree.node_count == figures.size <= figures.limit == 15

@@ -23,6 +23,7 @@ def test_values_have_four_digits_and_lie_within_the_bounds():
     assert Free(0, 1).value(0.123456) == 0.1235
     assert Free(0.12352, 1).value(0.12352) == 0.12352
     assert Free("0.1%", "10%").value(3.14159) == "3.142%"
+    assert Free(1000.01, 1000.02).value(1000.0123456) == 1000.012346
     assert Free("0.1%", "10%").middle == "1.0%"
 
 

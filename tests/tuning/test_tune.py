@@ -5,12 +5,17 @@ import sys
 from types import SimpleNamespace
 
 import numpy as np
+import optuna
 import pytest
 
 from capsyn import Box, Free, monte_carlo, problems, simulate, synthesize, tune
 from capsyn.errors import ProblemError
+from capsyn.tuning.advice import advice
+from capsyn.tuning.family import Family
 from capsyn.tuning.figures import Charges, Figures, figures_of
 from capsyn.tuning.goal import Goal, front
+from capsyn.tuning.study import BEGUN, HOST, MOST_BEGUN, OWNER
+from capsyn.verification.switching_curve import knee
 from capsyn.verification.trials import TrialOptions
 from support.problems.block import LOOPS, block
 
@@ -164,7 +169,7 @@ def test_a_tail_may_be_fitted():
 
 
 def figures(success, cost, effort=1.0):
-    return Figures(100, success, None, None, cost, effort, 1.0, 9)
+    return Figures(100, success, None, None, cost, effort, 1.0, 0, 9)
 
 
 def test_successes_come_first_then_what_is_least():
@@ -238,3 +243,73 @@ def test_what_was_under_way_is_the_first_when_a_study_goes_on(tmp_path, monkeypa
         tune(block, progress=stop, **options, **study)
     monkeypatch.undo()
     assert tune(block, **options, **study).to_json() == whole.to_json()
+
+
+def test_lost_loops_come_before_what_is_least_where_no_success_is_asked_for():
+    cheap = dataclasses.replace(figures(None, 0.1, 1.0), lost=40)
+    goal = Goal(least="cost")
+    assert goal.objectives(cheap) > goal.objectives(figures(None, 5.0, 1.0))
+    dearer = dataclasses.replace(cheap, cost=9.0, lost=39)
+    assert goal.objectives(dearer) < goal.objectives(cheap) and goal.met(cheap)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (None, "what capsyn tune writes"),
+        ({"starts": 3}, "what capsyn tune writes"),
+        ({"starts": "3"}, "have a starts; got '3'"),
+        ({"lost": -1}, "have a lost; got -1"),
+        ({"switches": None}, "have a switches; got None"),
+        ({"cost": "1"}, "have a cost; got '1'"),
+    ],
+)
+def test_figures_of_a_storage_are_checked(data, said):
+    whole = figures(0.5, 1.0, 1.0).to_json()
+    assert Figures.from_json(whole) == figures(0.5, 1.0, 1.0)
+    more = data if said.startswith("what") else whole | data
+    with pytest.raises(ProblemError, match=said):
+        Figures.from_json(more)
+
+
+def test_settings_that_end_their_process_are_given_up(tmp_path):
+    """A study does not stop at them whenever it goes on."""
+    path = f"sqlite:///{tmp_path}/study.db"
+    options = {"storage": path, "starts": 20, "fresh": 20, "success": 0.5} | LOOPS
+    tune(block, trials=1, **options)
+    dead = optuna.load_study(storage=path, study_name="block").ask()
+    dead.set_user_attr(OWNER, f"{HOST} {2**22 + 1}")  # of no process
+    dead.set_user_attr(BEGUN, MOST_BEGUN)
+    found = tune(block, trials=2, **options)
+    assert [one.error for one in found.tried] == [None, "the process ended 2 times on the way"]
+
+
+def test_a_study_that_others_made_is_refused(tmp_path):
+    path = f"sqlite:///{tmp_path}/other.db"
+    optuna.create_study(storage=path, study_name="block").ask()
+    with pytest.raises(ProblemError, match="that capsyn did not make"):
+        tune(block, success=0.5, storage=path, trials=1, **LOOPS)
+
+
+def test_advice_needs_no_settings_that_the_function_refuses():
+    times = Free(0.9, 3)
+
+    def picky(horizon=times):
+        if horizon < 1.8:
+            raise ProblemError("too short")
+        return block(horizon, 0.1)
+
+    told = advice(Family.of(picky), {"horizon": 3}, Goal(0.9))
+    assert told == "widen horizon, which is best at its bound 3"
+    best = {"horizon": 1, "effort": 1}
+    assert "give the problem a tail" in advice(Family.of(block), best, Goal(0.9))
+
+
+def test_the_knee_is_near_the_least_cost_of_those_that_succeed():
+    def point(cost, switches, success):
+        return SimpleNamespace(cost=cost, switches=switches, success=success)
+
+    points = [point(1.0, 5, 0.95), point(1.2, 4, 1.0), point(9, 0, 0.91)]
+    assert knee(points) is points[1]
+    below = [point(-10, 5, 1), point(-9.9, 3, 1), point(3, 1, 1)]
+    assert knee(below) is below[1]

@@ -36,6 +36,7 @@ from capsyn.policies.guarantee import MODES, Guarantee
 from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number
 from capsyn.verification.agreement import Controller
+from capsyn.verification.trials import TrialOptions
 
 DEFAULT_AGREEMENT = 0.99
 """That of mode linear."""
@@ -263,7 +264,10 @@ def _check_judge(
 ) -> None:
     """Raise `ProblemError` unless options are for trees that loops judge, or do not."""
     if not by_loop:
+        known = {"nodes", "bytes", "size"} | TrialOptions.names()
         for name, value in of_loops.items():
+            if name not in known:
+                raise ProblemError(f"there is no argument `{name}` here; got {describe(value)}")
             if value is not None:
                 raise ProblemError(f"`{name}` is for judge 'loop' only; got {describe(value)}")
         return

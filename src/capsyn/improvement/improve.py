@@ -20,6 +20,7 @@ from capsyn.improvement.rounds import Round, Rounds
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.targets import check_initial
 from capsyn.policies.policy import Policy, cell_tree
+from capsyn.simulation.experiment import sample_count
 from capsyn.statistics import check_confidence
 from capsyn.validation import (
     BACKENDS,
@@ -184,7 +185,7 @@ def improve(
     threads = processors(threads)
     fits = policy.domain.n > MOST_STATES
     plan = plan_like(policy, cells, max_level, max_solves, 1 if fits else SOLVES)
-    samples = max(2, round(duration * rate))
+    samples = max(2, sample_count(duration, rate))
     if scale is not None:
         scale = finite_number("scale", scale, least=0.0)
     loop = ChargedLoop.of(policy, rate, backend, threads)
@@ -234,7 +235,8 @@ def _rate(policy: Policy, rate: float | None) -> float:
 
 def _horizons(policy: Policy, horizons: Any, rate: float) -> tuple[float, tuple[float, ...]]:
     """Return the horizon of a policy and those to try [time unit], ascending."""
-    own = policy.horizon or policy.statistics.get("improve", {}).get("horizon")
+    # of one with a tail that was improved before, which is short: that of the policy it came from
+    own = policy.statistics.get("improve", {}).get("horizon") or policy.horizon
     if horizons is None:
         if own is None:
             raise ProblemError("`horizons` must be given for a policy without a horizon")

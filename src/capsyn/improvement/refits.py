@@ -26,6 +26,7 @@ from capsyn.modelling.transcription import ModelSystem, terminal_program
 from capsyn.policies.policy import Policy
 from capsyn.programs.program import Program
 from capsyn.random_streams import derived_seed
+from capsyn.simulation.experiment import sample_count
 from capsyn.subdivision.limits import Limits
 from capsyn.subdivision.plan import SubdivisionPlan
 from capsyn.subdivision.subdivide import Labelling, carry_out
@@ -117,7 +118,7 @@ class Refits:
     @property
     def samples(self) -> int:
         """Samples of a closed loop."""
-        return max(2, round(self.duration * self.rate))
+        return max(2, sample_count(self.duration, self.rate))
 
     def loop(self, policy: Policy) -> ChargedLoop:
         """Return the closed loop of a policy, which charges what its decisions weigh."""

@@ -88,19 +88,23 @@ class LoopFigures:
         counts = [plain[name] for name in ("successes", "own_successes", "lost", "own_lost")]
         some = ("cost", "own_cost", "low", "high")
         numbers = [plain[name] for name in some if plain[name] is not None]
-        numbers += [self.switches, self.own_switches, self.confidence, self.scale, self.duration]
+        numbers += [self.switches, self.own_switches, self.confidence, self.scale]
+        numbers += [self.duration, self.rate]
+        sizes = [self.size, 1 if self.limit is None else self.limit]
         sound = (
-            all(type(count) is int and 0 <= count <= self.trials for count in counts)
-            and all(type(value) in (int, float) and math.isfinite(value) for value in numbers)
-            and type(self.trials) is type(self.visited) is type(self.agreeing) is int
+            type(self.trials) is type(self.visited) is type(self.agreeing) is int
             and 0 < self.trials < 2**53
+            and all(type(count) is int and 0 <= count <= self.trials for count in counts)
+            and all(type(value) in (int, float) and abs(value) < math.inf for value in numbers)
             and 0 <= self.agreeing <= self.visited < 2**53
-            and type(self.rate) in (int, float)
+            and self.rate > 0 < self.duration
+            and min(self.switches, self.own_switches, self.scale) >= 0
             and 0 < self.confidence < 1
             and type(self.target) is bool
-            and (self.limit is None or type(self.limit) is int)
-            and type(self.size) is int
+            and all(type(size) is int and 1 <= size < 2**53 for size in sizes)
             and isinstance(self.measure, str)
+            and len(self.measure) <= 80
+            and self.measure.isprintable()
         )
         if not sound:
             raise ProblemError(f"the closed loops of a tree do not make sense: {plain}")
@@ -133,8 +137,13 @@ class LoopFigures:
 
     @property
     def near(self) -> bool:
-        """Whether the tree loses at most `LOSS` against the policy, in success and in cost."""
-        return self.success >= (1 - LOSS) * self.own_success and self.ratio <= 1 + LOSS
+        """Whether the tree loses at most `LOSS` against the policy, in success and in cost.
+
+        And loses at most as many more loops on their way.
+        """
+        enough = self.success >= (1 - LOSS) * self.own_success
+        kept = self.lost - self.own_lost <= LOSS * self.trials
+        return enough and kept and self.ratio <= 1 + LOSS
 
     @property
     def text(self) -> str:

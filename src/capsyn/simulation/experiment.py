@@ -166,12 +166,17 @@ def sampling(controller: Any, options: LoopOptions) -> tuple[float, int]:
         if own is None or own.settings is None:
             raise ProblemError("`rate` must be given for a controller without settings")
         rate = 1 / own.settings.sample_time
-    samples = options.duration * rate
+    return rate, sample_count(options.duration, rate)
+
+
+def sample_count(duration: float, rate: float) -> int:
+    """Return how many samples there are in a time, at so many per time unit."""
+    samples = duration * rate
     if not 0.5 < samples <= MOST_SAMPLES:
         raise ProblemError(
             f"`duration` times `rate` must be 1 to {MOST_SAMPLES:g} samples; got {samples:g}"
         )
-    return rate, round(samples)
+    return round(samples)
 
 
 def _target(

@@ -25,8 +25,8 @@ def _priced(problem: Problem, price: Any) -> Problem:
 
 
 def _tailed(problem: Problem, tail: Any) -> Problem:
-    text = tail if isinstance(tail, str) else f"riccati:{tail!r}"
-    own = None if text.startswith("riccati") else problem.horizon
+    text = tail if isinstance(tail, str | None) else f"riccati:{float(tail)!r}"
+    own = None if text is not None and text.startswith("riccati") else problem.horizon
     return problem.replace(tail=text, horizon=own)
 
 

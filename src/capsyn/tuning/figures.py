@@ -40,6 +40,8 @@ class Figures:
         [its unit times the time unit]. None where all are lost.
     switches : float
         Per time unit, over all loops.
+    lost : int
+        Loops that end early: outside the domain where that ends one, or with no finite state.
     cells : int
         Leaves of the policy.
     nodes : int, optional
@@ -53,8 +55,22 @@ class Figures:
     cost: float | None
     effort: float | None
     switches: float
+    lost: int
     cells: int
     nodes: int | None = None
+
+    @staticmethod
+    def from_json(data: Any) -> Figures:
+        """Return the figures that `to_json` described as `data`; `ProblemError` for others."""
+        known = {field.name: field for field in dataclasses.fields(Figures)}
+        if not isinstance(data, dict) or set(data) != set(known):
+            raise ProblemError("the figures of a trial must be what capsyn tune writes")
+        for name, value in data.items():
+            whole = name in ("starts", "lost", "cells")
+            fits = type(value) is int if whole else type(value) in (int, float, type(None))
+            if not fits or (name == "switches" and value is None) or (whole and value < 0):
+                raise ProblemError(f"the figures of a trial must have a {name}; got {value!r}")
+        return Figures(**data)
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as plain data."""
@@ -153,6 +169,7 @@ def figures_of(policy: Policy, options: TrialOptions, charges: Charges) -> Figur
         cost=_mean(trials["cost"][regular]),
         effort=_mean(other["cost"][regular]),
         switches=float(trials["switches"].sum() / time) if time else 0.0,
+        lost=int((~regular).sum()),
         cells=policy.cells.leaf_count,
         nodes=_nodes(policy) if charges.nodes else None,
     )

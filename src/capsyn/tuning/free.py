@@ -91,7 +91,8 @@ class Free:
         if self.choices is not None:
             return found
         low, high = self.bounds
-        rounded = min(max(float(f"{found:.{DIGITS}g}"), low), high)
+        digits = DIGITS - 1 - math.floor(math.log10(min(high - low, abs(found) or high - low)))
+        rounded = min(max(round(found, digits), low), high)
         return f"{rounded!r}%" if self.is_share else rounded
 
     def at(self, share: float) -> Any:

@@ -75,11 +75,18 @@ class Goal:
     def objectives(self, figures: Figures) -> list[float]:
         """Return what the search makes least: first the lack of successes, then each figure.
 
+        Where no success is asked for the loops that are lost come first: they cost nothing more.
         A figure y is y / (1 + |y|), below `UNKNOWN`; only the order matters.
         """
         if self.success is not None and (figures.success or 0.0) < self.success:
             lack = self.success - (figures.success or 0.0)
             return [UNMET + lack + TIE * _bounded(figures.cost)] * len(self.axes)
+        if self.success is None and figures.lost:
+            shares = [figures.lost / figures.starts] * len(self.axes)
+            return [
+                UNMET + share + TIE * _bounded(getattr(figures, axis))
+                for share, axis in zip(shares, self.axes)
+            ]
         return [_bounded(getattr(figures, axis)) for axis in self.axes]
 
     def __str__(self) -> str:

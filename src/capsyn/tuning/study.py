@@ -27,8 +27,12 @@ except ImportError:
 
 STARTUP = 10
 """Settings that spread over the ranges before the search follows what was found."""
-ASKED, FIGURES, ERROR, OWNER = "capsyn", "figures", "error", "owner"
-"""Attributes: what was asked of a study; what a trial found, why it found nothing, who runs it."""
+ASKED, FIGURES, ERROR = "capsyn", "figures", "error"
+"""Attributes: what was asked of a study; what a trial found, why it found nothing."""
+OWNER, BEGUN = "owner", "begun"
+"""Attributes of a trial: who runs it, and how many times that was begun."""
+MOST_BEGUN = 2
+"""Times that settings may end the process that tries them."""
 SAMPLING = 22
 """Purpose of the seeds of settings."""
 HOST = platform.node().replace(" ", "")
@@ -95,6 +99,10 @@ class Study:
     def _check(self, asked: Mapping[str, str]) -> None:
         known = self._study.user_attrs.get(ASKED)
         if known is None:
+            if self._study.get_trials(deepcopy=False):
+                raise ProblemError(
+                    f"`storage` '{self.storage}' has a study of this name that capsyn did not make"
+                )
             self._study.set_user_attr(ASKED, dict(asked))
             return
         for what, value in asked.items():
@@ -120,18 +128,23 @@ class Study:
     def _left(self) -> Any:
         """Return a trial that was begun by a process of this machine that is no more, or None."""
         for trial in self._study.get_trials(False, (optuna.trial.TrialState.RUNNING,)):
-            host, _, process = trial.user_attrs.get(OWNER, f"{HOST} {os.getpid()}").partition(" ")
-            if host == HOST and not (process and psutil.pid_exists(int(process))):
+            owner = str(trial.user_attrs.get(OWNER, f"{HOST} {os.getpid()}"))
+            host, _, process = owner.partition(" ")
+            if host == HOST and not (process.isdigit() and psutil.pid_exists(int(process))):
                 return optuna.trial.Trial(self._study, trial._trial_id)
         return None
 
     def _try(self, trial: Any, stages: Stages) -> None:
         ends = optuna.trial.TrialState
         trial.set_user_attr(OWNER, f"{HOST} {os.getpid()}")
+        begun = int(trial.user_attrs.get(BEGUN, 0)) + 1
+        trial.set_user_attr(BEGUN, begun)
         found = {name: _suggested(trial, name, free) for name, free in self.free.items()}
         settings = {name: self.free[name].value(value) for name, value in found.items()}
         values: list[float] = []
         try:
+            if begun > MOST_BEGUN:
+                raise ProblemError(f"the process ended {MOST_BEGUN} times on the way")
             judges = stages(settings)
             for step, judge in enumerate(judges):
                 figures = judge()
@@ -148,6 +161,7 @@ class Study:
             self._study.tell(trial, state=ends.FAIL, skip_if_finished=True)
         except BaseException:
             trial.set_user_attr(OWNER, f"{HOST} ")  # whoever goes on begins with it
+            trial.set_user_attr(BEGUN, begun - 1)
             raise
 
     def tried(self) -> list[Tried]:
@@ -159,8 +173,8 @@ class Study:
             if not ended and error is None:
                 continue
             settings = {n: f.value(trial.params[n]) for n, f in self.free.items()}
-            figures = Figures(**json.loads(text)) if ended and text else None
-            full = trial.state.name == "COMPLETE"
+            figures = Figures.from_json(_parsed(text)) if ended and text else None
+            full = trial.state.name == "COMPLETE" and figures is not None
             found.append(Tried(trial.number, settings, figures, full, error))
         return found
 
@@ -231,6 +245,14 @@ def _storage(storage: Any) -> Any:
 
         return JournalStorage(JournalFileBackend(path))
     return f"sqlite:///{path}"
+
+
+def _parsed(text: Any) -> Any:
+    """Return what JSON says, None where it is none."""
+    try:
+        return json.loads(text)
+    except (TypeError, ValueError, RecursionError):
+        return None
 
 
 @contextlib.contextmanager

@@ -43,6 +43,8 @@ CANDIDATES = 5
 """Best settings of the search among which fresh starts choose."""
 RUN_BY = ("backend", "threads", "executor", "memory_limit", "progress")
 """Arguments of `capsyn.synthesize` on which no result depends."""
+NOT_ASKED = ("stop_at_target", "executor", "track")
+"""Arguments of closed loops that are not those of `tune`."""
 AXES = ("success", "cost", "effort", "switches", "nodes")
 """What the front trades off."""
 
@@ -194,12 +196,15 @@ def tune(
             " or `free`"
         )
     whole_number("trials", trials, least=1)
+    whole_number("fresh", fresh, least=1)
     whole_number("seed", seed, least=0)
     true_or_false("quick", quick)
-    plan = TrialOptions.of(trials=starts, backend=backend, threads=threads, **loops)
+    plan = TrialOptions.of(
+        without=NOT_ASKED, trials=starts, backend=backend, threads=threads, **loops
+    )
     options = {"backend": backend, "threads": threads} | dict(synthesis or {})
     for name in options:
-        if name not in inspect.signature(synthesize).parameters:
+        if name == "problem" or name not in inspect.signature(synthesize).parameters:
             raise ProblemError(f"`synthesis` must be arguments of capsyn.synthesize; got '{name}'")
     judge = _Judge.of(family, goal, plan, options, (cost, effort), seed)
     from capsyn.tuning.study import Study
@@ -209,7 +214,7 @@ def tune(
     tried = study.tried()
     if progress is not None:
         progress("judging the best on fresh starts")
-    return judge.result(tried, whole_number("fresh", fresh, least=1))
+    return judge.result(tried, fresh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,8 +243,7 @@ class _Judge:
         """Return the judge of a family; what cannot be used is found here, before any search."""
         base = family(family.middle)
         charges = Charges.of(base, *charged, goal.least == "nodes")
-        coarse = {"partitions": 1, "max_level": 0} | {k: options[k] for k in ("backend", "threads")}
-        policy = synthesize(base, **coarse)
+        policy = synthesize(base, **options | {"partitions": 1, "max_level": 0})
         test = prepared(policy, plan)
         if test.experiment.target is None and goal.success is not None:
             raise ProblemError("`target` must be given: neither policy nor problem has one")
@@ -305,7 +309,8 @@ class _Judge:
             errors = [one.error for one in tried if one.error]
             raise ProblemError(f"no settings could be used; of the last: {errors[-1]}")
         met = [one for one in full if self.goal.met(one.figures)]
-        best = sorted(met or full, key=lambda one: self.goal.objectives(one.figures))
+        each = {str(one.settings): one for one in reversed(met or full)}  # each settings once
+        best = sorted(each.values(), key=lambda one: self.goal.objectives(one.figures))
         if self.goal.least == "knee" and met:
             chosen = knee([one.figures for one in met])
             best = [one for one in met if one.figures is chosen]

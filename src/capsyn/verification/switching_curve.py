@@ -317,11 +317,8 @@ def knee(points: Sequence[Any]) -> Any:
 
     Points have ``switches``, ``cost`` and ``success`` as `SwitchingPoint` has them.
     """
-    least = min(point.cost for point in points)
     most = max(point.success or 0.0 for point in points)
-    good = [
-        point
-        for point in points
-        if point.cost <= DEARER * least and (point.success or 0.0) >= most - LOST
-    ]
-    return min(good or points, key=lambda point: point.switches)
+    good = [point for point in points if (point.success or 0.0) >= most - LOST]
+    least = min(point.cost for point in good)
+    near = [point for point in good if point.cost - least <= (DEARER - 1) * abs(least)]
+    return min(near, key=lambda point: point.switches)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,21 +59,28 @@ class TrialOptions:
     track: Mapping[str, str | float] | None = None
 
     @staticmethod
-    def of(**arguments: Any) -> TrialOptions:
+    def names() -> set[str]:
+        """Return the names of all arguments."""
+        fields = (*dataclasses.fields(TrialOptions), *dataclasses.fields(LoopOptions))
+        return {field.name for field in fields} - {"loop"}
+
+    @staticmethod
+    def of(*, without: Collection[str] = (), **arguments: Any) -> TrialOptions:
         """Return the options that arguments of `monte_carlo` mean, by name.
+
+        Those `without` are none here.
 
         Raises
         ------
         ProblemError
             There is no argument of a name, or a value cannot be used.
         """
-        own = {f.name for f in dataclasses.fields(TrialOptions)} - {"loop"}
-        shared = {f.name for f in dataclasses.fields(LoopOptions)}
         for name in arguments:
-            if name not in own | shared:
+            if name not in TrialOptions.names() or name in without:
                 raise ProblemError(f"there is no argument `{name}` of closed loops")
+        shared = {f.name for f in dataclasses.fields(LoopOptions)}
         loop = LoopOptions(**{name: v for name, v in arguments.items() if name in shared})
-        return TrialOptions(loop, **{name: v for name, v in arguments.items() if name in own})
+        return TrialOptions(loop, **{n: v for n, v in arguments.items() if n not in shared})
 
     def __post_init__(self) -> None:
         keep(self, trials=whole_number("trials", self.trials, least=1, most=MOST_TRIALS))

@@ -12,7 +12,7 @@ import typer
 from capsyn.cli.console import print_line, print_table, show, working
 from capsyn.cli.loop import LoopTexts, loop_options
 from capsyn.cli.options import Json, assignments, flat, number, number_or_range, option, region
-from capsyn.errors import ProblemError
+from capsyn.errors import ProblemError, warn
 from capsyn.modelling.time_unit import NAMES
 from capsyn.validation import describe
 
@@ -135,7 +135,7 @@ def tune(
 def _missed(result: Tuning) -> str:
     """Return what the best settings come to where they miss the goal, and what to free next."""
     figures, least = result.figures, result.goal.least
-    if result.goal.success is None:
+    if result.goal.success is None or (figures.success or 0.0) >= result.goal.success:
         return f"the best has no figure of {least}; {result.advice}"
     return f"the best has success {figures.success:.2%}; {result.advice}"
 
@@ -207,6 +207,7 @@ def _print(result: Tuning) -> None:
     told += [f"{n} {getattr(figures, n):.4g}" for n in ("cost", "effort", "nodes")
              if getattr(figures, n) is not None]  # fmt: skip
     told.append(f"{figures.switches:.3g} switches a {NAMES[unit]}")
+    told += [f"{figures.lost:,} lost on their way"] if figures.lost else []
     print_line("judged", f"{', '.join(told)}; {figures.starts:,} starts that no trial saw")
 
 
@@ -231,10 +232,13 @@ def problem_of(text: str, file: str | None) -> Problem:
             raise TypeError
     except OSError as error:
         raise ProblemError(f"cannot read the settings '{file}': {error.strerror}") from None
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise ProblemError(f"'{file}' must be settings as capsyn tune writes them") from None
+    owner = describe(data.get("problem"))
     try:
-        return with_settings(source, settings)
+        problem = with_settings(source, settings)
     except ProblemError as error:
-        owner = describe(data.get("problem"))
         raise ProblemError(f"the settings in '{file}', of problem {owner}: {error}") from None
+    if data.get("problem") != problem.name:
+        warn(f"the settings in '{file}' were found for problem {owner}, not '{problem.name}'")
+    return problem

@@ -23,7 +23,7 @@ HORIZONS, DURATION = 10.0, 20.0
 """Time of a loop unless told, in prediction horizons; of a policy without one [time unit]."""
 MODES = ("linear", "freedom")
 """Modes whose trees may be judged by loops."""
-NOT_ASKED = ("stop_at_target", "executor", "track", "seed", "backend")
+NOT_ASKED = ("stop_at_target", "executor", "track")
 """Arguments of closed loops that are not those of `compress`."""
 
 
@@ -57,12 +57,13 @@ def trial_options(
     policy: Policy, seed: int, backend: str, given: Mapping[str, Any]
 ) -> TrialOptions:
     """Return how loops run that judge trees of a policy, with arguments of `capsyn.monte_carlo`."""
-    for name in NOT_ASKED:
-        if name in given:
-            raise ProblemError(f"there is no argument `{name}` of closed loops that judge trees")
     duration = HORIZONS * policy.horizon if policy.horizon else DURATION
     known = {"duration": duration, "trials": TRIALS} | dict(given)
-    return TrialOptions.of(**known, seed=seed, backend=backend)
+    own = {"seed": seed, "backend": backend}
+    for name in own:
+        if name in given:
+            raise ProblemError(f"there is no argument `{name}` of closed loops")
+    return TrialOptions.of(without=NOT_ASKED, **known, **own)
 
 
 def loop_tree(

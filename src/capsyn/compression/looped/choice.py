@@ -44,7 +44,7 @@ class Candidate(NamedTuple):
     """A tree, and how its loops compare with those of the policy."""
 
     tree: DecisionTree
-    fewer: float  # share of trials that succeed less than with the policy; 0 where more do
+    fewer: float  # share of trials that succeed less, or are lost more, than with the policy
     ratio: float  # mean cost over that of the policy
 
     @property
@@ -78,7 +78,8 @@ class LoopChoice:
         compared = Comparison.of(self.own.costs, outcome.costs, self.loops.options.confidence)
         ratio = cost_ratio(compared.before, compared.after)
         fewer = float(self.own.success.mean() - outcome.success.mean())
-        self.candidates.append(Candidate(tree, max(fewer, 0.0), ratio))
+        lost = (compared.lost - compared.lost_before) / len(outcome.success)
+        self.candidates.append(Candidate(tree, max(fewer, lost, 0.0), ratio))
         return self.candidates[-1]
 
     def near(self, one: Candidate) -> bool:
