@@ -43,6 +43,12 @@ FIRST = {
         "docking, 3 weights 10 times what does well, 40 settings: mean fuel",
         "cart-pendulum, 24 prices of a switch: switches there",
     ),
+    "tune": ("docking, 3 weights 10 times what does well, 40 settings: success",),
+    "loop_trees": (
+        "docking, judged by loops, as small as may be: nodes",
+        "docking, judged by loops, as small as may be: success of 1,000 loops",
+        "docking, judged by loops, as small as may be: mean fuel",
+    ),
     "told": (
         "building, law as default: largest mean error of 1,000 days",
         "boost converter told its load: largest mean error, 30 to 50 V, 10 to 40 ohm",
