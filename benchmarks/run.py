@@ -43,7 +43,6 @@ FIRST = {
         "docking, 3 weights 10 times what does well, 40 settings: mean fuel",
         "cart-pendulum, 24 prices of a switch: switches there",
     ),
-    "tune": ("docking, 3 weights 10 times what does well, 40 settings: success",),
     "loop_trees": (
         "docking, judged by loops, as small as may be: nodes",
         "docking, judged by loops, as small as may be: success of 1,000 loops",
