@@ -35,7 +35,7 @@ class CurvePoint:
 
     mode: str  # exact, freedom, linear, or cells: the policy, or what is left of it at a level
     level: int | None  # below which cells were merged
-    options: str  # of ``capsyn compress`` that make it; "" for cells
+    options: str  # of ``capsyn compress`` that make it; "" for cells, and for trees by loops
     nodes: int  # of the tree, or entries of the table of cells
     depth: int  # most comparisons of a lookup, or most levels that it goes down
     bytes: int  # of its arrays, rows among them, each in the smallest integers that hold it
@@ -160,7 +160,7 @@ def _loop_points(choice: LoopChoice, say: Callable[[str], None]) -> Iterator[Loo
         found.add(size)
         say(f"tree of {size} nodes")
         tree = choice.judge.judged(one.tree, None)
-        point = _point(tree, None, f"--judge loop --nodes {nodes}")
+        point = _point(tree, None, "")  # another is grown where a budget is known
         yield _in_loop(choice, dataclasses.replace(point, mode="loop"), tree)
 
 
