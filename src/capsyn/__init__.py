@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from capsyn.errors import CapsynError as CapsynError
     from capsyn.explorer.explore import explore as explore
     from capsyn.exports.export import export as export
-    from capsyn.improvement.fitted_tail import fitted_tail as fitted_tail
     from capsyn.improvement.improve import improve as improve
     from capsyn.modelling.alphabet import Alphabet as Alphabet
     from capsyn.modelling.domain import Ball as Ball
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from capsyn.simulation.simulate import simulate as simulate
     from capsyn.simulation.tracking import tracking as tracking
     from capsyn.subdivision.subdivide import subdivide as subdivide
+    from capsyn.synthesis.fitted_tail import fitted_tail as fitted_tail
     from capsyn.synthesis.synthesize import synthesize as synthesize
     from capsyn.tuning.free import Free as Free
     from capsyn.tuning.tune import tune as tune
@@ -58,7 +58,7 @@ _PUBLIC = {
     "compress": "compression.compress",
     "explore": "explorer.explore",
     "export": "exports.export",
-    "fitted_tail": "improvement.fitted_tail",
+    "fitted_tail": "synthesis.fitted_tail",
     "improve": "improvement.improve",
     "lyapunov": "verification.lyapunov",
     "monte_carlo": "verification.monte_carlo",

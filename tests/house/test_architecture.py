@@ -37,10 +37,9 @@ subdivision: cell_points propositions limits split_axes affine_fit growing_cells
 automata: rectangles regions face_rates row_faces switching automaton
 simulation: plant options exogenous kernel closed_loop policy_loop trial_job experiment simulate
     tracking
-improvement: charged_loop judged quadratic_fit refits
-synthesis: remote_labels labelling synthesize
+improvement: charged_loop judged quadratic_fit refits rollouts rounds improve
+synthesis: remote_labels labelling synthesize fitted_tail
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
-improvement: fitted_tail rollouts rounds improve
 optima: grid task sweeps loops iteration comparison optimum
 verification: bisection loop_derivative lyapunov tally agreement trials outcome
     conditions monte_carlo switching_curve sentences

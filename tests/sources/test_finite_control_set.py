@@ -17,11 +17,11 @@ from capsyn import (
     problems,
     simulate,
 )
-from capsyn.cells.masks import members
+from capsyn.cells.masks import COST_TIE, members
 from capsyn.compression.judge import Judge
 from capsyn.errors import CapsynWarning, KernelBuildError, ProblemError
 from capsyn.sources.callables import problem_policy
-from capsyn.sources.finite_control_set import COST_TIE, MOST_DEPTH, finite_control_set
+from capsyn.sources.finite_control_set import MOST_DEPTH, finite_control_set
 
 BACKENDS = ("c", "numpy")
 

@@ -20,6 +20,8 @@ Label = Callable[[np.ndarray], np.ndarray]
 """A labelling function: states (B, n) to masks (B, W), 0 where there is no finite answer."""
 Scored = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """One with scores: states (B, n) to masks (B, W) and scores (B, V, S) in V variants."""
+COST_TIE = 1e-9
+"""Share of the least cost by which another symbol's may be larger and still tie with it."""
 
 
 def word_count(count: int) -> int:
@@ -78,6 +80,14 @@ def masks_of_members(held: np.ndarray, words: int | None = None) -> np.ndarray:
     sets = np.zeros((*held.shape[:-1], 8 * (words or word_count(held.shape[-1]))), dtype=np.uint8)
     sets[..., : octets.shape[-1]] = octets
     return sets.view("<u8").astype(np.uint64, copy=False)
+
+
+def cheapest(costs: np.ndarray) -> np.ndarray:
+    """Return which costs (..., N) are finite and, within `COST_TIE`, the least of the N."""
+    least = costs.min(axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        near = costs <= least + COST_TIE * np.abs(least)
+    return np.asarray(near & np.isfinite(costs))
 
 
 def priced_sets(low: np.ndarray, high: np.ndarray, prices: np.ndarray) -> np.ndarray:

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.cells.masks import masks_of_members, word_count
+from capsyn.cells.masks import cheapest, masks_of_members, word_count
 from capsyn.controllers.ssac import policy_controller
 from capsyn.improvement.charged_loop import ChargedLoop, efforts_of
 from capsyn.random_streams import derived_seed
-from capsyn.sources.finite_control_set import cheapest
 
 HELD = 1 << 40
 """Samples that an input has been held which may change."""

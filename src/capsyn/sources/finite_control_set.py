@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.cells.masks import empty, holds, masks_of_members, preferred, word_count
+from capsyn.cells.masks import cheapest, empty, holds, masks_of_members, preferred, word_count
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
 from capsyn.modelling.problem import Problem
@@ -29,8 +29,6 @@ from capsyn.sources.delayed import delayed
 from capsyn.sources.sequence_costs import BATCH, FiniteControlSetKernel, Moves, NumpyCosts
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number, whole_numbers
 
-COST_TIE = 1e-9
-"""Share of the least cost by which another symbol's may be larger and still tie with it."""
 MOST_SEQUENCES = 1_000_000
 """Most sequences of symbols that are tried at a state."""
 MOST_DEPTH = 200
@@ -104,8 +102,8 @@ class FiniteControlSet:
     def masks(self, states: np.ndarray) -> np.ndarray:
         """Return the symbols whose cost ties with the least, as bit masks (B, W), of states.
 
-        A mask is 0 where no sequence has a finite cost. Costs within `COST_TIE` of the least,
-        relative to its size, tie. With a switching or a delay of the problem there is a mask for
+        A mask is 0 where no sequence has a finite cost. Costs within a billionth of the
+        least, relative to its size, tie. With a switching or a delay of the problem there is a mask for
         each label in force, (B, N + 1, W).
         """
         if self.prices is None:
@@ -184,14 +182,6 @@ class FiniteControlSet:
                 "predictive control was made with; got others"
             )
         return switching
-
-
-def cheapest(costs: np.ndarray) -> np.ndarray:
-    """Return which costs (..., N) are finite and, within `COST_TIE`, the least of the N."""
-    least = costs.min(axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore"):
-        near = costs <= least + COST_TIE * np.abs(least)
-    return np.asarray(near & np.isfinite(costs))
 
 
 def finite_control_set(
