@@ -103,8 +103,8 @@ class FiniteControlSet:
         """Return the symbols whose cost ties with the least, as bit masks (B, W), of states.
 
         A mask is 0 where no sequence has a finite cost. Costs within a billionth of the
-        least, relative to its size, tie. With a switching or a delay of the problem there is a mask for
-        each label in force, (B, N + 1, W).
+        least, relative to its size, tie. With a switching or a delay of the problem there is a
+        mask for each label in force, (B, N + 1, W).
         """
         if self.prices is None:
             return self._tied(self.costs(states))
