@@ -163,7 +163,7 @@ def test_the_smaller_of_cells_and_tree_is_taken():
 def test_a_tree_that_is_too_large_is_given_up(spacecraft, monkeypatch):
     monkeypatch.setattr(target, "table_bytes", lambda tree: 0)
     assert made(Plan.of(spacecraft)).chosen == {"style": "cells"}  # however small it would be
-    monkeypatch.setattr("capsyn.compression.compress.MAX_NODES", 1000)
+    monkeypatch.setattr("capsyn.compression.trees.MAX_NODES", 1000)
     with pytest.raises(ProblemError, match="more than 1,000 nodes: .*style cells.*leaf_error") as e:
         files(Plan.of(spacecraft), None, style="table")
     assert "\n" not in str(e.value)
