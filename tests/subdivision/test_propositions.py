@@ -86,7 +86,7 @@ def test_level_for_precision_is_the_least_that_suffices(axes):
     assert level == next(k for k in itertools.count() if suffices(k))
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(q=st.integers(1, 200), r=st.integers(2, 7), level=st.integers(0, 8))
 def test_level_for_precision_is_exact_at_powers(q, r, level):
     edge = 1.0 / (q * r**level)

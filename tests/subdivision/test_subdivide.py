@@ -81,7 +81,7 @@ def cases(draw):
     return label, box, n_symbols, q, r, draw(st.sampled_from(fits)), points, order
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(cases())
 def test_equals_the_reference_cell_by_cell(case):
     assert_equals_reference(*case)
