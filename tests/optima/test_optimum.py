@@ -1,6 +1,7 @@
 """The optimum against exact answers, and what it refuses."""
 
 import itertools
+import warnings
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import scipy.linalg
 
 import capsyn
 from capsyn import Alphabet, Ball, Box, Problem, Switching, optimum, problems
-from capsyn.errors import ProblemError
+from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.optima.sweeps import NumpySweeps
 from capsyn.optima.task import task_of
 
@@ -236,3 +237,16 @@ def test_work_and_memory_are_said_before():
     said = []
     optimum(walk(), 5, rate=1, counts=12, starts=2, progress=said.append)
     assert said == ["12 intervals, 3 symbols: 0.00368 MB, at most 5 sweeps"] or "MB" in said[0]
+
+
+def test_least_times_that_are_no_whole_samples_are_told():
+    problem = problems.plain("double-tank-b").replace(min_dwell=0.05)
+    options = {"counts": 20, "starts": 5}
+    with pytest.warns(CapsynWarning, match=r"0.05 s is 2.5 samples, and acts as 3"):
+        optimum(problem, 1.0, rate=50, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimum(problem, 1.0, rate=100, **options)
+    policy = capsyn.synthesize(problem, max_level=1)
+    with pytest.warns(CapsynWarning, match="is 2.5 samples"):
+        capsyn.improve(policy, rate=50, duration=1, starts=20, horizons=[0.2])

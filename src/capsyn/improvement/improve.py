@@ -20,6 +20,7 @@ from capsyn.improvement.rounds import Round, Rounds
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.targets import check_initial
 from capsyn.policies.policy import Policy, cell_tree
+from capsyn.simulation.closed_loop import warn_of_parts
 from capsyn.simulation.experiment import sample_count
 from capsyn.statistics import check_confidence
 from capsyn.validation import (
@@ -180,6 +181,7 @@ def improve(
     check_confidence(confidence)
     check_initial(initial, policy.domain)
     rate = _rate(policy, rate)
+    warn_of_parts(policy.rules, 1 / rate, policy.time_unit)
     own, tried = _horizons(policy, horizons, rate)
     duration = finite_number("duration", JUDGED * own if duration is None else duration, above=0.0)
     threads = processors(threads)

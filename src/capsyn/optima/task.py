@@ -23,7 +23,7 @@ from capsyn.policies.cut import cut_target
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import Model, gathered_cost
 from capsyn.programs.program import Program
-from capsyn.simulation.closed_loop import Holds
+from capsyn.simulation.closed_loop import Holds, warn_of_parts
 from capsyn.simulation.plant import Plant, choose_substeps, plant_of
 from capsyn.synthesis.synthesize import priced
 from capsyn.validation import describe, finite_number
@@ -132,6 +132,7 @@ def task_of(
     period = _period(source, rate)
     model, objective = _gathering(model, source.time_unit)
     alphabet = source.alphabet
+    warn_of_parts(rules, period, source.time_unit)
     holds = Holds.of(rules, period)
     if (holds.inputs > 1).any():
         raise ProblemError(

@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.controllers.command import NONE, NOT_FINITE, TARGET, TIME, Command, Decide, hold
+from capsyn.errors import warn
 from capsyn.modelling.switching import SwitchRules
 from capsyn.programs.program import Program
 from capsyn.simulation.kernel import trial_type
@@ -38,6 +39,19 @@ SLACK = 1e-9
 """Samples by which a time that should be a whole number of them may be off, by rounding."""
 NOISE_BYTES = 1 << 24
 """Size of the noise that a thread draws ahead."""
+
+
+def warn_of_parts(rules: SwitchRules, period: float, time_unit: str) -> None:
+    """Warn where a least time is no whole number of samples of a period [time unit]."""
+    times = np.concatenate([rules.holds, rules.input_holds])
+    samples = times / period
+    off = np.abs(samples - np.rint(samples)) > 1e-6 * np.maximum(samples, 1)
+    if off.any():
+        k = int(np.argmax(off))
+        warn(
+            f"a least time of {times[k]:g} {time_unit} is {samples[k]:.4g} samples, and acts as "
+            f"{math.ceil(samples[k])}"
+        )
 
 
 @dataclass(frozen=True)
