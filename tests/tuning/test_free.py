@@ -111,11 +111,11 @@ def test_settings_that_cannot_be_used():
         with_settings(block(1.0, 0.1), {"horizon": -1})
 
 
-def broken(speed=Free(1, 2)):  # noqa: B008
+def broken(speed=Free(1, 2)):
     return 1 / (speed - speed)
 
 
-def wrong(speed=Free(1, 2)):  # noqa: B008
+def wrong(speed=Free(1, 2)):
     return speed
 
 

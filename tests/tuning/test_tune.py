@@ -82,7 +82,7 @@ def test_a_study_goes_on_as_if_it_had_never_ended(found, tmp_path):
         tune(other, trials=12, storage=storage, **QUICK)
 
 
-def other(horizon=Free(0.1, 3), effort=Free(0.01, 10)):  # noqa: B008
+def other(horizon=Free(0.1, 3), effort=Free(0.01, 10)):
     return block(horizon, effort).replace(running_cost=lambda x: x[0] ** 2 + x[1] ** 2)
 
 
@@ -142,7 +142,7 @@ def test_figures_are_those_of_trials_and_trajectories(backend):
 
 
 def test_costs_are_the_same_for_all_weights():
-    def weighed(speed=Free(0.01, 100)):  # noqa: B008
+    def weighed(speed=Free(0.01, 100)):
         return block(1.0, 0.1).replace(running_cost=lambda x: x[0] ** 2 + speed * x[1] ** 2)
 
     options = {

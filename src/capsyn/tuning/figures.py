@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from capsyn.compression.trees import tree_of
-from capsyn.controllers.command import TARGET, TIME
 from capsyn.errors import ProblemError
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.tails.riccati import FIT
@@ -21,7 +20,7 @@ from capsyn.programs.model import Model, gathered_cost
 from capsyn.programs.program import Program
 from capsyn.statistics import clopper_pearson
 from capsyn.validation import called, numbers
-from capsyn.verification.monte_carlo import prepared, succeeded
+from capsyn.verification.monte_carlo import prepared, succeeded, switch_rate, went_on
 from capsyn.verification.trials import TrialOptions
 
 
@@ -156,19 +155,18 @@ def figures_of(policy: Policy, options: TrialOptions, charges: Charges) -> Figur
     trials, other = test.trials.copy(), test.trials.copy()
     test.charging(charges.cost).run(trials, test.noise, None)
     test.charging(charges.nothing, paid).run(other, test.noise, None)
-    regular = np.isin(trials["ended"], (TIME, TARGET)) & np.isfinite(trials["cost"])
+    regular = went_on(trials)
     success: dict[str, Any] = {"success": None, "low": None, "high": None}
     if test.experiment.target is not None:
         count = int(succeeded(test.options, test.experiment, trials).sum())
         low, high = clopper_pearson(count, options.trials, options.confidence)
         success = {"success": count / options.trials, "low": low, "high": high}
-    time = trials["end"].sum() / test.experiment.rate
     return Figures(
         starts=options.trials,
         **success,
         cost=_mean(trials["cost"][regular]),
         effort=_mean(other["cost"][regular]),
-        switches=float(trials["switches"].sum() / time) if time else 0.0,
+        switches=switch_rate(test.experiment, trials),
         lost=int((~regular).sum()),
         cells=policy.cells.leaf_count,
         nodes=_nodes(policy) if charges.nodes else None,

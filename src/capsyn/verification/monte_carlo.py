@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.controllers.command import TIME
+from capsyn.controllers.command import TARGET, TIME
 from capsyn.controllers.online import OnlineController
 from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
@@ -262,6 +262,17 @@ def succeeded(options: TrialOptions, experiment: Experiment, trials: np.ndarray)
         stayed = trials["away"] < samples - options.hold * experiment.rate - SLACK
         success &= (trials["ended"] == TIME) & stayed
     return np.asarray(success)
+
+
+def went_on(trials: np.ndarray) -> np.ndarray:
+    """Return which of trials (T,) that have run went on to their end, at a finite cost."""
+    return np.isin(trials["ended"], (TIME, TARGET)) & np.isfinite(trials["cost"])
+
+
+def switch_rate(experiment: Experiment, trials: np.ndarray) -> float:
+    """Return the switches of trials (T,) that have run [1 / time unit]; 0 where they took none."""
+    time = trials["end"].sum() / experiment.rate
+    return float(trials["switches"].sum() / time) if time else 0.0
 
 
 def _arrived(experiment: Experiment, trials: np.ndarray) -> np.ndarray:

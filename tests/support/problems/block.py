@@ -8,7 +8,7 @@ TEXT = Path(__file__).read_text()
 LOOPS = {"duration": 8, "rate": 10}
 
 
-def block(horizon=Free(0.1, 3), effort=Free(0.01, 10)):  # noqa: B008
+def block(horizon=Free(0.1, 3), effort=Free(0.01, 10)):
     return Problem(
         name="block",
         dynamics=lambda x, u: [x[1], u[0]],

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsyn.controllers.command import NONE, TARGET, TIME
+from capsyn.controllers.command import NONE
 from capsyn.execution.processors import processors
 from capsyn.improvement.charged_loop import ChargedLoop, paid_by
 from capsyn.improvement.rollouts import charged_scale
@@ -17,7 +17,14 @@ from capsyn.programs.model import gathered_cost
 from capsyn.random_streams import derived_seed, stream
 from capsyn.simulation.closed_loop import Noise, new_record
 from capsyn.simulation.experiment import Experiment
-from capsyn.verification.monte_carlo import RECORDED, Prepared, prepared, succeeded
+from capsyn.verification.monte_carlo import (
+    RECORDED,
+    Prepared,
+    prepared,
+    succeeded,
+    switch_rate,
+    went_on,
+)
 from capsyn.verification.trials import TrialOptions
 
 LOOPS = 8
@@ -89,13 +96,12 @@ class Loops:
         test, experiment = self._test(purpose)
         trials = test.trials.copy()
         dataclasses.replace(experiment, controller=policy).run(trials, test.noise, None)
-        regular = np.isin(trials["ended"], (TIME, TARGET)) & np.isfinite(trials["cost"])
-        time = trials["end"].sum() / experiment.rate
+        regular = went_on(trials)
         success = regular
         if experiment.target is not None:
             success = succeeded(test.options, experiment, trials)
         costs = np.where(regular, trials["cost"], np.inf)
-        return Outcome(success, costs, float(trials["switches"].sum() / max(time, 1e-300)))
+        return Outcome(success, costs, switch_rate(experiment, trials))
 
     def visits(self, policy: Policy, purpose: int, count: int) -> Visits:
         """Return about `count` of the states that the trials of a purpose visit, in no order.
