@@ -1,0 +1,1 @@
+"""Proofs about sampled loops: what arrives, stays and avoids from a whole set of starts."""

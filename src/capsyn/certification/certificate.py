@@ -1,0 +1,145 @@
+"""What is proved of the sampled loop from a set of starts, and what is not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from capsyn.modelling.domain import Box
+from capsyn.modelling.time_unit import NAMES
+from capsyn.statistics import TOLD
+
+
+@dataclass(frozen=True, eq=False)
+class ProvedCells:
+    """The grid of cells that a proof went through, in C order of their places.
+
+    Parameters
+    ----------
+    domain : Box
+        What the cells cut: the policy's states.
+    counts : n ints
+        Cells along each axis; K in all.
+    starts : (K,)
+        Share of each cell's volume that is in the initial set.
+    arrives : (K,)
+        Share of each cell's starts that is proved to arrive.
+    within : (K,)
+        Time by which they have [time unit]; infinite where a cell is not wholly proved.
+    stays : (K,) booleans
+        Cells of a set that the loop never leaves once it is there.
+    refuted : (K,) booleans
+        Cells with a start from which a simulated loop fails.
+    """
+
+    domain: Box
+    counts: tuple[int, ...]
+    starts: np.ndarray
+    arrives: np.ndarray
+    within: np.ndarray
+    stays: np.ndarray
+    refuted: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What is proved of a sampled loop; shares are of the initial set's volume.
+
+    Parameters
+    ----------
+    conditions : dict
+        What the proof is about, as plain data: sets, rate, delay, noise, parameters.
+    method : str
+        How it was found: ``"pieces"`` (polygons cut at labels) or ``"boxes"``.
+    cells : ProvedCells
+        The grid, with what is proved of each cell.
+    arrival : float
+        Share of the starts that is proved to arrive in the target, and not to be in `avoid` or
+        outside the domain before.
+    staying : float
+        Share that is proved to arrive and to stay for ever in a set around the target, see
+        `ripple`.
+    avoiding : float
+        Share that is proved never to be in `avoid`, before it arrives and, where it stays, after.
+    within : float
+        Time by which every proved start has arrived [time unit].
+    switch_rate : float
+        Most changes of the symbol in a time unit, once it stays; NaN where nothing stays.
+    ripple : (n, 2)
+        Least and greatest value of each state once it stays [state units]; NaN where nothing does.
+    refuted : (R, n)
+        Starts from which a simulated loop fails.
+    failures : R strings
+        How each does: ``"stands still"``, ``"goes round"``, ``"leaves the domain"``, ``"enters
+        avoid"`` or ``"does not arrive"``.
+    open : float
+        Share that is neither proved nor in a cell with a refuted start.
+    replays : R strings
+        The command that simulates each refuted start.
+    seconds : float
+        How long it took.
+    stopped : bool
+        Whether it was stopped before its end; what is proved stands.
+    """
+
+    conditions: dict[str, Any]
+    method: str
+    cells: ProvedCells
+    arrival: float
+    staying: float
+    avoiding: float
+    within: float
+    switch_rate: float
+    ripple: np.ndarray
+    refuted: np.ndarray
+    failures: tuple[str, ...]
+    open: float
+    replays: tuple[str, ...] = ()
+    seconds: float = 0.0
+    stopped: bool = False
+
+    def __repr__(self) -> str:
+        unit = self.conditions.get("time_unit", "s")
+        return (
+            f"Certificate({self.arrival:.2%} proved to arrive within {self.within:.4g} {unit}, "
+            f"{self.staying:.2%} to stay, {len(self.refuted)} refuted, {self.open:.2%} open)"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the figures as plain data, with the first `TOLD` refuted starts."""
+        unit = NAMES[self.conditions.get("time_unit", "s")]
+        told = list(zip(self.refuted.tolist(), self.failures, self.replays))[:TOLD]
+        return {
+            "conditions": self.conditions,
+            "method": self.method,
+            "cells": list(self.cells.counts),
+            "arrival": self.arrival,
+            "staying": self.staying,
+            "avoiding": self.avoiding,
+            "within": _number(self.within),
+            "switch_rate": _number(self.switch_rate),
+            "ripple": None if np.isnan(self.ripple).any() else self.ripple.tolist(),
+            "refuted": [
+                {"state": state, "failure": failure, "replay": replay}
+                for state, failure, replay in told
+            ],
+            "open": self.open,
+            "seconds": self.seconds,
+            "stopped": self.stopped,
+            "time_unit_name": unit,
+        }
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Return a picture of what is proved, in two states; see `capsyn.plots.certificate`."""
+        from capsyn.plots.certificate import plot_certificate
+
+        return plot_certificate(self, path)
+
+
+def _number(value: float) -> float | None:
+    """Return a number as JSON has it: None where it is not finite."""
+    return value if math.isfinite(value) else None
