@@ -39,6 +39,13 @@ _IN_CASADI: dict[str, Callable[..., Any]] = {
     "or": ca.logic_or,
 }
 """Operations of programs that CasADi has under other names."""
+_JUMPS = frozenset(
+    name
+    for name, operation in OPERATIONS.items()
+    if operation.boolean
+    or name in ("floor", "ceil", "sign", "copysign", "select", "atan2", "fmod", "remainder")
+)
+"""Operations that may jump: their derivative does not tell how far."""
 _REWRITES: dict[int, Callable[[ProgramBuilder, int], int]] = {
     ca.OP_ASSIGN: lambda builder, a: a,
     ca.OP_SQ: lambda builder, a: builder.apply("mul", a, a),
@@ -151,6 +158,33 @@ def user_program(
     results = [ca.densify(value)] + ([_gradient(value, z)] if len(outputs) > 1 else [])
     whole = ca.Function(name, list(symbols.values()), results)
     return program_from_casadi(name, whole, inputs, outputs)
+
+
+def flow_programs(dynamics: Program) -> tuple[Program, Program | None]:
+    """Return programs whose bounds over boxes enclose flows of ``(x, u)`` or ``(x, u, p)`` to xdot.
+
+    The first is ``(x, b, u[, p], t) -> x + t f(b, u, p)``: where b bounds all states on the way, a
+    bound of the states at the times t. The second is the mean-value form of second order,
+    ``(x, c, b, u[, p], t) -> c + t f(c) + (I + t J(x)) (x - c) + t^2 / 2 J(b) f(b)`` with the
+    Jacobian J of f and a point c of x: of the ends at t, tighter. It is None where f may jump, or
+    bend where its derivative does not say so.
+    """
+    sizes = dict(dynamics.inputs)
+    x, c, b = (ca.SX.sym(name, sizes["x"]) for name in "xcb")
+    others = [ca.SX.sym(name, size) for name, size in dynamics.inputs[1:]]
+    f, t = casadi_from_program(dynamics), ca.SX.sym("t")
+    ports: Ports = (*((name, sizes["x"]) for name in "xcb"), *dynamics.inputs[1:], ("t", 1))
+    outputs: Ports = (("end", sizes["x"]),)
+    motion = ca.Function("motion", [x, b, *others, t], [ca.densify(x + t * f(b, *others))])
+    first = program_from_casadi("motion", motion, (ports[0], *ports[2:]), outputs)
+    if any(name in _JUMPS for name, *_ in dynamics.instructions):
+        return first, None
+    jacobian = ca.Function("jacobian", [x, *others], [ca.jacobian(f(x, *others), x)])
+    bend = ca.jtimes(f(b, *others), b, f(b, *others))
+    slope = ca.SX.eye(sizes["x"]) + t * jacobian(x, *others)
+    end = c + t * f(c, *others) + ca.mtimes(slope, x - c) + t**2 / 2 * bend
+    whole = ca.Function("end", [x, c, b, *others, t], [ca.densify(end)])
+    return first, program_from_casadi("end", whole, ports, outputs)
 
 
 def terminal_program(function: Callable[..., Any], n: int, told: int) -> Program:

@@ -1,0 +1,1 @@
+"""Limits that a sampled loop keeps from every state of a set."""
