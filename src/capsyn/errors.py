@@ -27,6 +27,10 @@ class SynthesisError(CapsynError, RuntimeError):
     """A synthesis that had to stop, for instance because too many solves were not finite."""
 
 
+class CertificateError(CapsynError, ValueError):
+    """A certificate that does not prove what it says, or not of this policy."""
+
+
 class KernelBuildError(CapsynError, RuntimeError):
     """The C backend was asked for and could not be built.
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from capsyn.certification.cell_map import NO_START, OPEN, PROVED, REFUTED, cell_map
 from capsyn.modelling.domain import Box
 from capsyn.modelling.time_unit import NAMES
 from capsyn.statistics import TOLD
@@ -43,6 +43,15 @@ class ProvedCells:
     within: np.ndarray
     stays: np.ndarray
     refuted: np.ndarray
+
+    def statuses(self) -> np.ndarray:
+        """Return what is known of each cell, (K,) uint8: `NO_START`, `PROVED`, `OPEN`, `REFUTED`.
+
+        A cell is proved where all of its starts are.
+        """
+        known = np.where(self.arrives >= 1, PROVED, OPEN)
+        known = np.where(self.starts > 0, known, NO_START)
+        return np.where(self.refuted, REFUTED, known).astype(np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,11 +120,18 @@ class Certificate:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as plain data, with the first `TOLD` refuted starts."""
-        unit = NAMES[self.conditions.get("time_unit", "s")]
-        told = list(zip(self.refuted.tolist(), self.failures, self.replays))[:TOLD]
+        unit, domain = NAMES[self.conditions.get("time_unit", "s")], self.cells.domain
+        refuted: list[dict[str, Any]] = [
+            {"state": state, "failure": failure}
+            for state, failure in zip(self.refuted[:TOLD].tolist(), self.failures)
+        ]
+        for start, replay in zip(refuted, self.replays):
+            start["replay"] = replay
         return {
             "conditions": self.conditions,
             "method": self.method,
+            "states": list(domain.names),
+            "units": list(domain.units),
             "cells": list(self.cells.counts),
             "arrival": self.arrival,
             "staying": self.staying,
@@ -123,21 +139,20 @@ class Certificate:
             "within": _number(self.within),
             "switch_rate": _number(self.switch_rate),
             "ripple": None if np.isnan(self.ripple).any() else self.ripple.tolist(),
-            "refuted": [
-                {"state": state, "failure": failure, "replay": replay}
-                for state, failure, replay in told
-            ],
+            "refuted": refuted,
             "open": self.open,
             "seconds": self.seconds,
             "stopped": self.stopped,
             "time_unit_name": unit,
         }
 
-    def plot(self, path: str | Path | None = None) -> Any:
-        """Return a picture of what is proved, in two states; see `capsyn.plots.certificate`."""
-        from capsyn.plots.certificate import plot_certificate
+    def evidence(self) -> dict[str, Any]:
+        """Return what a policy's file keeps: the figures, and a map of the cells.
 
-        return plot_certificate(self, path)
+        For ``policy.with_evidence(certificate=..)``; of the map see `cell_map`.
+        """
+        cells = self.cells
+        return self.to_json() | {"map": cell_map(cells.counts, cells.statuses(), cells.stays)}
 
 
 def _number(value: float) -> float | None:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from typing import Any
+
+DIGITS = 4
+"""Digits of a proved figure in a sentence; it is rounded to where it still holds."""
 
 
 def headlines(evidence: dict[str, Any]) -> dict[str, str]:
@@ -59,11 +63,67 @@ def _optimum(data: dict[str, Any]) -> str:
     )
 
 
+def _certificate(data: dict[str, Any]) -> str:
+    arrival, staying = data["arrival"], data["staying"]
+    conditions = data.get("conditions", {})
+    unit = conditions.get("time_unit", "s")
+    if arrival == 0:
+        said = "no start is proved to arrive"
+    else:
+        within = _rounded(data["within"], ROUND_CEILING)
+        said = f"{proved_share(arrival)} of the starts arrive in the target within {within} {unit}"
+        if staying:
+            whole = staying == arrival
+            said += ", and stay for ever" if whole else f", {proved_share(staying)} stay for ever"
+            said += _ripple(data, unit)
+        else:
+            said += "; that they stay is not proved"
+    if conditions.get("avoid"):
+        said += f"; {proved_share(data['avoiding'])} never enter what is to be avoided"
+    count = len(data["refuted"])
+    more = [f"refuted from {count:,} start{'' if count == 1 else 's'}"] if count else []
+    more += [f"open {proved_share(data['open'], ROUND_CEILING)}"] if data["open"] else []
+    more += ["stopped before its end"] if data["stopped"] else []
+    return "; ".join([said, *more])
+
+
+def _ripple(data: dict[str, Any], unit: str) -> str:
+    """Return where a proved loop stays, and how often it switches there at most."""
+    parts = []
+    if data.get("ripple") is not None:
+        parts.append(f"ripple {', '.join(ripple_texts(data))}")
+    if data.get("switch_rate") is not None:
+        rate = _rounded(data["switch_rate"], ROUND_CEILING)
+        parts.append(f"at most {rate} switches / {unit}")
+    return f": {'; '.join(parts)}" if parts else ""
+
+
+def ripple_texts(data: dict[str, Any]) -> list[str]:
+    """Return where each state of a certificate stays, outwards rounded."""
+    texts = []
+    for name, unit, (low, high) in zip(data["states"], data["units"], data["ripple"], strict=True):
+        bounds = f"[{_rounded(low, ROUND_FLOOR)}, {_rounded(high, ROUND_CEILING)}]"
+        texts.append(f"{name} in {bounds}" + (f" {unit}" if unit else ""))
+    return texts
+
+
+def _rounded(value: float, rounding: str) -> str:
+    """Return a number with `DIGITS` digits, rounded as one says: a bound stays one."""
+    return f"{float(Context(DIGITS, rounding).create_decimal(repr(float(value)))):g}"
+
+
+def proved_share(share: float, rounding: str = ROUND_FLOOR) -> str:
+    """Return a proved share, rounded so that it is never said to be more."""
+    percent = Decimal(repr(float(share))).scaleb(2).quantize(Decimal("0.001"), rounding)
+    return f"{percent.normalize():f}%"
+
+
 _HEADLINES = {
     "monte_carlo": _trials,
     "lyapunov": _proof,
     "agreement": _agreement,
     "optimum": _optimum,
+    "certificate": _certificate,
 }
 
 
@@ -72,12 +132,19 @@ def _interval(data: dict[str, Any]) -> str:
 
 
 def evidence_rows(evidence: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the headlines, and behind that of trials what they were about, without a name."""
-    conditions = evidence.get("monte_carlo", {}).get("conditions", {})
-    units = {"target": "", "within": f" {_short(conditions.get('time_unit', 's'))}"}
-    goal = (f"{k} {_short(conditions[k])}{units[k]}" for k in units if k in conditions)
-    rows = list(headlines(evidence).items())
-    rows[1:1] = [("", text) for text in (", ".join(goal), circumstances(conditions)) if text]
+    """Return the headlines, and behind some what they were about, without a name."""
+    rows: list[tuple[str, str]] = []
+    for name, sentence in headlines(evidence).items():
+        rows.append((name, sentence))
+        conditions = evidence[name.replace(" ", "_")].get("conditions", {})
+        if name == "monte carlo":
+            units = {"target": "", "within": f" {_short(conditions.get('time_unit', 's'))}"}
+        elif name == "certificate":
+            units = {"initial": "", "target": "", "avoid": ""}
+        else:
+            continue
+        goal = (f"{k} {_short(conditions[k])}{units[k]}" for k in units if conditions.get(k))
+        rows += [("", text) for text in (", ".join(goal), circumstances(conditions)) if text]
     return rows
 
 
@@ -86,7 +153,7 @@ def circumstances(conditions: dict[str, Any]) -> str:
 
     Another unit of time than s is said with each time.
     """
-    usual = set("controller duration within hold target initial substeps time_unit".split())
+    usual = set("controller duration within hold target initial avoid substeps time_unit".split())
     units, parts = {}, []
     if "time_unit" in conditions:
         unit = _short(conditions["time_unit"])
