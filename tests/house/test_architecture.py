@@ -29,6 +29,7 @@ execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter inverter building docking quadrotor
 cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree cut faces packing work
+    run_lengths
 policies: lookup guarantee evidence colors in_force picture file checks cut derived policy
     report
 controllers: command formulation solver ssac action_kernel actions sac online
@@ -44,6 +45,7 @@ sources: delayed sequence_costs finite_control_set callables table text scots gr
 optima: grid task sweeps loops iteration comparison optimum
 verification: bisection loop_derivative lyapunov tally agreement trials outcome
     conditions monte_carlo switching_curve sentences
+certification: cell_map certificate certify
 integrations: single_lookup stepping evaluation gymnasium control
 compression: rows optimal induction freedom coarsening affine_tree
 compression.fitted: surface plane_tree oblique
@@ -53,6 +55,7 @@ compression.looped: loops choice growing fitting by_loop
 compression: compress curve complexity
 tuning: free family figures goal study advice tune
 plots: figure policy trajectory automaton curve switching optimum
+    certificate
 exports: crossings text plan constants golden sequence target certificate identifiers
     feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
@@ -71,6 +74,7 @@ explorer: packed memory_data policy_data program_javascript expression formulas 
 paper: cases figures pendulum tanks reproduction
 cli: options console printed problem_finder loop
 cli.better: optimum
+cli.proofs: proved certify
 cli: paper evidence compression export look
     import_table doctor
 cli.better: improve tune
