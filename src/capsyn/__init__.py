@@ -9,6 +9,8 @@ from capsyn.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from capsyn.automata.automaton import Automaton as Automaton
+    from capsyn.certification.certificate import Certificate as Certificate
+    from capsyn.certification.certify import certify as certify
     from capsyn.compression.compress import compress as compress
     from capsyn.controllers.online import online_controller as online_controller
     from capsyn.errors import CapsynError as CapsynError
@@ -45,6 +47,7 @@ _PUBLIC = {
     "Ball": "modelling.domain",
     "Box": "modelling.domain",
     "CapsynError": "errors",
+    "Certificate": "certification.certificate",
     "DecisionTree": "policies.policy",
     "Free": "tuning.free",
     "Policy": "policies.policy",
@@ -55,6 +58,7 @@ _PUBLIC = {
     "Trajectory": "simulation.simulate",
     "Uniform": "verification.trials",
     "agreement": "verification.agreement",
+    "certify": "certification.certify",
     "compress": "compression.compress",
     "explore": "explorer.explore",
     "export": "exports.export",

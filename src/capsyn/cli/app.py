@@ -41,6 +41,7 @@ from capsyn.cli.options import (
 )
 from capsyn.cli.paper import bench, reproduce
 from capsyn.cli.printed import print_report
+from capsyn.cli.proofs.certify import certify, check
 from capsyn.errors import CapsynError, CapsynWarning, ProblemError
 
 if TYPE_CHECKING:
@@ -347,6 +348,8 @@ app.command()(export)
 app.command()(explore)
 app.command()(simulate)
 app.command()(verify)
+app.command()(certify)
+app.command()(check)
 app.command()(switching)
 app.command()(bench)
 app.command()(reproduce)

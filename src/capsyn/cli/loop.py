@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -58,14 +58,15 @@ class LoopTexts:
         metavar="PLANT",
     )
     parameter: list[str] | None = option(
-        "A component of p, in the order of p; verify takes a range, too. May be repeated.",
+        "A component of p, in the order of p; verify and certify take a range, too. May be "
+        "repeated.",
         metavar="NAME=P[:P]",
     )
     exogenous: list[str] | None = option(
         "What the policy is told beside the state: a value, steps TIME:VALUE,TIME:VALUE, or a CSV "
         "file of steps with a column time and one for each input. NAME=A:B alone is the step to B "
-        "at time A in simulate, and the range from A to B in verify, which draws from it, and from "
-        "the box what is not given. May be repeated.",
+        "at time A in simulate, the range from A to B in certify, and in verify, which draws from "
+        "it, and from the box what is not given. May be repeated.",
         metavar="NAME=W|NAME=T:W,T:W[,..]|FILE.csv",
     )
     disturbance: str | None = option(
@@ -122,23 +123,36 @@ def loop_options(
     """
     from capsyn.simulation.options import LoopOptions
 
-    def meant(name: str, meaning: Callable[[str, str], Any]) -> Any:
+    def meant(name: str) -> Any:
         text = getattr(texts, name)
-        return None if text is None else meaning(f"--{name}", text)
+        return None if text is None else each(f"--{name}", text)
 
-    plain = "duration rate min_dwell outside outside_at_once seed backend threads".split()
+    plain = "duration outside outside_at_once backend".split()
+    values = {name: getattr(texts, name) for name in plain} | {
+        "disturbance": meant("disturbance"),
+        "noise": meant("noise"),
+    }
+    chosen = {name: value for name, value in values.items() if value is not None}
+    return LoopOptions(**sampled_options(policy, texts, one), **chosen, **more)
+
+
+def sampled_options(
+    policy: Policy | Problem, texts: Any, one: Callable[[str, str], Any] = number
+) -> dict[str, Any]:
+    """Return what texts mean that simulated and proved loops share; what is None is left out.
+
+    `texts` has fields of `LoopTexts`; of `one` see `loop_options`.
+    """
+    plain = "rate min_dwell seed threads".split()
     parameters = assignments("--parameter", texts.parameter or [])
     values = {name: getattr(texts, name) for name in plain} | {
         "model": _model(texts.model),
         "parameters": {name: one(name, text) for name, text in parameters.items()},
-        "disturbance": meant("disturbance", each),
-        "noise": meant("noise", each),
-        "delay": meant("delay", one),
+        "delay": None if texts.delay is None else one("--delay", texts.delay),
         "target": _target(policy, texts.target, texts.tolerance),
         "exogenous": _exogenous(texts.exogenous, one),
     }
-    chosen = {name: value for name, value in values.items() if value is not None}
-    return LoopOptions(**chosen, **more)
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _exogenous(texts: list[str] | None, one: Callable[[str, str], Any]) -> Any:
@@ -222,14 +236,23 @@ def _model(text: str | None) -> Any:
 
 
 def _target(policy: Policy | Problem, text: str | None, tolerance: float | None) -> Any:
-    from capsyn.cli.problem_finder import find_function
     from capsyn.modelling.targets import with_tolerance
 
     if text is None:
         return with_tolerance(policy.target, tolerance)
+    return region_or_function("--target", text, policy.space.names, tolerance)
+
+
+def region_or_function(
+    name: str, text: str, known: Sequence[str], tolerance: float | None = None
+) -> Any:
+    """Return the set of states that a text says, or the function of FILE.py:NAME."""
+    from capsyn.cli.problem_finder import find_function
+    from capsyn.modelling.targets import with_tolerance
+
     if ".py:" in text or ("=" not in text and ":" in text):
         return with_tolerance(find_function(text), tolerance)
-    return region("--target", text, policy.space.names, tolerance)
+    return region(name, text, known, tolerance)
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,12 @@ def option(
     return dataclasses.field(default=default, metadata=extra)
 
 
+def as_in(options: Any, name: str) -> Any:
+    """Return a field that is the same option as that of another dataclass of options."""
+    field = options.__dataclass_fields__[name]
+    return dataclasses.field(default=field.default, metadata=field.metadata | {"before": None})
+
+
 def flat(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command for Typer, each of whose dataclasses of options is one option a field.
 

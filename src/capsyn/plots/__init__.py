@@ -1,6 +1,7 @@
 """Pictures of policies, trajectories and automata; every function returns the Axes it drew on."""
 
 from capsyn.plots.automaton import plot_automaton, save_automaton
+from capsyn.plots.certificate import plot_certificate, save_certificate_plot
 from capsyn.plots.curve import plot_curve, save_curve_plot
 from capsyn.plots.figure import (
     check_format,
@@ -22,6 +23,7 @@ __all__ = [
     "literal",
     "outline_width",
     "plot_automaton",
+    "plot_certificate",
     "plot_curve",
     "plot_policy",
     "plot_trajectory",
@@ -29,6 +31,7 @@ __all__ = [
     "rectangles",
     "reproducible",
     "save_automaton",
+    "save_certificate_plot",
     "save_curve_plot",
     "save_figure",
     "save_policy_plot",

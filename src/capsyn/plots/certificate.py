@@ -141,8 +141,8 @@ def _draw_staying(certificate: Certificate, ax: Axes, plane: tuple[int, int]) ->
     cells = certificate.cells
     stays = _over(cells.stays, cells, plane, np.any)
     if stays.any():
-        edges = _edges(stays, cells, plane)
-        ax.add_collection(LineCollection(list(edges), colors=EDGE, linewidths=1.2, label="stays in"))
+        edges = list(_edges(stays, cells, plane))
+        ax.add_collection(LineCollection(edges, colors=EDGE, linewidths=1.2, label="stays in"))
     if not np.isnan(certificate.ripple).any():
         (x0, x1), (y0, y1) = certificate.ripple[list(plane)]
         box = Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, linestyle="--", label="ripple")

@@ -1,0 +1,1 @@
+"""Commands that prove what a loop does, and check what was proved."""
