@@ -46,8 +46,17 @@ def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
         "palette": list(PALETTE),
         "shares": policy.volume_shares.tolist(),
         "loops": policy.model is not None,
+        "proved": _proved(policy, figures["evidence"].get("certificate", {})),
         "facts": facts(figures, memory_facts(policy) if needs_memory(policy) else []),
     }
+
+
+def _proved(policy: Policy, certificate: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the map of a certificate, its ripple and the refuted starts; None without a map."""
+    if "map" not in certificate or certificate["states"] != list(policy.domain.names):
+        return None
+    keys = ("ripple", "refuted")
+    return certificate["map"] | {key: certificate[key] for key in keys}
 
 
 def _target(policy: Policy) -> dict[str, Any] | None:

@@ -49,7 +49,7 @@ function report(app) {
   return Object.freeze({
     state: () => ({
       axes: [...view.axes], bounds: [...view.bounds], fixed: [...view.fixed], level: view.level,
-      outlines: view.outlines, theme: theme.mode, time: player.time,
+      outlines: view.outlines, proved: view.proved, theme: theme.mode, time: player.time,
       playing: player.playing, speed: player.speed, frame: map.shown().frame,
       only: view.only, colors: theme.symbols,
       pointed: app.pointed && { state: Array.from(app.pointed.state), symbol: app.pointed.symbol },

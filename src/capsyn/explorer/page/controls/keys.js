@@ -3,12 +3,13 @@ import { look } from "../state/changes.js";
 
 /** Listen to the keys of the page, and to the buttons of its head. */
 export function listenToKeys(app) {
-  const { theme, view, parts: { bar, tools } } = app, help = byId("help");
+  const { data, theme, view, parts: { bar, tools } } = app, help = byId("help");
   byId("theme").addEventListener("click", () => theme.toggle());
   byId("keys").addEventListener("click", () => help.showModal());
   const keys = {
     " ": () => bar?.toggle(), r: () => bar?.rewind(), d: () => theme.toggle(),
     o: () => look(app, () => (view.outlines = !view.outlines)),
+    p: () => data.proved && look(app, () => (view.proved = !view.proved)),
     "[": () => tools.show(view.level - 1), "]": () => tools.show(view.level + 1),
     "?": () => help.showModal(),
   };

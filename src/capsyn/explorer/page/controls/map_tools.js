@@ -11,19 +11,17 @@ const PAUSE = 800;
  * `follows` tells whether the plane goes with the active trajectory.
  */
 export function makeMapTools(app) {
-  const { view, lookup } = app, several = view.n > 1, replays = lookup.levels > 0;
+  const { data, view, lookup } = app, several = view.n > 1, replays = lookup.levels > 0;
   const axes = makeAxes(app), levels = makeLevels(app);
   const told = makeTold(app), slices = makeSlices(app);
-  const outlines = element("input", {
-    id: "outlines", type: "checkbox", checked: view.outlines,
-    onchange: () => look(app, () => (view.outlines = outlines.checked)),
-  });
+  const [outlines, proved] = ["outlines", "proved"].map(id => makeSwitch(app, id));
   byId("map-tools").append(...[
     several && labelled("across", axes.pickers[0]),
     several && labelled("up", axes.pickers[1]),
     replays && labelled("level", levels.slider, levels.text),
     replays && levels.replay,
     labelled("outlines", outlines),
+    data.proved && labelled("proved", proved),
   ].filter(Boolean));
   byId("zoom").append(
     button("+", "Zoom in", () => zoom(app, 0.7)),
@@ -35,6 +33,7 @@ export function makeMapTools(app) {
     axes.sync();
     levels.sync();
     outlines.checked = view.outlines;
+    proved.checked = view.proved;
     told.sync();
     slices.sync();
   }
@@ -45,6 +44,16 @@ export function makeMapTools(app) {
 function button(text, title, onclick) {
   const attributes = { type: "button", class: "square", title, "aria-label": title, onclick };
   return element("button", attributes, text);
+}
+
+/** What turns something that a view may show on and off, by its name. */
+function makeSwitch(app, id) {
+  const { view } = app;
+  const box = element("input", {
+    id, type: "checkbox", checked: view[id],
+    onchange: () => look(app, () => (view[id] = box.checked)),
+  });
+  return box;
 }
 
 /** Pickers of the states that span the plane. */

@@ -8,6 +8,7 @@ import { listenToKeys, listenToMouse } from "./input.js";
 import { makeLines } from "./lines.js";
 import { drawEnds, drawGoal, drawPointer, drawTarget, drawTold, drawTrack } from "./marks.js";
 import { picture } from "./picture.js";
+import { drawProved, provedCells } from "./proved.js";
 import { targetPaths } from "./target.js";
 
 /**
@@ -20,7 +21,7 @@ export function makeMap(app) {
   const map = {
     app, base: byId("map-base"), overlay: byId("map"),
     frame: { x: 0, y: 0, width: 1, height: 1 }, scale: 1,
-    target: null, goal: null, lines: makeLines(), ticks: {},
+    target: null, goal: null, proved: provedCells(app.data), lines: makeLines(), ticks: {},
   };
   listenToMouse(map);
   listenToKeys(map);
@@ -39,6 +40,7 @@ function draw(map) {
   const [width, height] = [Math.round(frame.width * scale), Math.round(frame.height * scale)];
   const image = picture(app.lookup, app.view, app.theme, width, height);
   context.putImageData(image, frame.x * scale, frame.y * scale);
+  if (app.view.proved) drawProved(context, map.proved, frame, app);
   const pixels = shares => toPixels(frame, shares);
   const target = targetPaths(app, frame, pixels), goal = goalPaths(app, frame, pixels);
   Object.assign(map, { frame, scale, target, goal, ticks: drawAxes(context, frame, app) });

@@ -24,7 +24,7 @@ export function showTitle({ data, loop, view: { n, states } }) {
 
 /**
  * Fill the legend: symbols, each of which shows its cells alone, the target, where the running cost
- * is least, and mixed cells.
+ * is least, what is proved, and mixed cells.
  */
 export function showLegend(app) {
   const { data, loop, lookup, view } = app, root = byId("legend");
@@ -45,6 +45,12 @@ export function showLegend(app) {
   if (loop && view.states < view.n) {
     entry({ class: "goal", title: "The fiftieth of the slice where the running cost is least" },
       element("span", { class: "line" }), "least running cost");
+  }
+  if (data.proved) {
+    for (const name of ["open", "refuted", "stays in", "ripple"]) {
+      const mark = element("span", { class: `mark ${name.split(" ")[0]}` });
+      entry({ class: "proof" }, mark, name);
+    }
   }
   if (lookup.levels > 0) entry({ class: "later" }, swatch(MIXED), "still to split");
 }

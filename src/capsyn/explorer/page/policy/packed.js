@@ -5,7 +5,26 @@ const ARRAYS = {
 
 /** Return the typed array that `policy_data` packed, little-endian. */
 export function unpack({ dtype, base64 }) {
+  return new ARRAYS[dtype](bytesOf(base64).buffer);
+}
+
+function bytesOf(base64) {
   const text = atob(base64), bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
-  return new ARRAYS[dtype](bytes.buffer);
+  return bytes;
+}
+
+/** Return the `count` values below 8 whose runs, length * 8 + value, are a text of `run_lengths`. */
+export function unpackRuns(base64, count) {
+  const values = new Uint8Array(count);
+  let at = 0, code = 0, place = 1;
+  for (const byte of bytesOf(base64)) {
+    code += (byte & 127) * place;
+    place *= 128;
+    if (byte > 127) continue;
+    const end = at + Math.floor(code / 8);
+    values.fill(code % 8, at, end);
+    [at, code, place] = [end, 0, 1];
+  }
+  return values;
 }

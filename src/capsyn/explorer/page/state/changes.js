@@ -7,6 +7,7 @@ export function changed(app) {
   const { view, lookup, parts } = app;
   parts.tools.sync();
   document.body.classList.toggle("whole", view.level >= lookup.levels);
+  document.body.classList.toggle("proving", view.proved);
   reread(app);
   drawSoon(app);
 }

@@ -5,8 +5,8 @@ const FEWEST = 3;
 
 /**
  * The view of a policy's plane: which axes, the part of them that is seen, the values of the other
- * states and of all exogenous inputs, the level of Algorithm 1, whether cells are outlined, and the
- * only symbol that is not faded (null: none is). Of the n axes the first are the `states`, the
+ * states and of all exogenous inputs, the level of Algorithm 1, whether cells are outlined, whether
+ * what is proved is shown, and the only symbol that is not faded (null: none is). Of the n axes the first are the `states`, the
  * others exogenous inputs.
  */
 export class View {
@@ -19,6 +19,7 @@ export class View {
     this.fixed = lower.map((low, i) => (low + upper[i]) / 2);
     this.level = levels;
     this.outlines = true;
+    this.proved = false;
     this.only = null;
     this.reset();
   }
