@@ -6,39 +6,43 @@ import { toPixels } from "./frame.js";
 const PROVED = 1, OPEN = 2, REFUTED = 3, STAYS = 4;
 
 /** Red, green, blue and opacity of what lies over a cell; nothing lies over proved ones. */
-const COVERS = { [PROVED]: [0, 0, 0, 0], [OPEN]: [123, 132, 144, 225], [REFUTED]: [192, 57, 43, 225] };
+const COVERS = {
+  [PROVED]: [0, 0, 0, 0], [OPEN]: [123, 132, 144, 225], [REFUTED]: [192, 57, 43, 225],
+};
 const NO_START = { light: [255, 255, 255, 165], dark: [23, 27, 33, 175] };
 const CROSS = 6;
 
-/** Return what is proved of each cell of a policy's map: {counts, strides, known}; null for none. */
+/**
+ * Return what is proved of each cell of a policy's map: {counts, strides, known}, with what is
+ * `kept` of the slice that was drawn last; null for none.
+ */
 export function provedCells({ proved }) {
   if (!proved) return null;
   const { counts, runs } = proved;
   const strides = counts.map((_, i) => counts.slice(i + 1).reduce((a, b) => a * b, 1));
-  return { counts, strides, known: unpackRuns(runs, strides[0] * counts[0]) };
+  return { counts, strides, known: unpackRuns(runs, strides[0] * counts[0]), kept: {} };
 }
 
 /**
- * Draw what is proved over the plane of a view: covers on cells that are not, the edge of the set in
- * which the loop stays, its ripple, and refuted starts. Of a plane with exogenous inputs nothing is.
+ * Draw what is proved over the plane of a view: covers on cells that are not, the edge of the set
+ * in which the loop stays, its ripple, and refuted starts. On a plane with an exogenous input it
+ * draws nothing.
  */
 export function drawProved(context, cells, frame, { data, theme, view }) {
   if (view.axes.some(axis => axis >= view.states)) return;
-  const slice = sliced(cells, view);
+  const { across, up, image, sides } = slice(cells, theme, view);
   const corner = state => toPixels(frame, view.unturned(state));
-  const [left, bottom] = corner(view.lower), [right, top] = corner(view.upper);
-  const flat = view.n === 1;
-  const box = flat ? [left, frame.y, right - left, frame.height]
-    : [left, top, right - left, bottom - top];
-  const image = cover(slice, theme), edge = edges(slice, box, view);
+  const [x0, y0] = corner(view.lower), [x1, y1] = corner(view.upper), flat = view.n === 1;
+  const box = flat ? [x0, frame.y, x1 - x0, frame.height] : [x0, y1, x1 - x0, y0 - y1];
+  const edge = path(sides, [box[0], box[1] + box[3]], [box[2] / across, box[3] / up]);
   context.save();
   context.beginPath();
   context.rect(frame.x, frame.y, frame.width, frame.height);
   context.clip();
   context.imageSmoothingEnabled = false;
-  for (const [across, up] of turns(view)) {
+  for (const [right, above] of turns(view)) {
     context.save();
-    context.translate(across * box[2], -up * box[3]);
+    context.translate(right * box[2], -above * box[3]);
     context.drawImage(image, ...box);
     line(context, edge, theme, 1.8);
     if (data.proved.ripple) {
@@ -51,16 +55,20 @@ export function drawProved(context, cells, frame, { data, theme, view }) {
   context.restore();
 }
 
-/** The cells of the plane of a view: {across, up, at(column, row)}, from the lower left. */
-function sliced({ counts, strides, known }, view) {
-  const [i, j] = view.axes, flat = view.n === 1;
+/** The cells of the plane of a view: how many, the image that covers them, and `sides`. */
+function slice({ counts, strides, known, kept }, theme, view) {
+  const [i, j] = view.axes, flat = view.n === 1, across = counts[i], up = flat ? 1 : counts[j];
   let first = 0;
   counts.forEach((count, axis) => {
     if (!view.axes.includes(axis)) first += strides[axis] * step(view, counts, axis, view.fixed);
   });
-  const across = counts[i], up = flat ? 1 : counts[j];
-  const at = (column, row) => known[first + column * strides[i] + (flat ? 0 : row * strides[j])];
-  return { across, up, at };
+  const key = [i, j, first, theme.mode].join();
+  if (kept.key !== key) {
+    const at = (column, row) => known[first + column * strides[i] + (flat ? 0 : row * strides[j])];
+    const cells = { across, up, at };
+    Object.assign(kept, { key, across, up, image: cover(cells, theme), sides: edges(cells, view) });
+  }
+  return kept;
 }
 
 /** The cell along an axis in which a state is. */
@@ -71,7 +79,8 @@ function step(view, counts, axis, state) {
 
 /** How often the plane is shifted by its periods, across and up. */
 function turns({ axes, periodic, n }) {
-  const [x, y] = axes.map((axis, side) => (periodic[axis] && !(side && n === 1) ? [-1, 0, 1] : [0]));
+  const [x, y] = axes.map((axis, side) =>
+    (periodic[axis] && !(side && n === 1) ? [-1, 0, 1] : [0]));
   return x.flatMap(across => y.map(up => [across, up]));
 }
 
@@ -88,30 +97,33 @@ function cover({ across, up, at }, { mode }) {
   return canvas;
 }
 
-/** Return the path around the cells in which the loop stays, within a box of pixels. */
-function edges({ across, up, at }, [x, y, width, height], { axes, periodic, n }) {
-  const path = new Path2D(), wide = width / across, high = height / up;
-  const round = axes.map((axis, side) => periodic[axis] && !(side && n === 1));
+/** Return the sides around the cells in which the loop stays: [column, row, upright] of each. */
+function edges({ across, up, at }, { axes, periodic, n }) {
+  const found = [], round = axes.map((axis, side) => periodic[axis] && !(side && n === 1));
   const stays = (column, row) => {
     if (!round[0] && (column < 0 || column >= across)) return 0;
     if (!round[1] && (row < 0 || row >= up)) return 0;
     return at((column + across) % across, (row + up) % up) & STAYS;
   };
   for (let row = 0; row <= up; row++) {
-    const lower = y + height - row * high;
     for (let column = 0; column <= across; column++) {
-      const here = stays(column, row), start = x + column * wide;
-      if (row < up && here !== stays(column - 1, row)) {
-        path.moveTo(start, lower);
-        path.lineTo(start, lower - high);
-      }
-      if (column < across && here !== stays(column, row - 1)) {
-        path.moveTo(start, lower);
-        path.lineTo(start + wide, lower);
-      }
+      const here = stays(column, row);
+      if (row < up && here !== stays(column - 1, row)) found.push([column, row, true]);
+      if (column < across && here !== stays(column, row - 1)) found.push([column, row, false]);
     }
   }
-  return path;
+  return found;
+}
+
+/** Return the path along sides of cells of some size [pixels] from a lower left corner. */
+function path(sides, [x, y], [wide, high]) {
+  const found = new Path2D();
+  for (const [column, row, upright] of sides) {
+    const [left, lower] = [x + column * wide, y - row * high];
+    found.moveTo(left, lower);
+    found.lineTo(left + (upright ? 0 : wide), lower - (upright ? high : 0));
+  }
+  return found;
 }
 
 function line(context, path, { halo, ink }, width) {
