@@ -160,7 +160,9 @@ def test_info_says_the_same_as_synth(pendulum, tmp_path):
     np.testing.assert_allclose([s["volume_share"] for s in data["symbols"]], [0.5, 0.5], atol=1e-3)
 
 
-def test_plot_writes_pictures(pendulum, tmp_path):
+def test_plot_writes_pictures(tmp_path):
+    pendulum = tmp_path / "pendulum.cap"
+    capsyn("synth", "cart-pendulum", "--max-level", 1, "-o", pendulum)
     for kind, magic in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
         path = tmp_path / f"p.{kind}"
         capsyn("plot", pendulum, "-o", path)

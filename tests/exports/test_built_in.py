@@ -5,10 +5,12 @@ import subprocess
 import numpy as np
 import pytest
 
-from capsyn import Switching, export, problems, synthesize
+from capsyn import Switching, problems, synthesize
 from capsyn.exports.plan import Plan
 from capsyn.exports.sequence import golden_sequence
 from capsyn.modelling.time_unit import to_seconds
+from support.exports.c_machines import write
+from support.exports.c_plans import made
 
 STEPS = 1000
 HOW = {"inverter": {}, "building": {}, "docking": {"partitions": (1, 1, 8, 1, 1, 4, 2)}}
@@ -66,7 +68,7 @@ def rule_breaks(labels, plan, period, statuses):
 def test_many_steps_of_each(name, tmp_path):
     problem = held(name)
     n = problem.space.n
-    count = 1000 if n < 4 else 100
+    count = 200 if n < 4 else 50
     how = {2: {"max_level": 3}, 4: {"max_level": 0}}.get(n)
     how = how or {"leaves": "affine", "max_level": 1, "max_solves": 6000}
     policy = synthesize(problem, **HOW.get(name, how))
@@ -75,7 +77,7 @@ def test_many_steps_of_each(name, tmp_path):
     forbidden, broken, switches = rule_breaks(runs.labels, plan, runs.period, runs.statuses)
     assert (forbidden, broken) == (0, 0) and switches > 50 * count
     tick = to_seconds(runs.period, policy.time_unit)
-    export(policy, "c", tmp_path, name="policy", tick=tick)
+    write(made(plan, name="policy", tick=tick).files, tmp_path)
     (tmp_path / "driver.c").write_text(DRIVER)
     own = [f"-DSTATES={n}", f"-DSTEPS={STEPS}", "-O2", "-o", "driver", "driver.c", "policy.c"]
     subprocess.run(["gcc", *own, "-lm"], cwd=tmp_path, check=True)
