@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from capsyn.explorer.explore import explore as explore
     from capsyn.exports.export import export as export
     from capsyn.improvement.improve import improve as improve
+    from capsyn.limits.asked import KeepLimits as KeepLimits
     from capsyn.modelling.alphabet import Alphabet as Alphabet
     from capsyn.modelling.domain import Ball as Ball
     from capsyn.modelling.domain import Box as Box
@@ -50,6 +51,7 @@ _PUBLIC = {
     "Certificate": "certification.certificate",
     "DecisionTree": "policies.policy",
     "Free": "tuning.free",
+    "KeepLimits": "limits.asked",
     "Policy": "policies.policy",
     "Problem": "modelling.problem",
     "SsacSettings": "modelling.settings",

@@ -29,8 +29,9 @@ execution: files processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter inverter building docking quadrotor
 cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree cut faces packing work
-    run_lengths
-policies: lookup guarantee evidence colors in_force picture file checks cut derived policy
+    run_lengths merged
+limits: kept
+policies: lookup guarantee evidence colors in_force picture checks file cut derived policy
     report
 controllers: command formulation solver ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
@@ -39,7 +40,7 @@ automata: rectangles regions face_rates row_faces switching automaton
 simulation: plant options exogenous kernel closed_loop policy_loop trial_job experiment simulate
     tracking
 improvement: charged_loop judged quadratic_fit refits rollouts rounds improve
-limits: tubes
+limits: tubes invariant asked shield
 synthesis: remote_labels labelling synthesize fitted_tail
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
 optima: grid task sweeps loops iteration comparison optimum

@@ -26,6 +26,7 @@ from capsyn.cli.options import (
     Dask,
     File,
     Json,
+    LimitOptions,
     MinDwell,
     Outside,
     OutsideAtOnce,
@@ -200,6 +201,7 @@ def synth(
     min_dwell: MinDwell = None,
     outside_at_once: OutsideAtOnce = None,
     switching: SwitchingOptions,
+    limits: LimitOptions,
     subdivision: SubdivisionOptions,
     dask: Dask = None,
     checkpoint: Annotated[
@@ -227,6 +229,7 @@ def synth(
     }
     if changes.source != "ssac":
         unused = {"settings of sSAC": own, "--dask": dask, "--checkpoint": checkpoint}
+        unused["--keep-limits"] = limits.of() or None
         policy = optimal_policy(chosen, changes.source, options, rules, unused)
         hint = None
     else:
@@ -236,6 +239,7 @@ def synth(
             notes("capsyn.execution.checkpoint"),
         ):
             more = options | rules | {"executor": client, "checkpoint": checkpoint}
+            more["keep_limits"] = limits.of()
             policy = synthesize(chosen, settings=own, progress=progress, **more)
         hint = chatter_hint(policy, subdivision.threads)
     policy.save(path)

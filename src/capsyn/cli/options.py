@@ -159,6 +159,29 @@ class SwitchingOptions:
         return dataclasses.replace(own, **changes)
 
 
+@dataclasses.dataclass(frozen=True)
+class LimitOptions:
+    """How the limits of a problem are kept."""
+
+    keep_limits: bool = option(
+        "Keep the problem's limits by construction, at its sample time, wherever that can be done.",
+        "--keep-limits",
+        default=False,
+    )
+    limit_cells: str | None = option(
+        "Cells along each axis that are looked at for that [default: chosen].", metavar="K[,K..]"
+    )
+
+    def of(self) -> Any:
+        """Return the argument ``keep_limits`` of `capsyn.synthesize`."""
+        from capsyn.limits.asked import KeepLimits
+
+        cells = whole_number_list("--limit-cells", self.limit_cells)
+        if cells is not None and not self.keep_limits:
+            raise ProblemError("--limit-cells is for --keep-limits only")
+        return KeepLimits(cells) if self.keep_limits else False
+
+
 def _holds(texts: list[str], own: Any, names: Sequence[str]) -> Any:
     """Return the least times that texts mean, by name beside those of the problem."""
     if texts == ["none"]:

@@ -227,6 +227,8 @@ def print_report(data: dict[str, Any]) -> None:
     dwell = "" if hold else f"; minimum dwell {data['min_dwell']:g} {unit}"
     print_line("outside", f"{rule}{dwell}")
     _print_memory(data, unit)
+    if "limits" in data:
+        _print_limits(data["limits"], statistics.get("limits"), unit)
     for name, sentence in evidence_rows(data["evidence"]):
         print_line(name, sentence)
     for hint in data["hints"]:
@@ -260,6 +262,23 @@ def _print_memory(data: dict[str, Any], unit: str) -> None:
         print_line("forbidden", ", ".join(f"{before} to {after}" for before, after in pairs))
     if "delay" in data:
         print_line("delay", f"{data['delay']:g} {unit}, compensated")
+
+
+def _print_limits(data: dict[str, Any], found: dict[str, Any] | None, unit: str) -> None:
+    """Print from where limits are kept, and from where not."""
+    known = "".join(
+        f", {k} in [{low:g}, {high:g}]" for k, (low, high) in data["parameters"].items()
+    )
+    of = "" if found is None else f" and {found['share']:.2%} of where they hold"
+    print_line(
+        "limits",
+        f"kept from {data['kept_share']:.2%} of the domain{of}: sampled every "
+        f"{data['sample_time']:g} {unit}{known}",
+    )
+    for key, what in (("from", "from states in"), ("lost", "not from others in")):
+        if found is not None and found[key]:
+            ranges = (f"{name} [{low:.6g}, {high:.6g}]" for name, (low, high) in found[key].items())
+            print_line("", f"{what} {', '.join(ranges)}")
 
 
 def _price(price: Any, per: str) -> str:

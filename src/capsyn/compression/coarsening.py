@@ -42,7 +42,9 @@ def cut_off(policy: Policy, level: int) -> Policy:
         if cells.splits is None
         else np.where(entries < 0, 0, cells.splits[: len(kept)]),
     )
-    return dataclasses.replace(policy, cells=tree, statistics={}, evidence={}, timings={})
+    return dataclasses.replace(
+        policy, cells=tree, kept=None, statistics={}, evidence={}, timings={}
+    )
 
 
 def _leaves_within(cells: CellTree, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

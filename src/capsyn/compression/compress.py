@@ -154,7 +154,7 @@ def compress(
     if mode is None:
         mode = "linear" if by_loop else "exact"
     options = {"agreement": agreement, "level": level, "node_price": node_price}
-    _check_mode(policy, mode, options)
+    _check_mode(policy, mode, options, by_loop)
     _check_judge(by_loop, mode, options | {"features": features},
                  {"nodes": nodes, "bytes": bytes, "size": size} | loop)  # fmt: skip
     if features is not None:
@@ -282,10 +282,15 @@ def _check_judge(
             raise ProblemError(f"`{name}` is not for judge 'loop', which has a budget; got {got}")
 
 
-def _check_mode(policy: Policy, mode: str, options: dict[str, Any]) -> None:
+def _check_mode(policy: Policy, mode: str, options: dict[str, Any], by_loop: bool) -> None:
     """Raise `ProblemError` unless a policy has a tree of a mode with such options."""
     one_of("mode", mode, list(MODES))
     level = options["level"]
+    if policy.kept is not None and (by_loop or mode == "linear" or level is not None):
+        raise ProblemError(
+            "`mode` must be exact or freedom, without `level` and judge 'loop', for a policy that "
+            "keeps limits: other trees would not keep them"
+        )
     if policy.gaps and (mode == "linear" or level is not None):
         raise ProblemError(
             "`mode` must be exact or freedom, without `level`, for a policy with gaps: other trees "

@@ -81,6 +81,8 @@ def size_curve(
     cell_tree(policy)
     if policy.gaps:
         raise ProblemError("`policy` must have no gaps: modes exact and freedom keep those")
+    if policy.kept is not None:
+        raise ProblemError("`policy` must not be made to keep limits: most trees would not")
     states = whole_number("states", states, least=1, most=MAX_STATES)
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, BACKENDS)

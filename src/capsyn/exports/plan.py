@@ -102,6 +102,11 @@ class Plan:
         at_once = policy.outside_at_once if outside_at_once is None else outside_at_once
         true_or_false("outside_at_once", at_once)
         factors = reading_factors(policy.space, policy.cells.counts, scale, offset)
+        if policy.kept is not None and (dwell is not None or hold_off):
+            raise ProblemError(
+                "`dwell` and `hold_off` must be left out for a policy that keeps limits: it keeps "
+                "them with its own times"
+            )
         given = policy
         if dwell is not None and finite_number("dwell", dwell, least=0.0) >= 0:
             policy = _held(policy, float(dwell))

@@ -222,6 +222,10 @@ def _improvable(policy: Policy) -> CellTree:
             "`policy` must have no input delay to be improved by rollouts; got "
             f"{policy.delay:g} {policy.time_unit}"
         )
+    if policy.kept is not None:
+        raise ProblemError(
+            "`policy` must be one that was not made to keep limits: what is improved would not"
+        )
     if policy.gaps:
         raise ProblemError("`policy` must have a symbol everywhere to be improved; it has gaps")
     return cells

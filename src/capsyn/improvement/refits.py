@@ -294,6 +294,7 @@ def remade(
     return dataclasses.replace(
         source,
         cells=made.cells,
+        kept=None,
         transitions=made.transitions,
         statistics=made.statistics,
         timings=made.timings,

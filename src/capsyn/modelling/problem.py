@@ -89,6 +89,9 @@ class Problem:
         A terminal cost that stands for the cost to go, in the place of `terminal_cost`: that of
         `riccati_tail`, or a function; "fit" is that of `fitted_tail`, which `synthesize` finds.
         The horizon to give with it is short.
+    limits : callable ``x -> components``, or ``(x, w)``, optional
+        What states must keep to: each component is <= 0 where they are allowed. They are kept by
+        construction where `synthesize` is told ``keep_limits``; carried in the policy's model.
 
     Raises
     ------
@@ -119,6 +122,7 @@ class Problem:
     exogenous: Box | None = None
     leaves: str = "constant"
     tail: Any = None
+    limits: Callable[..., Any] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
@@ -155,7 +159,7 @@ class Problem:
             raise ProblemError(
                 "`running_cost` and `terminal_cost` must not both be None: there is no goal"
             )
-        for name in ("dynamics", "running_cost", "terminal_cost"):
+        for name in ("dynamics", "running_cost", "terminal_cost", "limits"):
             value = getattr(self, name)
             if value is None and name != "dynamics":
                 continue
@@ -230,8 +234,8 @@ class Problem:
         """Return CasADi functions of the reading z = (x, w), the state itself without exogenous w.
 
         They are ``dynamics(z, u)``, with rates 0 of w, ``running_cost(z)``, ``terminal_cost(z)``,
-        which is the tail where there is one, and ``default(z)`` of a law. A cost that is None is
-        the constant 0.
+        which is the tail where there is one, and ``default(z)`` of a law and ``limits(z)`` where
+        there are some. A cost that is None is the constant 0.
         """
         z = ca.SX.sym("z", self.space.n)
         name = "terminal_cost" if self.tail is None else "tail"
@@ -248,6 +252,8 @@ class Problem:
         values = {"running_cost": expression("running_cost", running, arguments, 1)}
         if self.has_law:
             values["default"] = expression("default", self.default, arguments, self.alphabet.m)
+        if self.limits is not None:
+            values["limits"] = expression("limits", self.limits, arguments, None)
         functions = {name: casadi_function(name, [z], value) for name, value in values.items()}
         with_control = split_reading(z, {"u": u}, n)
         rates = expression("dynamics", self.dynamics, with_control, n, rates=True)
@@ -311,12 +317,14 @@ def expression(
     name: str,
     function: Callable[..., Any],
     arguments: Mapping[str, ca.SX],
-    size: int,
+    size: int | None,
     *,
     rates: bool = False,
     parameters: bool = False,
 ) -> ca.SX:
     """Return what a user's function gives on symbols, as a dense column of `size` components.
+
+    A `size` of None stands for any but 0.
 
     The arguments are CasADi columns by name (x, u, w, p), as many as the function takes, in order.
     `rates` says that the components are rates, one for each state; `parameters`, that the function
@@ -344,7 +352,7 @@ def expression(
         raise ProblemError(
             f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
         ) from error
-    wanted = "a scalar" if size == 1 else f"{size} components"
+    wanted = "a scalar" if size == 1 else f"{size or 'one or more'} components"
     wanted = f"{size} component(s), one per state" if rates else wanted
     try:
         with _numpy_functions():
@@ -354,9 +362,10 @@ def expression(
             column = ca.SX(column)
     except Exception:  # CasADi raises several types
         raise ProblemError(f"`{name}` must return {wanted}; got {describe(value)}") from None
+    size = max(column.shape) if size is None else size
     if column.shape == (1, size):
         column = column.T
-    if column.shape != (size, 1):
+    if column.shape != (size, 1) or not size:
         raise ProblemError(f"`{name}` must return {wanted}; got shape {column.shape}")
     return ca.densify(column)
 

@@ -187,6 +187,15 @@ def flow_programs(dynamics: Program) -> tuple[Program, Program | None]:
     return first, program_from_casadi("end", whole, ports, outputs)
 
 
+def slopes_program(dynamics: Program) -> Program:
+    """Return the Jacobian of rates ``(x, u) -> xdot``, or ``(x, u, p)``, in x, row by row."""
+    inputs = [ca.SX.sym(name, size) for name, size in dynamics.inputs]
+    rates = casadi_from_program(dynamics)(*inputs)
+    slopes = ca.densify(ca.vec(ca.jacobian(rates, inputs[0]).T))
+    function = ca.Function("slopes", inputs, [slopes])
+    return program_from_casadi("slopes", function, dynamics.inputs, (("slopes", slopes.numel()),))
+
+
 def terminal_program(function: Callable[..., Any], n: int, told: int) -> Program:
     """Return the program of a terminal cost of n states and so many exogenous inputs.
 
@@ -244,7 +253,11 @@ def transcribe(problem: Problem) -> Model:
         arguments, values = _programs(problem, functions, None)
         own = Prediction.ports(problem.space.n, m, symbols)
         prediction = Prediction(**_transcribed(arguments, values, own))
-    return Model(**programs, prediction=prediction)
+    limits = None
+    if "limits" in functions:
+        size = (("limits", functions["limits"].numel_out(0)),)
+        limits = program_from_casadi("limits", functions["limits"], (("x", problem.space.n),), size)
+    return Model(**programs, prediction=prediction, limits=limits)
 
 
 def _transcribed(

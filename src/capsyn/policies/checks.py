@@ -7,13 +7,33 @@ from typing import Any
 import numpy as np
 
 from capsyn.cells.affine_leaves import PriceRatios
-from capsyn.errors import ProblemError
+from capsyn.errors import PolicyFormatError, ProblemError
+from capsyn.limits.kept import Kept
 from capsyn.modelling.alphabet import Alphabet, check_outside
 from capsyn.modelling.exogenous import check_exogenous, of_states
 from capsyn.modelling.switching import DEFAULT, check_switching
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
 from capsyn.validation import describe, finite_number, keep, read_only, true_or_false
+
+STATISTICS: dict[str, tuple[type, ...]] = {
+    "solves": (int,),
+    "solves_by_role": (dict,),
+    "cells": (int,),
+    "worst_case_solves": (int,),
+    "indifferent_points": (int,),
+    "not_finite_points": (int,),
+    "not_finite_example": (list, type(None)),
+    "stopped_by_max_solves": (bool,),
+    "stopped_by": (str,),
+    "sample": (dict,),
+    "table": (dict,),
+    "limits": (dict,),
+}
+"""What statistics hold, if they hold it; there may be more."""
+RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
+TABLE = ("points", "outside", "several")
+SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
 
 
 def check_fields(policy: Any, structure: type) -> None:
@@ -48,6 +68,11 @@ def check_fields(policy: Any, structure: type) -> None:
     keep(policy, transitions=_checked_transitions(policy.transitions, len(policy.alphabet) + 1))
     policy.cells.check(len(policy.alphabet) + 1, policy.transitions)
     _check_forbidden(policy)
+    kept = policy.kept
+    if kept is not None:
+        fits = isinstance(kept, Kept) and kept.cells.n == policy.space.n
+        if not fits or kept.rows.shape[1] not in (1, len(policy.alphabet) + 1):
+            raise ProblemError(f"`kept` must be a Kept of this domain; got {describe(kept)}")
 
 
 def _checked_transitions(transitions: Any, count: int) -> np.ndarray:
@@ -128,3 +153,24 @@ def labels_in_force(current: Any, shape: tuple[int, ...], alphabet: Alphabet) ->
         ) from None
     labels = labels.reshape(-1).astype(np.int32)
     return np.where(labels < 0, np.int32(count), labels)
+
+
+def checked_statistics(data: Any) -> dict[str, Any]:
+    """Return statistics if what is in them is of the kinds that this version writes."""
+    if not isinstance(data, dict):
+        raise PolicyFormatError("its statistics are no object")
+    for key, kinds in STATISTICS.items():
+        if key in data and not isinstance(data[key], kinds):
+            raise PolicyFormatError(f"its statistic '{key}' is of another kind")
+    roles, sample = data.get("solves_by_role", {}), data.get("sample", {})
+    if not all(isinstance(count, int) for count in roles.values()):
+        raise PolicyFormatError("its statistic 'solves_by_role' is of another kind")
+    numbers = all(
+        isinstance(v, (int, float)) or (v is None and k in RATIOS) for k, v in sample.items()
+    )
+    table = data.get("table", {})
+    if table and not (set(table) == set(TABLE) and all(type(v) is int for v in table.values())):
+        raise PolicyFormatError("its statistic 'table' is of another kind")
+    if sample and (not set(sample) >= set(SAMPLE) or not numbers):
+        raise PolicyFormatError("its statistic 'sample' is of another kind")
+    return data

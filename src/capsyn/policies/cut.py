@@ -28,6 +28,7 @@ def at(policy: Any, exogenous: Any) -> Any:
         "cells": cut(policy.cells, steps),
         "model": None if policy.model is None else policy.model.at(w),
         "target": cut_target(policy.target, policy.space, n, w),
+        "kept": None if policy.kept is None else policy.kept.at(w, told),
         "statistics": {},
         "timings": {},
         "evidence": {},

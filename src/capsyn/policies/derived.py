@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.errors import ProblemError
+from capsyn.limits.kept import Kept
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Box
-from capsyn.modelling.exogenous import joined
+from capsyn.modelling.exogenous import joined, readings
 from capsyn.modelling.switching import SwitchRules
+from capsyn.policies.checks import labels_in_force
 from capsyn.policies.in_force import volume_shares
+from capsyn.policies.lookup import row_numbers
 from capsyn.validation import read_only
 
 
@@ -25,6 +29,7 @@ class Derived:
     default: np.ndarray
     cells: Any
     transitions: Any
+    kept: Kept | None
 
     @functools.cached_property
     def space(self) -> Box:
@@ -49,6 +54,30 @@ class Derived:
         """Control vectors (N + 1, m) of the symbols, the default control last [input units]."""
         table = np.vstack([self.alphabet.values, self.default])
         return read_only(table)
+
+    def keeps_limits(self, states: Any, exogenous: Any = None, current: Any = None) -> Any:
+        """Return from which states (..., n) the sampled loop keeps the limits, booleans (...).
+
+        It is proved for every loop with the sample time and the delay of the policy, and with
+        parameters in the ranges, that `synthesize` was given; the symbol in force must be free to
+        change. `exogenous` and `current` are those of a call of the policy. Elsewhere the policy
+        does what violates limits least in one period.
+
+        Raises
+        ------
+        ProblemError
+            A policy that was not made to keep limits, states of another shape, or symbols in force
+            that are none.
+        """
+        if self.kept is None:
+            raise ProblemError(
+                "`keeps_limits` needs a policy that was made with `keep_limits`; this one was not"
+            )
+        points = readings(states, exogenous, self.domain, self.exogenous)
+        shape = points.shape[:-1]
+        numbers = row_numbers(points.reshape(-1, self.space.n), self.space, self.kept.cells, False)
+        now = labels_in_force(current, shape, self.alphabet)
+        return self.kept.holds(numbers, now).reshape(shape)[()]
 
     @functools.cached_property
     def rules(self) -> SwitchRules:

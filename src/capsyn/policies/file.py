@@ -24,6 +24,7 @@ from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.execution.answers import digest
 from capsyn.execution.files import atomic_write
 from capsyn.execution.memory import check_memory
+from capsyn.limits.kept import KEPT_ARRAYS, Kept
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.exogenous import check_exogenous, joined
@@ -31,6 +32,7 @@ from capsyn.modelling.grid import MAX_COUNT, Grid
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching
 from capsyn.modelling.targets import Target
+from capsyn.policies.checks import checked_statistics
 from capsyn.policies.evidence import EVIDENCE, is_evidence
 from capsyn.policies.guarantee import Guarantee
 from capsyn.programs.model import Model
@@ -40,21 +42,22 @@ from capsyn.validation import describe, whole_numbers
 Made = TypeVar("Made")
 
 FORMAT = "capsyn-policy"
-VERSION = 11
+VERSION = 12
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
 split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6, trees
 with features 7, more than 63 symbols, or some of equal control, 8, what depends on the symbol in
 force, has prices or least times of its own, or compensates a delay, 9, what is told exogenous
-inputs, was cut at some, or predicts under a default law, 10, trees judged by closed loops 11."""
+inputs, was cut at some, or predicts under a default law, 10, trees judged by closed loops 11,
+models with limits, and policies that keep them, 12."""
 CELL_ENTRIES = ("entries", "mixed_cells")
 """The arrays of all cells, whatever is known of the mixed ones."""
 TRANSITIONS = {"transitions": np.uint16}
 """The rows of a transition function, (R - N - 1, N + 1), that are not constant, in order."""
 ALL_ARRAYS = CELL_ARRAYS | ROW_ARRAYS | SPLIT_ARRAYS | SEEN_ARRAYS | TREE_ARRAYS | PRICE_ARRAYS
-ALL_ARRAYS |= TRANSITIONS
+ALL_ARRAYS |= TRANSITIONS | KEPT_ARRAYS
 """All arrays that a file may hold, and their types."""
 ARRAYS = [
-    {*arrays, *transitions}
+    {*arrays, *transitions, *kept}
     for arrays in (
         TREE_ARRAYS,
         *(
@@ -65,9 +68,10 @@ ARRAYS = [
         ),
     )
     for transitions in ((), TRANSITIONS)
+    for kept in ((), KEPT_ARRAYS)
 ]
 """The sets of arrays that a file may hold."""
-PLANAR = {"planes", "row_slopes", "row_ratios", "transitions", *SEEN_ARRAYS}
+PLANAR = {"planes", "row_slopes", "row_ratios", "transitions", "kept_rows", *SEEN_ARRAYS}
 """Those of two dimensions."""
 KEYS = set(
     "name domain alphabet default outside min_dwell target horizon settings model "
@@ -76,24 +80,8 @@ KEYS = set(
 CELL_KEYS = KEYS | {"partitions", "refinement", "max_level"}
 TREE_KEYS = KEYS | {"counts", "guarantee"}
 RARE_KEYS = {"gaps", "time_unit", "outside_at_once", "features", "switching", "delay", "exogenous"}
+RARE_KEYS |= {"kept"}
 """Keys that are there where they say something else than False, s, none, and 0."""
-STATISTICS: dict[str, tuple[type, ...]] = {
-    "solves": (int,),
-    "solves_by_role": (dict,),
-    "cells": (int,),
-    "worst_case_solves": (int,),
-    "indifferent_points": (int,),
-    "not_finite_points": (int,),
-    "not_finite_example": (list, type(None)),
-    "stopped_by_max_solves": (bool,),
-    "stopped_by": (str,),
-    "sample": (dict,),
-    "table": (dict,),
-}
-"""What statistics hold, if they hold it; there may be more."""
-RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
-TABLE = ("points", "outside", "several")
-SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
 
 
 def save(policy: Any, path: str | os.PathLike[str]) -> None:
@@ -115,7 +103,8 @@ def _arrays(policy: Any) -> dict[str, np.ndarray]:
     """Return the arrays of a policy by their names in a file."""
     rows = policy.transitions[len(policy.alphabet) + 1 :]
     table = {"transitions": rows.astype(TRANSITIONS["transitions"])} if len(rows) else {}
-    return {**policy.cells.arrays(), **table}
+    kept = {} if policy.kept is None else policy.kept.arrays()
+    return {**policy.cells.arrays(), **table, **kept}
 
 
 def _write(arrays: dict[str, np.ndarray], path: Path, metadata: dict[str, str]) -> None:
@@ -139,6 +128,7 @@ def content_of(policy: Any) -> dict[str, Any]:
         **({"outside_at_once": True} if policy.outside_at_once else {}),
         **({} if policy.switching is None else {"switching": policy.switching.to_json()}),
         **({"delay": policy.delay} if policy.delay else {}),
+        **({} if policy.kept is None else {"kept": policy.kept.to_json()}),
         **({} if policy.exogenous is None else {"exogenous": policy.exogenous.to_json()}),
         "name": policy.name,
         "domain": policy.domain.to_json(),
@@ -162,11 +152,13 @@ def content_hash(policy: Any) -> str:
 def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> int:
     """Return the first version that has files with such arrays and content."""
     values = [tuple(value) for value in content["alphabet"]["values"]]
+    model = content["model"] if isinstance(content["model"], dict) else {}
     news = {"transitions", "row_prices", "mixed_sets"} & set(arrays)
     needed = {
+        12: "kept" in content or "limits" in model,
         11: "loop" in content.get("guarantee", {}),
         10: "exogenous" in content
-        or "prediction" in (content["model"] or {})
+        or "prediction" in model
         or "cut" in content.get("guarantee", {}),
         9: bool(news) or "switching" in content or "delay" in content,
         8: len(values) >= WORD or len(set(values)) < len(values),
@@ -270,7 +262,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         "target": _target(content["target"]),
         "settings": None if settings is None else _settings(settings),
         "model": model,
-        "statistics": _statistics(content["statistics"]),
+        "statistics": checked_statistics(content["statistics"]),
         "evidence": _evidence(document),
         "gaps": "gaps" in content,
         "time_unit": content.get("time_unit", "s"),
@@ -278,6 +270,7 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
         "switching": Switching(**content["switching"]) if "switching" in content else None,
         "delay": content.get("delay", 0.0),
         "transitions": _transitions(arrays.pop("transitions", None), len(alphabet) + 1),
+        "kept": _kept(content, arrays, len(alphabet) + 1, space),
     }
     if is_tree:
         counts = whole_numbers("counts", content["counts"], space.n, least=1, most=MAX_COUNT)
@@ -295,6 +288,16 @@ def _fields(document: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str
     space.check_resolution(grid.counts)
     seen, (entries, mixed) = _seen(arrays, len(alphabet) + 1), (arrays[k] for k in CELL_ENTRIES)
     return fields | {"cells": CellTree(grid, entries, mixed, seen, affine, arrays.get("splits"))}
+
+
+def _kept(
+    content: dict[str, Any], arrays: dict[str, np.ndarray], labels: int, space: Box
+) -> Kept | None:
+    """Return the states from which limits are kept; their arrays are taken out."""
+    own = {name: arrays.pop(name) for name in KEPT_ARRAYS if name in arrays}
+    if bool(own) != ("kept" in content):
+        raise PolicyFormatError("its keys are not those of this format version")
+    return Kept.from_file(content["kept"], own, labels, space) if own else None
 
 
 def _has_its_keys(content: Any, is_tree: bool) -> bool:
@@ -338,27 +341,6 @@ def _settings(data: dict[str, Any]) -> SsacSettings:
     if set(data) - known:
         raise PolicyFormatError("its settings are not those of this format version")
     return SsacSettings(**data)  # settings that came later have their defaults
-
-
-def _statistics(data: Any) -> dict[str, Any]:
-    """Return statistics if what is in them is of the kinds that this version writes."""
-    if not isinstance(data, dict):
-        raise PolicyFormatError("its statistics are no object")
-    for key, kinds in STATISTICS.items():
-        if key in data and not isinstance(data[key], kinds):
-            raise PolicyFormatError(f"its statistic '{key}' is of another kind")
-    roles, sample = data.get("solves_by_role", {}), data.get("sample", {})
-    if not all(isinstance(count, int) for count in roles.values()):
-        raise PolicyFormatError("its statistic 'solves_by_role' is of another kind")
-    numbers = all(
-        isinstance(v, (int, float)) or (v is None and k in RATIOS) for k, v in sample.items()
-    )
-    table = data.get("table", {})
-    if table and not (set(table) == set(TABLE) and all(type(v) is int for v in table.values())):
-        raise PolicyFormatError("its statistic 'table' is of another kind")
-    if sample and (not set(sample) >= set(SAMPLE) or not numbers):
-        raise PolicyFormatError("its statistic 'sample' is of another kind")
-    return data
 
 
 def _evidence(document: dict[str, Any]) -> dict[str, Any]:

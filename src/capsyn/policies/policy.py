@@ -13,6 +13,7 @@ import numpy as np
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.split_tree import SplitTree
 from capsyn.errors import OutsideDomainError, ProblemError
+from capsyn.limits.kept import Kept
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.exogenous import readings
@@ -83,6 +84,8 @@ class Policy(Derived):
         Input delay that the policy compensates [time unit].
     exogenous : Box, optional
         Values of the exogenous inputs, what the policy is told beside the state; see `Problem`.
+    kept : Kept, optional
+        From where its limits are kept; see `keeps_limits`.
     """
 
     name: str
@@ -106,6 +109,7 @@ class Policy(Derived):
     switching: Switching | None = None
     delay: float = 0.0
     exogenous: Box | None = None
+    kept: Kept | None = None
 
     _structure: ClassVar[type] = CellTree
 

@@ -56,6 +56,7 @@ def report(policy: Policy) -> dict[str, Any]:
         **({} if policy.time_unit == "s" else {"time_unit": policy.time_unit}),
         "min_dwell": policy.min_dwell,
         **_memory(policy),
+        **({} if policy.kept is None else {"limits": _limits(policy)}),
         "horizon": policy.horizon,
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "statistics": policy.statistics,
@@ -106,6 +107,20 @@ def _memory(policy: Policy) -> dict[str, Any]:
     if policy.switching is not None:
         data["switching"] = policy.switching.to_json()
     return data | ({"delay": policy.delay} if policy.delay else {})
+
+
+def _limits(policy: Policy) -> dict[str, Any]:
+    """Return from where limits are kept, in figures."""
+    assert policy.kept is not None
+    cells, rows = policy.kept.cells, policy.kept.rows
+    places, volumes = cells.volumes()
+    always = rows[:, : max(rows.shape[1] - 1, 1)].all(axis=1)[cells.labels_at(places)]
+    return {
+        "kept_share": float(volumes[always].sum() / volumes.sum()),
+        "sample_time": policy.kept.sample_time,
+        "parameters": {name: list(ends) for name, ends in policy.kept.parameters.items()},
+        "steps": list(cells.counts),
+    }
 
 
 def _staying_share(policy: Policy) -> float:

@@ -59,10 +59,13 @@ class Model:
     terminal_cost: Program  # x -> (cost, gradient), eq. (3) [cost]; the end value of the adjoint
     insertion: Program  # (x, u, rho, cost, rounding) -> (gradients, scales)
     prediction: Prediction | None = None  # under a default law
+    limits: Program | None = None  # x -> limits, each <= 0 where x is allowed
 
     def to_json(self) -> dict[str, Any]:
-        """Return the model as plain data; without a default law nothing is said of one."""
-        plain = _plain(self, [f.name for f in dataclasses.fields(self) if f.name != "prediction"])
+        """Return the model as plain data; of a default law and limits only where there are some."""
+        plain = _plain(self, [f.name for f in dataclasses.fields(self) if f.name not in RARE])
+        if self.limits is not None:
+            plain["limits"] = self.limits.to_json()
         if self.prediction is not None:
             names = [f.name for f in dataclasses.fields(self.prediction)]
             plain["prediction"] = _plain(self.prediction, names)
@@ -85,17 +88,38 @@ class Model:
         prediction = self.prediction
         if prediction is not None:
             prediction = Prediction(**fixed(prediction, Prediction.ports(n, m, symbols)))
-        return Model(**fixed(self, model_ports(n, m, symbols)), prediction=prediction)
+        limits = self.limits
+        if limits is not None:
+            limits = restricted(limits, (("x", n),), limits.outputs, {"x": exogenous})
+        programs: dict[str, Any] = fixed(self, model_ports(n, m, symbols))
+        return Model(**programs, prediction=prediction, limits=limits)
 
     @staticmethod
     def from_json(data: Any, n: int, m: int, symbols: int) -> Model:
         """Return the model that `to_json` described; `PolicyFormatError` where sizes are others."""
-        prediction = None
-        if isinstance(data, dict) and "prediction" in data:
-            own = _programs(data["prediction"], Prediction.ports(n, m, symbols))
-            prediction = Prediction(**own)
-            data = {name: value for name, value in data.items() if name != "prediction"}
-        return Model(**_programs(data, model_ports(n, m, symbols)), prediction=prediction)
+        rare: dict[str, Any] = {}
+        if isinstance(data, dict):
+            rare = {name: data[name] for name in RARE if name in data}
+            data = {name: value for name, value in data.items() if name not in RARE}
+        if "prediction" in rare:
+            own = _programs(rare["prediction"], Prediction.ports(n, m, symbols))
+            rare["prediction"] = Prediction(**own)
+        if "limits" in rare:
+            rare["limits"] = _limits(rare["limits"], n)
+        programs: dict[str, Any] = _programs(data, model_ports(n, m, symbols))
+        return Model(**programs, **rare)
+
+
+RARE = ("prediction", "limits")
+"""What not every model has."""
+
+
+def _limits(data: Any, n: int) -> Program:
+    """Return the program of limits on n states; `PolicyFormatError` where it is another."""
+    program = Program.from_json(data)
+    if program.inputs != (("x", n),) or [name for name, _ in program.outputs] != ["limits"]:
+        raise PolicyFormatError("the program 'limits' in the file has other sizes")
+    return program
 
 
 def _plain(programs: Any, names: Iterable[str]) -> dict[str, Any]:

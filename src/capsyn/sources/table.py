@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,10 +11,11 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.cells.masks import WORD, preferred, several
+from capsyn.cells.merged import entry_count, grids_of, merged
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import LARGEST, Box
-from capsyn.modelling.grid import MAX_COUNT, Grid, grid_places
+from capsyn.modelling.grid import Grid
 from capsyn.modelling.time_unit import check_time_unit
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe, finite_array, keep, read_only
@@ -200,8 +201,8 @@ class Table:
         masks = np.where(self.masks == 0, gap, self.masks)
         gaps = bool((self.masks == 0).any())
         padded = [gaps and outside != "nearest" and not p for p in self.box().periodic]
-        grids = list(_grids(self.counts, padded))
-        grid = min(grids, key=lambda grid: _entry_count(masks, gap, grid))
+        grids = list(grids_of(self.counts, padded))
+        grid = min(grids, key=lambda grid: entry_count(_padded(masks, gap, grid), grid))
         masks = _padded(masks, gap, grid)
         counts = {
             "points": int(self.masks.size),
@@ -280,74 +281,18 @@ def check_points(counts: Sequence[int]) -> None:
         raise ProblemError(f"a table must have at most {MOST_POINTS:,} points; got {shape}")
 
 
-def _grids(counts: tuple[int, ...], padded: Sequence[bool]) -> Iterator[Grid]:
-    """Yield what cells may be like: no levels, or some with blocks that fit or are padded."""
-    yield Grid(counts, (2,) * len(counts), 0)
-    for level in range(1, max(counts).bit_length()):
-        partitions, refinement = [], []
-        for count, free in zip(counts, padded):
-            r = 2 if free else _root(count, level)
-            if r is None:
-                break
-            partitions.append(-(-count // r**level))
-            refinement.append(r)
-        else:
-            grid = Grid(tuple(partitions), tuple(refinement), level)
-            sizes = grid.counts
-            if math.prod(sizes) <= 2 * math.prod(counts) and max(sizes) <= MAX_COUNT:
-                yield grid
-
-
-def _root(count: int, level: int) -> int | None:
-    """Return the least factor >= 2 whose power divides a count, if there is one."""
-    factors = range(2, int(count ** (1 / level) + 1.5))
-    return next((r for r in factors if count % r**level == 0), None)
-
-
 def _padded(masks: np.ndarray, gap: np.uint64, grid: Grid) -> np.ndarray:
     more = [(0, size - k) for size, k in zip(grid.counts, masks.shape)]
     return np.pad(masks, more, constant_values=gap)
 
 
-def _pyramid(masks: np.ndarray, grid: Grid) -> list[np.ndarray]:
-    """Return the mask of every cell, coarsest level first; 0 where those below it differ."""
-    levels = [masks]
-    for _ in range(grid.max_level):
-        below = levels[-1]
-        shape = [part for k, r in zip(below.shape, grid.refinement) for part in (k // r, r)]
-        inner = tuple(range(1, 2 * below.ndim, 2))
-        blocks = below.reshape(shape)
-        first = blocks[(slice(None), 0) * below.ndim]
-        same = (blocks == np.expand_dims(first, inner)).all(axis=inner)
-        levels.append(np.where(same, first, np.uint64(0)))
-    return levels[::-1]
-
-
-def _entry_count(masks: np.ndarray, gap: np.uint64, grid: Grid) -> int:
-    """Return how many entries the cells of a grid have."""
-    levels = _pyramid(_padded(masks, gap, grid), grid)
-    blocks = sum(int(np.count_nonzero(cells == 0)) for cells in levels)
-    return grid.roots + blocks * grid.children
-
-
 def _merged(masks: np.ndarray, grid: Grid, gap: int) -> CellTree:
     """Return the cells of a grid of masks; label `gap` where its bit is set."""
-    children, cells = grid_places(grid.split(grid.max_level)), grid_places(grid.partitions)
-    entries, mixed, sets = [], [], []
-    start = 0
-    for layer in _pyramid(masks, grid):
-        own = layer[tuple(cells.T)]
-        split = own == 0
-        end = start + len(own)
-        labels = preferred(own[:, None], range(gap + 1)).astype(np.int64)
-        blocks = end + len(children) * (np.cumsum(split) - 1)
-        entries.append(np.where(split, blocks, -1 - labels).astype(np.int32))
-        free = np.flatnonzero(several(own[:, None]))
-        mixed.append((start + free).astype(np.int32))
-        sets.append(own[free])
-        start = end
-        cells = (cells[split][:, None, :] * grid.refinement + children).reshape(-1, grid.n)
-    return CellTree(grid, np.concatenate(entries), np.concatenate(mixed), np.concatenate(sets))
+    blocks, own = merged(masks, grid)
+    labels = preferred(own[:, None], range(gap + 1)).astype(np.int64)
+    entries = np.where(blocks < 0, -1 - labels, blocks).astype(np.int32)
+    free = np.flatnonzero(several(own[:, None]))
+    return CellTree(grid, entries, free.astype(np.int32), own[free])
 
 
 def _array(name: str, value: Any) -> np.ndarray:

@@ -20,6 +20,8 @@ from capsyn.errors import ProblemError, warn
 from capsyn.execution.cluster import check_client
 from capsyn.execution.processors import processors
 from capsyn.improvement.refits import Refits, problem_tail
+from capsyn.limits.asked import KeepLimits, check_limits
+from capsyn.limits.shield import shielded
 from capsyn.modelling.alphabet import Outside
 from capsyn.modelling.domain import Box
 from capsyn.modelling.problem import Problem
@@ -54,6 +56,7 @@ def synthesize(
     switching: Switching | None = None,
     delay: float | None = None,
     leaves: str | None = None,
+    keep_limits: bool | KeepLimits = False,
     leaf_error: float = 0.01,
     refine: str = "isotropic",
     test_points: str = "vertices+center",
@@ -81,6 +84,12 @@ def synthesize(
         Likewise.
     switching, delay : optional
         Likewise, of a policy that depends on the symbol in force. Affine leaves have no delay.
+    keep_limits : bool or KeepLimits
+        Keep the limits of the problem by construction: for ever, at its sample time, wherever that
+        can be done. The set of states from which it is is the largest of cells that enclosures
+        prove; see `KeepLimits` for how fine they are, and for parameters that are not known. In it
+        the policy has the best symbol of those that stay in it; elsewhere that whose worst limit
+        in the next period is least. ``policy.keeps_limits(states)`` says which is which.
     leaf_error : float
         Largest estimated share of a cell where its rows may be wrong; see `subdivide`.
     refine : "isotropic" or "adaptive"
@@ -158,13 +167,12 @@ def synthesize(
     one_of("backend", backend, BACKENDS)
     if executor is not None:
         check_client(executor)
-    remembers = problem.switching is not None or problem.delay > 0
-    labels = len(problem.alphabet) + 1
-    plan.check(problem.space, len(problem.alphabet), labels if remembers else 1)
+    symbols, remembers = len(problem.alphabet), problem.switching is not None or problem.delay > 0
+    plan.check(problem.space, symbols, symbols + 1 if remembers else 1)
     if plan.affine and problem.delay:
         raise ProblemError("`leaves` must be constant for a problem with a delay; got affine")
-    run = _Run(threads, backend, executor, checkpoint, progress)
-    return _synthesized(problem, plan, run)
+    asked = check_limits(problem, keep_limits)
+    return _synthesized(problem, plan, _Run(threads, backend, executor, checkpoint, progress), asked)
 
 
 def _fitted(problem: Problem, plan: SubdivisionPlan, threads: int, backend: str) -> Tail:
@@ -185,8 +193,10 @@ class _Run:
     progress: Callable[[Progress], None] | None
 
 
-def _synthesized(problem: Problem, plan: SubdivisionPlan, run: _Run) -> Policy:
-    """Return the policy of a problem on a plan, both checked."""
+def _synthesized(
+    problem: Problem, plan: SubdivisionPlan, run: _Run, asked: KeepLimits | None = None
+) -> Policy:
+    """Return the policy of a problem on a plan, both checked, that keeps limits where `asked`."""
     if problem.tail == FIT:
         problem = problem.replace(tail=_fitted(problem, plan, run.threads, run.backend))
     started = time.perf_counter()
@@ -204,7 +214,13 @@ def _synthesized(problem: Problem, plan: SubdivisionPlan, run: _Run) -> Policy:
         policy = carry_out(plan, labelling, problem.space, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
     more = {"timings": timings, "switching": switching}
-    return _described(policy, problem, controller, plan.seed, **more)
+    policy = _described(policy, problem, controller, plan.seed, **more)
+    if asked is None:
+        return policy
+    started = time.perf_counter()
+    policy = shielded(policy, controller, asked, run.backend)
+    timings = policy.timings | {"limits": time.perf_counter() - started}
+    return dataclasses.replace(policy, timings=timings)
 
 
 def _overridden(problem: Problem, **changes: Any) -> Problem:

@@ -269,6 +269,7 @@ def repriced(
     return dataclasses.replace(
         policy,
         cells=made.cells,
+        kept=None,
         transitions=made.transitions,
         switching=switching,
         min_dwell=0.0,
