@@ -40,7 +40,7 @@ automata: rectangles regions face_rates row_faces switching automaton
 simulation: plant options exogenous kernel closed_loop policy_loop trial_job experiment simulate
     tracking
 improvement: charged_loop judged quadratic_fit refits rollouts rounds improve
-limits: tubes invariant asked shield
+limits: tubes invariant asked shield telling
 synthesis: remote_labels labelling synthesize fitted_tail
 sources: delayed sequence_costs finite_control_set callables table text scots grid_files
 optima: grid task sweeps loops iteration comparison optimum

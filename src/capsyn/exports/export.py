@@ -19,6 +19,7 @@ from capsyn.exports.golden import Golden, golden_vectors
 from capsyn.exports.plan import MOST_NODES, Files, Plan, has_state, tree_within
 from capsyn.exports.sequence import golden_sequence
 from capsyn.exports.target import Target
+from capsyn.limits.telling import limits_policy
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
@@ -35,8 +36,10 @@ TARGETS = {
 """Targets and their modules, each of which has its `Target` as ``TARGET``."""
 GOLDEN, CERTIFICATE, MEASURED = "golden.csv", "certificate.json", "measured.json"
 SEQUENCE = "sequence.csv"
+LIMITS = "limits"
 """Files beside those of a target: vectors, costs, what is measured here, of C, and, where there is
-more to remember than one least time, a sequence."""
+more to remember than one least time, a sequence; and the folder of what says whether a policy keeps
+its limits."""
 
 
 def _load(name: str) -> Target:
@@ -94,6 +97,9 @@ def export(
 ) -> tuple[Path, ...]:
     """Write a policy or a decision tree in another language, and return the files.
 
+    Of a policy that keeps limits there is a second one in the folder ``limits``, whose symbol says
+    whether they are kept from a state, 1, or not, 0: its name is that of the policy after "limits".
+
     Parameters
     ----------
     policy : Policy
@@ -134,20 +140,19 @@ def export(
     targets = check_options(to, options)
     if not isinstance(directory, os.PathLike) and not (isinstance(directory, str) and directory):
         raise ProblemError(f"`directory` must be a path; got {describe(directory)}")
-    plan = Plan.of(
-        policy,
-        safe=safe,
-        dwell=dwell,
-        outside_at_once=outside_at_once,
-        scale=scale,
-        offset=offset,
-        hold_off=hold_off,
-    )
+    readings: dict[str, Any] = {"scale": scale, "offset": offset}
+    waits: dict[str, Any] = {"dwell": dwell, "hold_off": hold_off}
+    plan = Plan.of(policy, safe=safe, outside_at_once=outside_at_once, **readings, **waits)
     golden = golden_vectors(plan)
+    limits = None if policy.kept is None else Plan.of(limits_policy(policy), **readings)
     files: Files = {}
     for name in targets:
         folder = "" if isinstance(to, str) else f"{name}/"
         written = _files_of(name, plan, golden, options)
+        if limits is not None:
+            own = options | ({"name": f"limits_{options['name']}"} if options.get("name") else {})
+            beside = _files_of(name, limits, golden_vectors(limits), own)
+            written |= {f"{LIMITS}/{file}": content for file, content in beside.items()}
         files |= {folder + file: content for file, content in written.items()}
     return _write(files, Path(directory))
 

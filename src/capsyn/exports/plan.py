@@ -103,10 +103,7 @@ class Plan:
         true_or_false("outside_at_once", at_once)
         factors = reading_factors(policy.space, policy.cells.counts, scale, offset)
         if policy.kept is not None and (dwell is not None or hold_off):
-            raise ProblemError(
-                "`dwell` and `hold_off` must be left out for a policy that keeps limits: it keeps "
-                "them with its own times"
-            )
+            raise ProblemError("`dwell` and `hold_off` must be left out: limits are kept without")
         given = policy
         if dwell is not None and finite_number("dwell", dwell, least=0.0) >= 0:
             policy = _held(policy, float(dwell))
@@ -299,6 +296,8 @@ class Plan:
         lines.append(nearest if self.nearest else f"Outside and not finite: {lost}")
         if self.policy.gaps:
             lines.append(f"In the domain, cells without a symbol are outside: {lost}")
+        if policy.kept is not None:
+            lines.append("What says whether limits are kept from a state is in the folder limits")
         lines += self._times()
         if self.outside_at_once:
             lines.append("The symbol of a state outside does not wait for that")

@@ -43,7 +43,7 @@ class Flow:
     """
 
     dynamics: Program
-    motion: Callable[..., list[Interval]]  # (x, b, u[, p], t) -> x + t f(b, u, p)
+    motion: Callable[..., list[Interval]]  # (x, b, u[, p], t) -> x + t f, f(b, u, p)
     end: Callable[..., list[Interval]] | None  # (x, c, b, u[, p], t), of second order
 
     @staticmethod
@@ -131,13 +131,13 @@ class Flow:
         held = np.full((2, *lower.shape), np.nan)
         left = np.arange(lower.shape[1])
         with np.errstate(all="ignore"):
-            (motion,) = self.motion(start, box, *inputs, span)
+            motion, _ = self.motion(start, box, *inputs, span)
             for _ in range(TRIES):
                 box = _wider(start, motion)
-                (motion,) = self.motion(start, box, *inputs, span)
+                motion, rates = self.motion(start, box, *inputs, span)
                 inside = (motion[0] >= box[0]) & (motion[1] <= box[1])  # never of NaN
                 inside = inside.all(axis=0) & np.isfinite(box).all(axis=(0, 1))
-                held[:, :, left[inside]] = _hull(start, motion, inside)
+                held[:, :, left[inside]] = _hull(start, motion, rates, inside)
                 if inside.all():
                     break
                 out = ~inside
@@ -158,7 +158,7 @@ class Flow:
         """Return boxes (n, B) that hold the ends; NaN where the tube is."""
         start = (lower, upper)
         with np.errstate(all="ignore"):
-            ((low, high),) = self.motion(start, tube, *inputs, times)
+            (low, high), _ = self.motion(start, tube, *inputs, times)
             low, high = np.fmax(low, tube[0]), np.fmin(high, tube[1])
             if self.end is not None:
                 middle = np.clip(lower + (upper - lower) / 2, lower, upper)
@@ -184,11 +184,14 @@ def _of(pair: Interval, boxes: np.ndarray) -> Interval:
     return pair[0][:, boxes], pair[1][:, boxes]
 
 
-def _hull(start: Interval, motion: Interval, boxes: np.ndarray) -> np.ndarray:
-    """Return the boxes (2, n, B) that hold starts and motions, for some of the boxes."""
-    low = np.minimum(start[0][:, boxes], motion[0][:, boxes])
-    high = np.maximum(start[1][:, boxes], motion[1][:, boxes])
-    return np.stack([low, high])
+def _hull(start: Interval, motion: Interval, rates: Interval, boxes: np.ndarray) -> np.ndarray:
+    """Return the boxes (2, n, B) that hold starts and motions, for some of the boxes.
+
+    What never falls, or never climbs, does not leave its start on that side, nor by rounding.
+    """
+    low = np.minimum(start[0], np.where(rates[0] >= 0, start[0], motion[0]))
+    high = np.maximum(start[1], np.where(rates[1] <= 0, start[1], motion[1]))
+    return np.stack([low[:, boxes], high[:, boxes]])
 
 
 def _wider(start: Interval, motion: Interval) -> Interval:

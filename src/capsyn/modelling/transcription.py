@@ -163,11 +163,11 @@ def user_program(
 def flow_programs(dynamics: Program) -> tuple[Program, Program | None]:
     """Return programs whose bounds over boxes enclose flows of ``(x, u)`` or ``(x, u, p)`` to xdot.
 
-    The first is ``(x, b, u[, p], t) -> x + t f(b, u, p)``: where b bounds all states on the way, a
-    bound of the states at the times t. The second is the mean-value form of second order,
-    ``(x, c, b, u[, p], t) -> c + t f(c) + (I + t J(x)) (x - c) + t^2 / 2 J(b) f(b)`` with the
-    Jacobian J of f and a point c of x: of the ends at t, tighter. It is None where f may jump, or
-    bend where its derivative does not say so.
+    The first is ``(x, b, u[, p], t) -> x + t f(b, u, p), f(b, u, p)``: where b bounds all states on
+    the way, bounds of the states at the times t and of their rates. The second is the mean-value
+    form of second order, ``(x, c, b, u[, p], t) -> c + t f(c) + (I + t J(x)) (x - c) + t^2 / 2 J(b)
+    f(b)`` with the Jacobian J of f and a point c of x: of the ends at t, tighter. It is None where
+    f may jump, or bend where its derivative does not say so.
     """
     sizes = dict(dynamics.inputs)
     x, c, b = (ca.SX.sym(name, sizes["x"]) for name in "xcb")
@@ -175,8 +175,10 @@ def flow_programs(dynamics: Program) -> tuple[Program, Program | None]:
     f, t = casadi_from_program(dynamics), ca.SX.sym("t")
     ports: Ports = (*((name, sizes["x"]) for name in "xcb"), *dynamics.inputs[1:], ("t", 1))
     outputs: Ports = (("end", sizes["x"]),)
-    motion = ca.Function("motion", [x, b, *others, t], [ca.densify(x + t * f(b, *others))])
-    first = program_from_casadi("motion", motion, (ports[0], *ports[2:]), outputs)
+    there, rates = ca.densify(x + t * f(b, *others)), ca.densify(f(b, *others))
+    motion = ca.Function("motion", [x, b, *others, t], [there, rates])
+    both: Ports = (*outputs, ("rates", sizes["x"]))
+    first = program_from_casadi("motion", motion, (ports[0], *ports[2:]), both)
     if any(name in _JUMPS for name, *_ in dynamics.instructions):
         return first, None
     jacobian = ca.Function("jacobian", [x, *others], [ca.jacobian(f(x, *others), x)])
