@@ -15,7 +15,7 @@ from capsyn.version import __version__
 HERE = Path(__file__).parent
 QUESTIONS = (
     "solve synthesis dimensions lookup compression sources tails improve tune loop_trees optimum "
-    "told inverter closed_loop explorer command counts exports timing cluster"
+    "limits told inverter closed_loop explorer command counts exports timing cluster"
 ).split()
 
 FIRST = {
@@ -47,6 +47,15 @@ FIRST = {
         "docking, judged by loops, as small as may be: nodes",
         "docking, judged by loops, as small as may be: success of 1,000 loops",
         "docking, judged by loops, as small as may be: mean fuel",
+    ),
+    "limits": tuple(
+        f"boost converter, at most 4.5 A at 100 kHz, 576 x 576 cells: {what}"
+        for what in (
+            "share of the domain",
+            "synthesis",
+            "1,000,000 trials that break it",
+            "cost over the plain policy's",
+        )
     ),
     "told": (
         "building, law as default: largest mean error of 1,000 days",
