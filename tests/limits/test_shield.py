@@ -3,8 +3,10 @@
 import json
 
 import casadi as ca
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.contour import ContourSet
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
@@ -16,13 +18,17 @@ from capsyn import (
     SsacSettings,
     Switching,
     compress,
+    explore,
     export,
     improve,
+    simulate,
     synthesize,
 )
 from capsyn.compression.curve import size_curve
 from capsyn.compression.proof import prove
 from capsyn.errors import CapsynWarning, PolicyFormatError, ProblemError
+from capsyn.explorer.facts import facts
+from capsyn.plots.policy import plot_policy
 from capsyn.policies.file import VERSION
 from capsyn.policies.report import report
 from support.proofs.limits import PERIOD, double_integrator, worst_limit
@@ -183,6 +189,17 @@ def test_parameters_are_kept_for_throughout_their_ranges():
     assert worst_limit(known, states, 60, dynamics=rates, parameters=p).max() > 0.01
 
 
+def test_the_default_control_is_taken_where_nothing_descends():
+    settings = SsacSettings(
+        rule="steepest", steps=16, sample_time=PERIOD, on_no_descent="default", control_weight=0.3
+    )
+    problem = double_integrator(settings=settings, alphabet=[-1.0, 1.0])
+    for change in ({}, {"switching": Switching(price="2%")}):
+        kept = synthesize(problem.replace(**change), keep_limits=CELLS)
+        assert (kept(kept.domain.sample(20_000)) == -1).any()
+        attacked(kept)
+
+
 def test_a_periodic_state_goes_around():
     problem = double_integrator(
         dynamics=lambda x, u: [1.5 + 0 * u[0], u[0]],
@@ -193,7 +210,7 @@ def test_a_periodic_state_goes_around():
     kept = synthesize(problem, keep_limits=KeepLimits(cells=(160, 60)))
     z = kept.domain.sample(20_000, 5)
     z = z[kept.keeps_limits(z)]
-    assert len(z) > 2000
+    assert len(z) > 2000 and kept.keeps_limits([[3.99, 0.5], [0.0, 0.5], [4.1, 0.5]]).all()
     for _ in range(120):  # with turns counted
         u = kept.control(z)[:, 0]
         for part in (0.25, 0.5, 0.75, 1.0):
@@ -225,6 +242,29 @@ def test_affine_leaves_become_constant_ones():
     kept = synthesize(flat, keep_limits=CELLS)
     assert kept.cells.affine is None
     attacked(kept)
+
+
+def test_loops_at_other_times_are_warned_of():
+    kept = synthesize(double_integrator(), keep_limits=CELLS)
+    simulate(kept, [0.0, 0.0], 1.0)
+    with pytest.warns(CapsynWarning, match="sampled every 0.1 s; this one is every 0.05 s"):
+        simulate(kept, [0.0, 0.0], 1.0, rate=20)
+
+
+def test_pages_and_pictures_say_it(tmp_path):
+    kept = synthesize(double_integrator(), keep_limits=CELLS)
+    sections = {section["title"]: section["rows"] for section in facts(report(kept))}
+    ((_, text),) = [row for row in sections["Controller"] if row[0] == "limits"]
+    assert text.startswith("kept from") and text.endswith("sampled every 0.1 s")
+    ax = plot_policy(kept, ax=plt.figure().gca())
+    lines = [c for c in ax.collections if isinstance(c, ContourSet)]
+    (paths,) = [line.get_paths() for line in lines]
+    edge = np.concatenate([path.vertices for path in paths])
+    near = kept.keeps_limits(edge * 0.97)  # a convex set around the origin, roughly
+    assert near.mean() > 0.9 and kept.keeps_limits(edge * 1.03).mean() < 0.1
+    assert "limits are kept inside" in [t.get_text() for t in ax.get_legend().get_texts()]
+    explore(kept, tmp_path / "page.html")
+    assert "kept from" in (tmp_path / "page.html").read_text()
 
 
 def version(path):

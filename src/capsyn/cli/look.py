@@ -52,6 +52,9 @@ def query(
         for name, value, unit in zip(policy.alphabet.inputs, control, policy.alphabet.units)
     ]
     text = f"symbol {symbol} '{own_name}': {', '.join(pairs)}"
+    if policy.kept is not None:
+        data["keeps_limits"] = kept = bool(policy.keeps_limits(values, current=current))
+        text += f"\nlimits are {'kept' if kept else 'not kept'} from there"
     end = f"outside: {left}" if left else None
     show(as_json, data, lambda: typer.echo(text), end)
 

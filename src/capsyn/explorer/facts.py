@@ -98,4 +98,7 @@ def _controller(data: dict[str, Any], switching: Sequence[Row]) -> list[Row]:
         rows.append(("target", data["target"]))
     at_once = ", at once" if data.get("outside_at_once") else ""
     rows.append(("outside", f"{data['outside']}{at_once}"))
+    if limits := data.get("limits"):
+        often = f"sampled every {limits['sample_time']:g} {unit}"
+        rows.append(("limits", f"kept from {limits['kept_share']:.2%}, {often}"))
     return rows + list(switching or [("least dwell", f"{data['min_dwell']:g} {unit}")])

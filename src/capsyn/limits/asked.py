@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.errors import ProblemError
+from capsyn.errors import ProblemError, warn
 from capsyn.limits.invariant import SampledLoop
 from capsyn.limits.tubes import Flow
 from capsyn.modelling.grid import MAX_COUNT
@@ -178,5 +178,8 @@ def _counts(policy: Policy, period: float, pairs: int) -> tuple[int, ...]:
         counts, finer = grid.at(level).counts, grid.at(level + 1)
         enough = level >= grid.max_level and (np.array(counts)[moves] >= wanted).all()
         if enough or finer.cells * pairs > MOST_PAIRS or max(finer.counts) > MAX_COUNT:
+            if level < grid.max_level and not policy.has_planes:
+                many = (" x ".join(map(str, k)) for k in (counts, grid.counts))
+                warn("cells that keep limits are {}, coarser than the policy's {}".format(*many))
             return counts
         level += 1

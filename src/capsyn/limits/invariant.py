@@ -83,15 +83,32 @@ class SampledLoop:
     def bound(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         """Return the largest limit (B,) in boxes (n, B); infinite where it is not known.
 
-        Of a box that leaves the domain along a periodic axis all the axis counts, too, for limits
-        may not have its period.
+        What leaves the domain along a periodic axis counts as it is, and brought back into it, too:
+        limits may not have its period.
         """
-        lower, upper = lower.copy(), upper.copy()
-        for i in np.flatnonzero(self.space.periodic):
-            low, high = self.space.lower[i], self.space.upper[i]
-            leaves = (lower[i] < low) | (upper[i] >= high)
-            lower[i, leaves] = np.minimum(lower[i, leaves], low)
-            upper[i, leaves] = np.maximum(upper[i, leaves], high)
+        space, worst = self.space, self._largest(lower, upper)
+        around = np.flatnonzero(space.periodic)
+        low, high = (end[around, None] for end in (space.lower, space.upper))
+        leaves = (lower[around] < low) | (upper[around] > high)
+        some = np.flatnonzero(leaves.any(axis=0) & np.isfinite(worst))
+        if not len(some):
+            return worst
+        turn, most = high - low, worst[some]
+        for shifts in itertools.product((-1, 0, 1), repeat=len(around)):
+            shift = np.array(shifts)[:, None] * turn
+            box = lower[:, some].copy(), upper[:, some].copy()
+            box[0][around] = np.maximum(np.nextafter(box[0][around] + shift, -np.inf), low)
+            box[1][around] = np.minimum(np.nextafter(box[1][around] + shift, np.inf), high)
+            full = upper[around][:, some] - lower[around][:, some] >= turn
+            for end, whole in zip(box, (low, high)):
+                end[around] = np.where(full, whole, end[around])
+            there = (box[0] <= box[1]).all(axis=0)
+            most[there] = np.maximum(most[there], self._largest(*(end[:, there] for end in box)))
+        worst[some] = most
+        return worst
+
+    def _largest(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Return `bound` of boxes as they are."""
         ((_, most),) = self.limits((lower, upper))
         return np.asarray(np.where(np.isnan(most).any(axis=0), np.inf, most.max(axis=0)))
 

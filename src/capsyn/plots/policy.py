@@ -27,6 +27,8 @@ MOST_NAMED = 17
 """More symbols than these are not named, for a legend must be no higher than the picture."""
 HATCH, INK = "xxxxxx", "#000000"
 """What is drawn where a symbol stays only because it is in force."""
+KEPT_WIDTH = 1.5
+"""Of the line around the states from which limits are kept [points]."""
 
 
 def plot_policy(
@@ -94,6 +96,8 @@ def plot_policy(
         shown, hatched = _draw_boxes(
             policy, steps, (horizontal, vertical), colors, ax, outlines, now
         )
+    if policy.kept is not None:
+        _draw_kept(policy, point, (horizontal, vertical), ax, in_force)
     frame(ax, domain, (horizontal, vertical))
     if legend:
         _draw_legend(policy, shown, hatched, colors, ax, now)
@@ -114,12 +118,13 @@ def _draw_legend(
     policy: Policy, shown: set[int], hatched: bool, colors: np.ndarray, ax: Axes, now: int | None
 ) -> None:
     """Name the labels that are shown, and say what is hatched."""
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     named = sorted(shown)
     if len(named) > MOST_NAMED - hatched:
         named = named[: MOST_NAMED - hatched - 1]
-    handles = [
+    handles: list[Any] = [
         Patch(facecolor=colors[k], edgecolor="#666666", label=literal(_name(policy, k)))
         for k in named
     ]
@@ -130,6 +135,8 @@ def _draw_legend(
         handles.append(
             Patch(facecolor="none", edgecolor=INK, hatch=HATCH, lw=0, label=f"{what} stays")
         )
+    if policy.kept is not None:
+        handles.append(Line2D([], [], color=INK, lw=KEPT_WIDTH, label="limits are kept inside"))
     title = ", ".join(policy.alphabet.inputs)
     if policy.alphabet.m == 1 and policy.alphabet.units[0]:
         title += f" [{policy.alphabet.units[0]}]"
@@ -202,11 +209,7 @@ def _draw_pixels(
     from matplotlib.colors import to_rgb
 
     low, high = policy.space.lower[list(plane)], policy.space.upper[list(plane)]
-    x, y = (np.linspace(a, b, 2 * PIXELS + 1)[1::2] for a, b in zip(low, high))
-    states = np.tile(point, (PIXELS * PIXELS, 1))
-    grid = np.meshgrid(x, y)
-    for i, values in zip(plane, grid):
-        states[:, i] = values.ravel()
+    x, y, states = _pixels(policy, point, plane)
     in_force = None if now is None else np.full(len(states), now, dtype=np.int32)
     labels = policy.leaves(states, True, in_force=in_force)
     labels[labels < 0] = len(colors) - 1  # in gaps, which have the colour of the default
@@ -222,6 +225,34 @@ def _draw_pixels(
     if band.any():
         ax.contourf(x, y, band, levels=[0.5, 1.5], colors="none", hatches=[HATCH])
     return set(np.unique(labels).tolist()), bool(band.any())
+
+
+def _pixels(
+    policy: Policy, point: np.ndarray, plane: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return coordinates (P,) along both axes of a plane through a state (n,), and states."""
+    low, high = policy.space.lower[list(plane)], policy.space.upper[list(plane)]
+    x, y = (np.linspace(a, b, 2 * PIXELS + 1)[1::2] for a, b in zip(low, high))
+    states = np.tile(point, (PIXELS * PIXELS, 1))
+    for i, values in zip(plane, np.meshgrid(x, y)):
+        states[:, i] = values.ravel()
+    return x, y, states
+
+
+def _draw_kept(
+    policy: Policy,
+    point: np.ndarray,
+    plane: tuple[int, int],
+    ax: Axes,
+    in_force: np.ndarray | None,
+) -> None:
+    """Draw the edge of the states from which limits are kept."""
+    x, y, states = _pixels(policy, point, plane)
+    kept = policy.keeps_limits(states, current=None if in_force is None else in_force[0])
+    kept = np.pad(kept.reshape(PIXELS, PIXELS).astype(float), 1)  # closed at the domain's edge
+    x, y = (np.concatenate([[v[0]], v, [v[-1]]]) for v in (x, y))
+    if kept.any():
+        ax.contour(x, y, kept, levels=[0.5], colors=INK, linewidths=KEPT_WIDTH)
 
 
 def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
