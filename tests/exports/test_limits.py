@@ -15,6 +15,7 @@ from capsyn.limits.telling import KEPT, NOT_KEPT, limits_policy
 from support.exports.c_machines import Library
 from support.exports.c_plans import files
 from support.exports.policies import RUNNERS, assert_equal, module
+from support.processes.command_line import capsyn
 from support.proofs.limits import double_integrator
 
 CELLS = KeepLimits(cells=(120, 90))
@@ -108,6 +109,16 @@ def test_golden_vectors_of_the_folder_are_those_of_limits(kept, tmp_path):
     states = np.array([[float(v) for v in row[:2]] for row in values])
     symbols = np.array([int(row[place]) for row in values])
     assert len(states) > 500 and (symbols == kept.keeps_limits(states)).all()
+
+
+def test_the_command_line_tells_both_apart(kept, tmp_path):
+    path = tmp_path / "kept.cap"
+    kept.save(path)
+    command = ["export", str(path), "--to", "python,json", "-o", str(tmp_path / "limits")]
+    data = json.loads(capsyn(*command, "--json")[0])
+    assert [data["certificate"][to]["target"] for to in ("python", "json")] == ["python", "json"]
+    assert {each["policy"] for each in data["certificate"].values()} == {"double-integrator"}
+    assert capsyn(*command)[0].count("from where limits are kept:") == 1
 
 
 def test_what_says_nothing_is_refused():

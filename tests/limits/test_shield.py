@@ -31,6 +31,7 @@ from capsyn.explorer.facts import facts
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.file import VERSION
 from capsyn.policies.report import report
+from support.processes.command_line import capsyn, error_of
 from support.proofs.limits import PERIOD, double_integrator, worst_limit
 
 CELLS = KeepLimits(cells=(200, 150))
@@ -265,6 +266,48 @@ def test_pages_and_pictures_say_it(tmp_path):
     assert "limits are kept inside" in [t.get_text() for t in ax.get_legend().get_texts()]
     explore(kept, tmp_path / "page.html")
     assert "kept from" in (tmp_path / "page.html").read_text()
+
+
+PROBLEM = """
+from capsyn import Box, Problem, SsacSettings
+problem = Problem(
+    name="wall",
+    dynamics=lambda x, u: [x[1], u[0]],
+    domain=Box([-2.0, -1.5], [2.0, 1.5]),
+    alphabet=[-1.0, 1.0],
+    default=0.0,
+    horizon=1.0,
+    running_cost=lambda x: (x[0] - 0.9) ** 2,
+    settings=SsacSettings(rule="steepest", sample_time=0.1),
+    limits=lambda x: [x[0] - 1.0, -1.8 - x[0], x[1] - 1.4, -1.4 - x[1]],
+    max_level=2,
+)
+"""
+
+
+def test_the_command_line(tmp_path):
+    (tmp_path / "wall.py").write_text(PROBLEM)
+    made = ["synth", "wall.py", "--keep-limits", "--limit-cells", "200,150", "-o", "wall.cap"]
+    out, _ = capsyn(*made, cwd=tmp_path)
+    assert "limits" in out and "kept from" in out and "not from others in x1" in out
+    data = json.loads(capsyn("info", "wall.cap", "--quick", "--json", cwd=tmp_path)[0])
+    assert data["limits"]["steps"] == [200, 150]
+    assert data["statistics"]["limits"]["of_domain"] == pytest.approx(data["limits"]["kept_share"])
+    out, _ = capsyn("query", "wall.cap", "0.95", "1.0", cwd=tmp_path)
+    assert out.endswith("limits are not kept from there\n")
+    out, _ = capsyn("query", "wall.cap", "0", "0", "--json", cwd=tmp_path)
+    assert json.loads(out)["keeps_limits"] is True
+    capsyn("compress", "wall.cap", "-o", "tree.cap", cwd=tmp_path)
+    capsyn("info", "tree.cap", "--quick", "--proof", "wall.cap", cwd=tmp_path)
+    assert "--limit-cells is for --keep-limits" in error_of(
+        "synth", "wall.py", "--limit-cells", "9", "-o", "p.cap", cwd=tmp_path
+    )
+    assert "takes no --keep-limits" in error_of(
+        "synth", "wall.py", "--keep-limits", "--source", "optimum", "-o", "p.cap", cwd=tmp_path
+    )
+    assert "needs a problem with `limits`" in error_of(
+        "synth", "cart-pendulum", "--keep-limits", "-o", "p.cap", cwd=tmp_path
+    )
 
 
 def version(path):

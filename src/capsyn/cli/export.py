@@ -81,11 +81,19 @@ def export(file: File, options: ExportOptions, as_json: Json = False) -> None:
         [json.loads(path.read_bytes()) for path in written if path.name == name]
         for name in (CERTIFICATE, MEASURED)
     )
+    telling = [each for each in certificates if each["policy"] != policy.name]  # from where kept
+    certificates = [each for each in certificates if each["policy"] == policy.name]
     data = {
         "files": [str(path) for path in written],
         "certificate": certificates[0] if one else dict(zip(targets, certificates)),
     } | ({"measured": measured[0]} if measured else {})
-    show(as_json, data, lambda: print_export(list(map(str, written)), certificates, measured))
+
+    def told() -> None:
+        print_export(list(map(str, written)), certificates, measured)
+        for line in dict.fromkeys(map(_costs, telling)):
+            typer.echo(f"from where limits are kept: {line}")
+
+    show(as_json, data, told)
 
 
 def _own_options(options: ExportOptions) -> dict[str, Any]:
