@@ -248,8 +248,11 @@ def test_affine_leaves_become_constant_ones():
 def test_loops_at_other_times_are_warned_of():
     kept = synthesize(double_integrator(), keep_limits=CELLS)
     simulate(kept, [0.0, 0.0], 1.0)
-    with pytest.warns(CapsynWarning, match="sampled every 0.1 s; this one is every 0.05 s"):
-        simulate(kept, [0.0, 0.0], 1.0, rate=20)
+    for other in ({"rate": 20}, {"min_dwell": 0.3}):
+        with pytest.warns(
+            CapsynWarning, match="sampled every 0.1 s, with the policy's least times"
+        ):
+            simulate(kept, [0.0, 0.0], 1.0, **other)
 
 
 def test_pages_and_pictures_say_it(tmp_path):

@@ -167,12 +167,13 @@ def sampling(controller: Any, options: LoopOptions) -> tuple[float, int]:
             raise ProblemError("`rate` must be given for a controller without settings")
         rate = 1 / own.settings.sample_time
     kept = getattr(controller, "kept", None)
-    if kept is not None and abs(rate * kept.sample_time - 1) > SLACK:
-        unit = controller.time_unit
-        warn(
-            f"limits are kept by a loop that is sampled every {kept.sample_time:g} {unit}; "
-            f"this one is every {1 / rate:g} {unit}"
-        )
+    if kept is not None:
+        own_dwell = options.min_dwell in (None, controller.min_dwell)
+        if abs(rate * kept.sample_time - 1) > SLACK or not own_dwell:
+            warn(
+                f"limits are kept by a loop that is sampled every {kept.sample_time:g} "
+                f"{controller.time_unit}, with the policy's least times; this one has others"
+            )
     return rate, sample_count(options.duration, rate)
 
 
