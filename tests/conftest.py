@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # several processes test at once
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in background jobs of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -25,6 +26,17 @@ def kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         directory = directory.parent  # that of all workers
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CAPSYN_CACHE_DIR", str(directory / "kernels"))
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kept_trees(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Make the exact tree of the same cells once, but where compression itself is tested."""
+    from support.kept_trees import kept_induce
+
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name != "compression":
+            patch.setattr("capsyn.compression.trees.induce", kept_induce)
         yield
 
 

@@ -147,7 +147,7 @@ def boat(tmp_path_factory):
 
 
 def test_a_curve_is_a_table_and_a_picture(boat, tmp_path):
-    out, _ = capsyn("compress", boat, "--curve", "--states", "5000", cwd=tmp_path)
+    out, _ = capsyn("compress", boat, "--curve", "--states", "20000", cwd=tmp_path)
     assert "wrote boat-curve.csv and boat-curve.png" in out
     with open(tmp_path / "boat-curve.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -162,12 +162,12 @@ def test_a_curve_is_a_table_and_a_picture(boat, tmp_path):
     # the options of a row make its tree
     row = next(row for row in rows if row["mode"] == "freedom" and row["level"] == "1")
     out, _ = capsyn(
-        "compress", boat, *row["options"].split(), "--states", "5000", "--json",
+        "compress", boat, *row["options"].split(), "--states", "20000", "--json",
         "-o", tmp_path / "t.cap",
     )  # fmt: skip
     made = json.loads(out)
     assert made["nodes"] == int(row["nodes"]) and made["depth"] == int(row["depth"])
-    assert made["guarantee"]["agreeing"] / 5000 == float(row["agreement"])
+    assert made["guarantee"]["agreeing"] / 20000 == float(row["agreement"])
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_a_tree_is_not_compressed_again(pendulum, tmp_path):
 
 def test_a_proof_is_made_again(pendulum, tmp_path):
     for mode in ("exact", "freedom", "linear"):
-        least = ("--agreement", "0.9") if mode == "linear" else ()  # fitted faster
+        least = ("--agreement", "0.8") if mode == "linear" else ()  # fitted faster
         capsyn("compress", pendulum, "--mode", mode, *least, "-o", tmp_path / f"{mode}.cap")
     for mode in ("exact", "freedom"):
         data = json.loads(

@@ -684,13 +684,13 @@ def test_no_internal_stream_is_one_that_a_user_draws():
 
 def test_combs_take_neither_depth_nor_time():
     comb = CellTree(
-        Grid((300, 300), (2, 2), 0),
-        -1 - np.tile(np.arange(300) % 2, (300, 1)).ravel().astype(np.int32),
+        Grid((150, 150), (2, 2), 0),
+        -1 - np.tile(np.arange(150) % 2, (150, 1)).ravel().astype(np.int32),
         np.zeros(0, np.int32), np.zeros(0, np.uint64),
     )  # fmt: skip
-    place = np.arange(300)
+    place = np.arange(150)
     stairs = (-1 - np.add.outer(place, place) // 3 % 2).ravel().astype(np.int32)
     tilted = dataclasses.replace(comb, entries=stairs)
     for cells in (comb, tilted):
-        tree = compress(policy_of(((300, 300), (2, 2), 0), cells=cells, symbols=2), "exact")
+        tree = compress(policy_of(((150, 150), (2, 2), 0), cells=cells, symbols=2), "exact")
         assert tree.depth < 100

@@ -270,8 +270,9 @@ problem = capsyn.Problem(
 
 def test_a_default_on_the_command_line_takes_the_place_of_a_law(tmp_path):
     (tmp_path / "room.py").write_text(ROOM)
-    capsyn("synth", "room.py:problem", "-o", "law.cap", cwd=tmp_path)
-    capsyn("synth", "room.py:problem", "--default", "0.5", "-o", "constant.cap", cwd=tmp_path)
+    synth = ("synth", "room.py:problem", "--max-level", "0")
+    capsyn(*synth, "-o", "law.cap", cwd=tmp_path)
+    capsyn(*synth, "--default", "0.5", "-o", "constant.cap", cwd=tmp_path)
     law, constant = (Policy.load(tmp_path / f"{name}.cap") for name in ("law", "constant"))
     assert law.model.prediction is not None and law.default.tolist() == [0.1 * (23 - 22)]
     assert constant.model.prediction is None and constant.default.tolist() == [0.5]
@@ -279,4 +280,4 @@ def test_a_default_on_the_command_line_takes_the_place_of_a_law(tmp_path):
     assert "`on_no_descent` must be 'best' where" in error_of(*to_default, cwd=tmp_path)
     loop = ("simulate", "law.cap", "--x0", "25", "--exogenous", "outdoor=30", "--online", "ssac")
     assert "`default` must be given, a constant or a policy" in error_of(*loop, cwd=tmp_path)
-    capsyn(*loop, "--background", "--duration", "10", cwd=tmp_path)
+    capsyn(*loop, "--background", "--duration", "2", cwd=tmp_path)

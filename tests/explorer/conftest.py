@@ -24,4 +24,4 @@ def show(browser, tmp_path):
     for one in shown:
         assert one.messages == []
         assert one.requests == [one.file.as_uri()]  # itself, and nothing else
-        one.context.close()
+        one.close()

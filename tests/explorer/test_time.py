@@ -75,7 +75,7 @@ def test_a_page_in_minutes_says_no_second(width, browser, tmp_path):
     }""")
     assert wide <= 0 and out <= 0.5
     assert shown.messages == []
-    shown.context.close()
+    shown.close()
 
 
 def test_the_rule_outside_is_a_setting(browser, tmp_path):
@@ -92,4 +92,4 @@ def test_the_rule_outside_is_a_setting(browser, tmp_path):
         assert ends[-1] == (known.states[-1].tolist(), known.switches)
         assert ("outside at once" in shown.text(".chip.active")) is told
     assert ends[0] != ends[1]
-    shown.context.close()
+    shown.close()

@@ -99,7 +99,7 @@ def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     known = set(sys.modules)
     names = {"__name__": "page"}
-    own = in_shell if page.stem == "README" else run  # one page in processes of its own
+    own = in_shell if page.stem == "dwell" else run  # one page in processes of its own
     try:
         for language, text in blocks(page):
             file = FILE.match(text)

@@ -138,17 +138,50 @@ def decide(plan: Plan, readings: np.ndarray, in_force: np.ndarray | None = None)
     """
     if plan.policy.remembers and in_force is None:
         in_force = (np.arange(len(readings)) * 7 // 5) % plan.labels
-    domain, cells, states = plan.policy.space, plan.policy.cells, plan.states(readings)
-    finite = np.isfinite(states).all(axis=1)
-    steps = np.zeros(states.shape, dtype=np.int64)
-    steps[finite] = domain.locate(states[finite], cells.counts)
-    inside = domain.contains(states)
-    known = finite if plan.nearest else inside
-    labels = cells.labels(steps, in_force)
-    if in_force is not None:
-        labels = plan.policy.transitions[labels, in_force]
-    labels = np.where(known, labels, plan.safe)
-    inside &= labels != plan.gap
-    labels = np.where(labels == plan.gap, plan.safe, labels)
-    statuses = np.where(finite, np.where(inside, OK, OUTSIDE), NOT_FINITE)
-    return Golden(states, steps, labels, statuses, readings, in_force)
+    found = Found.of(plan, readings)
+    labels, statuses = found.decide(plan, in_force)
+    return Golden(found.states, found.steps, labels, statuses, readings, in_force)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What decisions at readings (K, n) have in common, whatever label is in force.
+
+    These are states (K, n), their lattice steps (K, n), which are finite, which are inside the
+    domain, and the rows (K,) of their cells, which are None where these depend on the label.
+    """
+
+    states: np.ndarray
+    steps: np.ndarray
+    finite: np.ndarray
+    inside: np.ndarray
+    rows: np.ndarray | None
+
+    @staticmethod
+    def of(plan: Plan, readings: np.ndarray) -> Found:
+        """Return what there is at readings (K, n)."""
+        domain, cells, states = plan.policy.space, plan.policy.cells, plan.states(readings)
+        finite = np.isfinite(states).all(axis=1)
+        steps = np.zeros(states.shape, dtype=np.int64)
+        steps[finite] = domain.locate(states[finite], cells.counts)
+        rows = None if cells.priced else cells.labels(steps)
+        return Found(states, steps, finite, domain.contains(states), rows)
+
+    def at(self, rows: slice) -> Found:
+        """Return that of some readings."""
+        some = None if self.rows is None else self.rows[rows]
+        return Found(
+            self.states[rows], self.steps[rows], self.finite[rows], self.inside[rows], some
+        )
+
+    def decide(self, plan: Plan, in_force: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return labels (K,) and statuses (K,), with labels in force (K,) where there are any."""
+        labels = self.rows
+        if labels is None:
+            labels = plan.policy.cells.labels(self.steps, in_force)
+        if in_force is not None:
+            labels = plan.policy.transitions[labels, in_force]
+        labels = np.where(self.finite if plan.nearest else self.inside, labels, plan.safe)
+        inside = self.inside & (labels != plan.gap)
+        labels = np.where(labels == plan.gap, plan.safe, labels)
+        return labels, np.where(self.finite, np.where(inside, OK, OUTSIDE), NOT_FINITE)

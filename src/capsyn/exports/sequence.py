@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.exports.golden import decide, table
+from capsyn.exports.golden import Found, table
 from capsyn.exports.plan import Plan
 from capsyn.random_streams import stream
 from capsyn.simulation.closed_loop import SLACK, Holds
@@ -93,16 +93,17 @@ def run(plan: Plan, readings: np.ndarray, period: float) -> Sequence:
     counts as entered at the start.
     """
     holds = holds_of(plan, period)
-    runs, steps, _ = readings.shape
+    runs, steps, n = readings.shape
+    found = Found.of(plan, np.swapaxes(readings, 0, 1).reshape(-1, n))
     off = math.ceil(plan.hold_off / period - SLACK)
     wanted, labels, statuses = np.empty((3, runs, steps), dtype=np.int64)
     now = np.full(runs, plan.default)
     started = np.zeros(runs, dtype=bool)
     held, held_inputs = np.zeros(runs, dtype=np.int64), np.zeros((runs, holds.controls.shape[1]))
     for k in range(steps):
-        golden = decide(plan, readings[:, k], now)
-        asked = np.where(k < off, plan.safe, golden.labels)
-        at_once = np.isin(golden.statuses, plan.at_once)
+        decided, statuses[:, k] = found.at(slice(k * runs, (k + 1) * runs)).decide(plan, now)
+        asked = np.where(k < off, plan.safe, decided)
+        at_once = np.isin(statuses[:, k], plan.at_once)
         permitted = holds.permitted(now, asked, held, held_inputs)
         same = holds.kinds[asked] == holds.kinds[now]
         taken = np.where(at_once | same | ~started, asked, permitted)
@@ -110,6 +111,6 @@ def run(plan: Plan, readings: np.ndarray, period: float) -> Sequence:
         moved = (holds.controls[taken] != holds.controls[now]) | ~started[:, None]
         held = np.where(changed, 1, held + 1)
         held_inputs = np.where(moved, 1, held_inputs + 1)
-        wanted[:, k], labels[:, k], statuses[:, k] = asked, taken, golden.statuses
+        wanted[:, k], labels[:, k] = asked, taken
         now, started = taken, np.ones(runs, dtype=bool)
     return Sequence(period, readings, wanted, labels, statuses)

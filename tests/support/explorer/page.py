@@ -31,8 +31,30 @@ def chromium():
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as tools:
         browser = tools.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
+        yield Tabs(browser)
         browser.close()
+
+
+class Tabs:
+    """Tabs of a browser, each used again once it is closed: a new one takes a process of its own.
+
+    A page keeps nothing beyond its own life, neither in storages nor in settings of the tab.
+    """
+
+    def __init__(self, browser):
+        self.browser, self.free = browser, {}
+
+    def open(self, **options):
+        """Return a blank tab, and what closes it."""
+        free = self.free.setdefault(tuple(sorted(map(repr, options.items()))), [])
+        tab = free.pop() if free else self.browser.new_context(**options).new_page()
+
+        def close():
+            tab.mouse.move(0, 0)
+            tab.goto("about:blank")
+            free.append(tab)
+
+        return tab, close
 
 
 class Shown:
@@ -41,17 +63,25 @@ class Shown:
     def __init__(self, browser, policy, directory, width=1280, height=800, **options):
         self.policy = policy
         self.file = explore(policy, directory / "page.html", options.pop("drawing", None))
-        self.context = browser.new_context(
-            viewport={"width": width, "height": height}, **(QUIET | options)
-        )
-        self.page = self.context.new_page()
+        size = {"width": width, "height": height}
+        self.page, self._close_tab = browser.open(viewport=size, **(QUIET | options))
         self.messages, self.requests = [], []
-        self.page.on("console", self.heard)
-        self.page.on("pageerror", lambda error: self.messages.append(str(error)))
-        self.page.on("dialog", lambda dialog: self.messages.append(f"dialog {dialog.message}"))
-        self.page.on("request", lambda request: self.requests.append(request.url))
+        self._listeners = {
+            "console": self.heard,
+            "pageerror": lambda error: self.messages.append(str(error)),
+            "dialog": lambda dialog: self.messages.append(f"dialog {dialog.message}"),
+            "request": lambda request: self.requests.append(request.url),
+        }
+        for event, listener in self._listeners.items():
+            self.page.on(event, listener)
         self.page.goto(self.file.as_uri())
         self.settle()
+
+    def close(self):
+        """Leave the page."""
+        for event, listener in self._listeners.items():
+            self.page.remove_listener(event, listener)
+        self._close_tab()
 
     def heard(self, message):
         if "willReadFrequently" not in message.text:  # the tests read the canvas, not the page
