@@ -150,3 +150,55 @@ def _ends_only(loop, box, parts, bound):
         tubes = loop.flow.tubes(*box, control, duration, loop.parameters, steps)
         box = tubes.end_lower, tubes.end_upper
     return bound(loop, *box), box
+
+
+def struck_out(loop):
+    """Return the set (C,) that `viable` gives, of a loop without memory, cell by cell in Python."""
+    lower, upper = (end.T for end in loop.boxes(np.arange(loop.cells)))
+    low, high = loop.space.lower, loop.space.upper
+    turns = loop.space.widths * np.array(loop.space.periodic)
+    touched = {}
+    for cell in range(loop.cells):
+        for label in range(loop.candidates):
+            box = lower[cell][:, None], upper[cell][:, None]
+            control = loop.controls[label][:, None]
+            tube = loop.flow.tubes(*box, control, loop.period)
+            if loop.bound(tube.lower, tube.upper)[0] > 0:
+                continue
+            first, last = tube.end_lower[:, 0], tube.end_upper[:, 0]
+            free = np.array(loop.space.periodic)
+            if ((first < low) | (last > high))[~free].any():
+                continue
+            meets = np.zeros(loop.cells, dtype=bool)
+            for shift in np.ndindex(*(3 if p else 1 for p in free)):
+                moved = (np.array(shift) - free) * turns
+                below = lower + moved <= last
+                above = (upper + moved > first) | ((upper == high) & (last >= high) & ~free)
+                meets |= (below & above).all(axis=1)
+            touched[cell, label] = meets
+    kept = np.ones(loop.cells, dtype=bool)
+    while True:
+        left = np.zeros(loop.cells, dtype=bool)
+        for (cell, _), meets in touched.items():
+            left[cell] |= kept[cell] and kept[meets].all()
+        if (left == kept).all():
+            return kept
+        kept = left
+
+
+@pytest.mark.filterwarnings("ignore:cells are wider")
+@pytest.mark.parametrize("periodic", [False, True])
+def test_the_set_is_that_of_striking_out_cell_by_cell(periodic):
+    settings = SsacSettings(rule="steepest", steps=8, sample_time=0.4)
+    problem = double_integrator(settings=settings)
+    if periodic:
+        problem = problem.replace(
+            dynamics=lambda x, u: [0.9 + 0.3 * x[1], u[0] - 0.2 * x[0]],
+            domain=Box([-2.0, -1.5], [2.0, 1.5], periodic=[True, False]),
+            limits=lambda x: [(x[0] > 1.2) * (x[0] < 1.8) * (x[1] - 0.6), x[1] - 1.3, -1.3 - x[1]],
+        )
+    policy = synthesize(problem, keep_limits=KeepLimits(cells=(23, 17)))
+    loop = loop_of(policy, cells=(23, 17))
+    wanted, found = struck_out(loop), viable(loop)
+    assert 20 < wanted.sum() < loop.cells and found.rounds > 2
+    assert (found.kept[0] == wanted).all()
