@@ -30,13 +30,14 @@ def kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def kept_trees(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Make the exact tree of the same cells once, but where compression itself is tested."""
-    from support.kept_trees import kept_induce
+def kept(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Make exact trees and golden sequences once; no trees where compression itself is tested."""
+    from support.kept import kept_induce, kept_run
 
     with pytest.MonkeyPatch.context() as patch:
         if request.path.parent.name != "compression":
             patch.setattr("capsyn.compression.trees.induce", kept_induce)
+        patch.setattr("capsyn.exports.sequence.run", kept_run)
         yield
 
 

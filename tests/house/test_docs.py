@@ -10,6 +10,8 @@ The blocks of a page run in its order, in one folder of their own:
 - ``text`` and others are for the reader alone.
 """
 
+import contextlib
+import functools
 import importlib
 import os
 import re
@@ -23,6 +25,7 @@ import pytest
 
 import capsyn
 from capsyn.cli.doctor import COMMANDS
+from capsyn.compression import trees
 from support.processes.command_line import run_here
 
 ROOT = Path(__file__).parents[2]
@@ -93,6 +96,15 @@ def console(text, folder, run=run):
         check_shown(shown, run(line, folder), line)
 
 
+@contextlib.contextmanager
+def few_samples():
+    """Let trees be fitted to fewer samples, where a page does not show what is printed of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        fewer = functools.partial(trees.fit_tree, samples=40_000)
+        patch.setattr("capsyn.compression.trees.fit_tree", fewer)
+        yield
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -106,10 +118,12 @@ def test_every_block_of_a_page_runs(page, tmp_path, monkeypatch):
             if file:
                 (tmp_path / file[1]).write_text(text)
             elif language == "python":
-                exec(compile(text, page.name, "exec"), names)
+                with few_samples():
+                    exec(compile(text, page.name, "exec"), names)
             elif language == "sh":
-                for line in commands(text):
-                    own(line, tmp_path)
+                with few_samples():
+                    for line in commands(text):
+                        own(line, tmp_path)
             elif language == "console":
                 console(text, tmp_path, own)
     finally:

@@ -217,9 +217,10 @@ class Library:
         text = NEXT if remembers else ENTRY
         text += CONTROL
         text += LOOKUP * (f"{p}_symbol(" in header) + STEPS * (f"{p}_step(" in header)
-        write(files, directory, **{"entry.c": text.format(**names)})
+        whole = files[f"{p}.c"].decode() + text.format(**names)  # one file is compiled faster
+        write(files, directory, **{"whole.c": whole})
         flags = ["-std=c99", *options, *WARNINGS, "-shared", "-fPIC"]
-        call([compiler, *flags, f"{p}.c", "entry.c", "-o", "library.so"], directory)
+        call([compiler, *flags, "whole.c", "-o", "library.so"], directory)
         self.quantises = f"{p}_symbol(" in header
         self.library = ctypes.CDLL(str(directory / "library.so"))
         self._check_controls()

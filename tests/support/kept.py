@@ -1,4 +1,4 @@
-"""Exact trees that tests make again and again of the same cells are kept, by their content."""
+"""What tests make again and again is kept: exact trees of the same cells, golden sequences."""
 
 import dataclasses
 import functools
@@ -7,9 +7,10 @@ import hashlib
 import numpy as np
 
 from capsyn.compression.induction import induce
+from capsyn.exports.sequence import run
 
 KEPT = 500
-"""Most trees that are kept."""
+"""Most of each that are kept."""
 
 
 class _Asked:
@@ -43,3 +44,30 @@ def kept_induce(cells, prices, budget=None):
     if cells.affine is not None:
         return induce(cells, prices, budget)
     return _kept(_Asked(cells, prices, budget))
+
+
+class _Steps:
+    """Arguments of `run`, equal where the same policy, rules and readings are."""
+
+    def __init__(self, plan, readings, period):
+        self.arguments = plan, readings, period
+        factors = plan.scale.tobytes(), plan.offset.tobytes()
+        rules = plan.safe, plan.nearest, plan.dwell, plan.outside_at_once, plan.hold_off
+        # the policy is the same object, not another of equal content
+        self.key = plan.policy, rules, factors, readings.shape, readings.tobytes(), period
+
+    def __hash__(self):
+        return hash(self.key)
+
+    def __eq__(self, other):
+        return self.key == other.key
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _kept_run(steps):
+    return run(*steps.arguments)
+
+
+def kept_run(plan, readings, period):
+    """Return what `run` does, made once for each policy and the same readings."""
+    return _kept_run(_Steps(plan, readings, period))
