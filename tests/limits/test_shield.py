@@ -208,7 +208,7 @@ def test_a_periodic_state_goes_around():
         limits=lambda x: [(x[0] >= 3.0) * (x[0] < 3.5) * (x[1] + 0.5), -1.4 - x[1], x[1] - 1.4],
         running_cost=lambda x: (x[1] - 1.0) ** 2,
     )
-    kept = synthesize(problem, keep_limits=KeepLimits(cells=(160, 60)))
+    kept = synthesize(problem, keep_limits=KeepLimits(cells=(157, 61)))
     z = kept.domain.sample(20_000, 5)
     z = z[kept.keeps_limits(z)]
     assert len(z) > 2000 and kept.keeps_limits([[3.99, 0.5], [0.0, 0.5], [4.1, 0.5]]).all()

@@ -17,6 +17,8 @@ TRIES = 20
 """Times that a box which may hold all states on the way is widened, before none is found."""
 WIDER = 0.1
 """How much wider each is than what it is to hold, as a share of the motion."""
+SLACK = 1e-12
+"""Share of a duration by which it may be off: what 1 over a rate, or a sum of times, rounds."""
 CHUNK = 1 << 15
 """Boxes at a time: what the work on them needs stays in the cache."""
 
@@ -104,9 +106,7 @@ class Flow:
         steps: int,
     ) -> tuple[np.ndarray, ...]:
         """Return tube and end (n, B) of boxes after all steps."""
-        part = (times, times)
-        if steps > 1:  # what rounding leaves out
-            part = times / steps * (1 - 1e-15), times / steps * (1 + 1e-15)
+        part = times / steps * (1 - SLACK), times / steps * (1 + SLACK)
         least, most = lower, upper
         for _ in range(steps):
             tube = self._enclosure(lower, upper, inputs, part[1])
