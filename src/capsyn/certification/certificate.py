@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from capsyn.certification.cell_map import NO_START, OPEN, PROVED, REFUTED, cell_map
+from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
 from capsyn.modelling.time_unit import NAMES
 from capsyn.statistics import TOLD
@@ -54,6 +56,13 @@ class ProvedCells:
         return np.where(self.refuted, REFUTED, known).astype(np.uint8)
 
 
+class Proof(Protocol):
+    """What can write how something is proved."""
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to a file."""
+
+
 @dataclass(frozen=True, eq=False)
 class Certificate:
     """What is proved of a sampled loop; shares are of the initial set's volume.
@@ -93,6 +102,8 @@ class Certificate:
         How long it took.
     stopped : bool
         Whether it was stopped before its end; what is proved stands.
+    proof : optional
+        What `save` writes.
     """
 
     conditions: dict[str, Any]
@@ -110,6 +121,20 @@ class Certificate:
     replays: tuple[str, ...] = ()
     seconds: float = 0.0
     stopped: bool = False
+    proof: Proof | None = None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the proof of arrival to a file that `capsyn.certification.check` goes through.
+
+        Raises
+        ------
+        ProblemError
+            A certificate without a proof, such as one from a policy's file, or a place that cannot
+            be written.
+        """
+        if self.proof is None:
+            raise ProblemError("`certificate` must come from `capsyn.certify` to be saved")
+        self.proof.save(path)
 
     def __repr__(self) -> str:
         unit = self.conditions.get("time_unit", "s")

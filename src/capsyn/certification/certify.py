@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping
 from typing import Any
 
-from capsyn.certification.certificate import Certificate
+import numpy as np
+
+from capsyn.certification.certificate import Certificate, ProvedCells
+from capsyn.certification.proof_file import ArrivalProof
+from capsyn.certification.question import Asked, Question, question
+from capsyn.certification.refute import refute
+from capsyn.errors import ProblemError
+from capsyn.execution.processors import processors
 from capsyn.modelling.domain import Ball, Box
 from capsyn.policies.policy import Policy
+from capsyn.reach.arrive import Arrival, arrive, inside
+from capsyn.reach.kernel import Cells, Follower
+from capsyn.reach.stay import Staying, stay
+from capsyn.validation import finite_number, whole_number
+
+SECONDS, STAY_SECONDS = 60.0, 3.0
+"""How long arrival and staying are tried unless told [s]."""
+STAY_SHARE = 0.25
+"""Share for staying of a time that is told."""
+FINEST = 4096
+"""Most cells along an axis that are proposed for a target."""
 
 
 def certify(
@@ -16,6 +36,7 @@ def certify(
     target: Any = None,
     avoid: Any = None,
     *,
+    tolerance: float | None = None,
     rate: float | None = None,
     delay: float | None = None,
     noise: Any = None,
@@ -28,5 +49,164 @@ def certify(
     seed: int = 0,
     threads: int | None = None,
 ) -> Certificate:
-    """Return what is proved of the loop of a policy; see `Certificate`."""
-    raise NotImplementedError
+    """Return what is proved of the sampled loop of a policy from a set of starts.
+
+    Every loop that begins at a sample in a state of `initial`, the default control in force, is
+    enclosed until it arrives, and from the target on for ever: rounding, sensor error and unknown
+    parameters included. See the guide "What is proved, and what is not".
+
+    Parameters
+    ----------
+    policy : Policy
+        Cells, or a `DecisionTree`; the proof is of its own symbols. Its model is the plant.
+    initial : Ball or Box, optional
+        The set of starts [state units]. Default: the domain.
+    target, tolerance : as in `capsyn.monte_carlo`
+        Where loops are to arrive. Default: the policy's own.
+    avoid : Ball, Box or callable ``x -> true or false``, optional
+        Where no loop may ever be, between samples too.
+    rate : float, optional
+        Samples per time unit. Default: that of the policy's settings.
+    delay : float, optional
+        Time from a sample until its control acts [time unit], at most a sample. Default: the
+        problem's own.
+    noise : float or (n,), optional
+        Largest error of a measured state at any sample [state units]; it may vary as it likes.
+    parameters : mapping of name to float or (low, high), optional
+        The components of `p` of the model, in order: constant or not, anywhere in these ranges.
+    exogenous : mapping of name to float or (low, high), or (k,), optional
+        Exogenous inputs, constant along a loop. What is not given may be anywhere in its box.
+    model, min_dwell : as in `capsyn.simulate`
+    counts : int or n ints, optional
+        Cells of the proof along each axis. Default: 72 of two axes, 24 of three, 12 of four.
+    seconds : float, optional
+        When to stop [s]; what is proved by then stands, as it does after Ctrl-C. Default: 60.
+    seed : int
+        Of what is simulated.
+    threads : int, optional
+        Processors to use. Default: all.
+
+    Raises
+    ------
+    ProblemError
+        An argument that cannot be used; a policy without a model or target; a target that no cell
+        fits into; a grid beyond memory.
+    KernelBuildError
+        There is no C compiler.
+    """
+    began = time.monotonic()
+    told = None if seconds is None else finite_number("seconds", seconds, above=0.0)
+    seed = whole_number("seed", seed, least=0)
+    asked = question(
+        policy,
+        Asked(
+            initial, target, tolerance, avoid, rate, delay, noise, parameters, exogenous, model,
+            min_dwell, counts,
+        ),
+        threads,
+        seed,
+    )  # fmt: skip
+    _check_target(asked)
+    follower = Follower.build(asked.loop, asked.cells, processors(threads))
+    deadline = began + (SECONDS if told is None else (1 - STAY_SHARE) * told)
+    arrival = arrive(follower, simulated_arrival(asked), asked.starts, asked.box, deadline)
+    staying, stopped = None, arrival.stopped
+    try:
+        late = time.monotonic() + STAY_SECONDS if told is None else began + told
+        staying = stay(asked.loop, processors(threads), late)
+        open_cells = np.flatnonzero((asked.starts > 0) & (arrival.share < 1))
+        refuted = refute(asked, open_cells)
+    except KeyboardInterrupt:
+        stopped, refuted = True, refute(asked, np.empty(0, dtype=int))
+    return _certificate(asked, arrival, staying, refuted, time.monotonic() - began, stopped)
+
+
+def simulated_arrival(asked: Question) -> np.ndarray:
+    """Return when a simulated loop arrives from the middle of each cell (K,) [time unit]."""
+    lower, upper = asked.cells.boxes(np.arange(asked.cells.total))
+    experiment = asked.experiment
+    parameters = np.repeat(asked.middle[None], len(lower), axis=0)
+    delays = np.full(len(lower), asked.loop.delay)
+    trials = experiment.trials((lower + upper) / 2, delays, parameters)
+    experiment.run(trials, None, None)
+    return np.where(trials["arrived"] < 0, np.inf, trials["arrived"] / experiment.rate)
+
+
+def _check_target(asked: Question) -> None:
+    """Raise unless some cell is in the target, and that is not all to be avoided."""
+    counts = asked.cells.counts.copy()
+    while True:
+        cells = Cells(asked.cells.lower, asked.cells.upper, counts)
+        surely = _in_target(asked, cells)
+        if surely.any() or (counts * 2 > FINEST).any() or 4 * cells.total > 1 << 24:
+            break
+        counts = counts * 2
+    if not surely.any():
+        raise ProblemError(
+            "`target` must be a set that a cell fits into; none does, of "
+            f"{' x '.join(map(str, counts))} cells either"
+        )
+    if (counts != asked.cells.counts).any():
+        raise ProblemError(
+            "`target` must be a set that a cell fits into; none of "
+            f"{' x '.join(map(str, asked.cells.counts))} does, some of `counts` "
+            f"{', '.join(map(str, counts))} do"
+        )
+    lower, upper = asked.cells.boxes(np.flatnonzero(surely))
+    avoided, _ = inside(asked.loop.avoid, lower, upper)
+    if avoided.all():
+        raise ProblemError("`avoid` must leave some of the target; it covers all of it")
+
+
+def _in_target(asked: Question, cells: Cells) -> np.ndarray:
+    return inside(asked.loop.target, *cells.boxes(np.arange(cells.total)))[0]
+
+
+def _certificate(
+    asked: Question,
+    arrival: Arrival,
+    staying: Staying | None,
+    refuted: tuple[np.ndarray, tuple[str, ...], np.ndarray],
+    seconds: float,
+    stopped: bool,
+) -> Certificate:
+    n, starts = asked.loop.space.n, asked.starts
+    states, failures, home = refuted
+    total = starts.sum()
+    failed = np.zeros(asked.cells.total, bool)
+    failed[home] = True
+    failed &= arrival.share < 1
+    arrives = float((arrival.share * starts).sum() / total)
+    left = np.where(failed, 0.0, (1 - arrival.share) * starts)
+    proved = starts * arrival.share > 0
+    lower, upper = asked.cells.boxes(np.arange(asked.cells.total))
+    nothing = np.full((n, 2), np.nan)
+    stays = np.zeros(asked.cells.total, bool)
+    if staying is not None:
+        stays = ((upper >= staying.swing[0]) & (lower <= staying.swing[1])).all(axis=1)
+    within = arrival.within[proved & (arrival.share >= 1)]
+    return Certificate(
+        conditions=asked.conditions,
+        method="pieces" if n == 2 else "boxes",
+        cells=ProvedCells(
+            asked.loop.space,
+            tuple(asked.cells.counts.tolist()),
+            starts,
+            arrival.share,
+            arrival.within,
+            stays,
+            failed,
+        ),
+        arrival=arrives,
+        staying=arrives if staying is not None else 0.0,
+        avoiding=arrives if staying is not None else 0.0,
+        within=float(within.max()) if len(within) else math.nan,
+        switch_rate=math.nan if staying is None else staying.switch_rate,
+        ripple=nothing if staying is None else np.stack(staying.ripple, axis=1),
+        refuted=states,
+        failures=failures,
+        open=float(left.sum() / total),
+        seconds=seconds,
+        stopped=stopped,
+        proof=ArrivalProof(asked, arrival),
+    )

@@ -46,13 +46,23 @@ class Expansion:
 def expand(program: Program) -> Expansion:
     """Return the expanded form of a program, common factors taken out of every sum."""
     atoms = _Atoms()
+    values = _values(program, atoms)
+    return _Writer(program, atoms).write([values[k] for k in program.results])
+
+
+def polynomials(program: Program) -> list[Polynomial]:
+    """Return all values of a program as polynomials of the same atoms."""
+    return _values(program, _Atoms())
+
+
+def _values(program: Program, atoms: _Atoms) -> list[Polynomial]:
     values = [atoms.atom("input", k) for k in range(program.input_count)]
     for name, *operands in program.instructions:
         if name == "const":
             values.append(atoms.constant(operands[0]))
         else:
             values.append(atoms.apply(name, *(values[k] for k in operands)))
-    return _Writer(program, atoms).write([values[k] for k in program.results])
+    return values
 
 
 class _Atoms:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from capsyn.programs.patterns import alternatives, exhaustive
+from capsyn.programs.patterns import alternatives, exhaustive, smoothed_root
 from capsyn.programs.program import Program, c_number
 
 
@@ -91,7 +91,10 @@ def _operation(program: Program, name: str, operands: list[int]) -> str:
     chosen = alternatives(program, *operands) if name == "add" else None
     if chosen:
         return f"i_either({', '.join(f'v{k}' for k in chosen)})"
-    if name == "mul" and operands[0] == operands[1]:
+    root = smoothed_root(program, *operands) if name == "div" else None
+    if root:
+        text = f"i_smoothed({names[0]}, {c_number(root[0])}, {root[1]})"
+    elif name == "mul" and operands[0] == operands[1]:
         text = f"i_square({names[0]})"
     elif name in LIBRARY_FORMS:
         text = LIBRARY_FORMS[name].format(*names)

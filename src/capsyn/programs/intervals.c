@@ -290,3 +290,16 @@ FORM interval i_remainder(interval a, interval b)
     const interval r = {same ? rest.lo : -bound, same ? rest.hi : bound};
     return undefined(overflow | infinite(b), r);
 }
+
+/* The bounds of a / (a a + c)^(1 / 2^roots), which rises. */
+FORM interval i_smoothed(interval a, double c, int roots)
+{
+    interval low = {a.lo, a.lo}, high = {a.hi, a.hi}, one = i_add(i_square(low), (interval){c, c}),
+             two = i_add(i_square(high), (interval){c, c});
+    for (int k = 0; k < roots; ++k) {
+        one = rising(sqrt(one.lo), sqrt(one.hi), one, 0, 0, INFINITY);
+        two = rising(sqrt(two.lo), sqrt(two.hi), two, 0, 0, INFINITY);
+    }
+    low = i_div(low, one), high = i_div(high, two);
+    return undefined(unknown(low) | unknown(high), (interval){low.lo, high.hi});
+}

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.programs.operations import OPERATIONS
-from capsyn.programs.patterns import alternatives, exhaustive
+from capsyn.programs.patterns import alternatives, exhaustive, smoothed_root
 from capsyn.programs.program import Program
 
 Interval = tuple[Any, Any]
@@ -58,7 +58,10 @@ def evaluate_intervals(
             if chosen:
                 values.append(_either(*(values[k] for k in chosen)))
                 continue
-            if name == "mul" and operands[0] == operands[1]:
+            root = smoothed_root(program, *operands) if name == "div" else None
+            if root:
+                result = _smoothed(arguments[0], *root)
+            elif name == "mul" and operands[0] == operands[1]:
                 result = _square(arguments[0])
             else:
                 result = INTERVALS[name](*arguments)
@@ -178,6 +181,17 @@ def _square(a: Interval) -> Interval:
 def _div(a: Interval, b: Interval) -> Interval:
     result = _clip_product(_outward(*_corners(np.divide, a, b)), a, b)
     return _undefined(_has_zero(b), result)
+
+
+def _smoothed(a: Interval, c: float, roots: int) -> Interval:
+    """Return the bounds of a over the `roots`-fold square root of ``a a + c``, which rises."""
+    ends = []
+    for end in a:
+        divisor = _add(_square((end, end)), (c, c))
+        for _ in range(roots):
+            divisor = INTERVALS["sqrt"](divisor)
+        ends.append(_div((end, end), divisor))
+    return ends[0][0], ends[1][1]
 
 
 def _copysign(a: Interval, b: Interval) -> Interval:

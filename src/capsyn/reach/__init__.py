@@ -1,0 +1,1 @@
+"""Reach sets of sampled loops: enclosures of all solutions, as pieces cut at labels."""
