@@ -26,15 +26,22 @@ from support.exports.policies import (
 )
 from support.trees import random_policy
 
+OFTEN = [to for to in RUNNERS if to != "micropython"]
+"""What runs most exports: MicroPython, which starts slowly, runs the modules of Python."""
 
-@pytest.mark.parametrize("to", RUNNERS)
-@pytest.mark.parametrize("name", PROBLEMS)
+
+@pytest.mark.parametrize(
+    ("name", "to"),
+    [*((name, to) for name in PROBLEMS for to in OFTEN), ("cart-pole", "micropython")],
+)
 def test_built_in_problems(name, to, tmp_path):
     assert_equal(to, built_in(name), tmp_path)
 
 
-@pytest.mark.parametrize("to", RUNNERS)
-@pytest.mark.parametrize("outside", ["error", "nearest", 1])
+@pytest.mark.parametrize(
+    ("outside", "to"),
+    [*((rule, to) for rule in ("error", "nearest", 1) for to in OFTEN), ("nearest", "micropython")],
+)
 def test_rules_outside(to, outside, tmp_path):
     policy = dataclasses.replace(small(), outside=outside)
     assert_equal(to, policy, tmp_path)
@@ -48,8 +55,9 @@ def test_trees_with_and_without_oblique_splits(to, tmp_path):
     assert_equal(to, compress(small()), tmp_path)
 
 
-@pytest.mark.parametrize("to", RUNNERS)
-@pytest.mark.parametrize("grid", [0, 6, 7])
+@pytest.mark.parametrize(
+    ("grid", "to"), [*((grid, to) for grid in (0, 6, 7) for to in OFTEN), (7, "micropython")]
+)
 def test_one_to_four_states(to, grid, tmp_path):
     assert_equal(to, random_policy(grid, periodic=True), tmp_path)
 

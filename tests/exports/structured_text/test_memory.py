@@ -118,7 +118,7 @@ def test_no_forbidden_transition_and_no_broken_hold(holds):
     policy = valves(holds, seed=4)
     plan = planned(policy)
     rng, period = np.random.default_rng(5), step_period(plan)
-    places = 1.02 * rng.random((20_000, plan.n)) - 0.01
+    places = 1.02 * rng.random((8000, plan.n)) - 0.01
     states = policy.domain.lower + places * policy.domain.widths
     call = program(plan, style="table").instance()
     found = []
@@ -127,7 +127,7 @@ def test_no_forbidden_transition_and_no_broken_hold(holds):
         found.append((told["symbol"], told["status"]))
     labels, statuses = np.array(found).T
     at_once = np.isin(statuses, plan.at_once)
-    assert assert_rules_kept(policy, labels, at_once, period) > 1000
+    assert assert_rules_kept(policy, labels, at_once, period) > 400
 
 
 def test_the_block_holds_as_simulations_do():
