@@ -133,7 +133,7 @@ def test_predictive_control(case, backend):
     problem = ROOMS.replace(terminal_cost=lambda x, w: (x[0] - w[0]) ** 2, **VARIANTS[case])
     told = finite_control_set(problem, backend=backend, **PREDICTED)
     x = problem.domain.sample(50, 3)
-    for w in TOLD:
+    for w in TOLD if backend == "c" else TOLD[:1]:
         knows = finite_control_set(fixed(problem, w), backend=backend, **PREDICTED)
         z = np.hstack([x, np.tile(w, (50, 1))])
         assert np.allclose(told.costs(z), knows.costs(x), rtol=1e-11)
@@ -195,7 +195,7 @@ def test_online_controllers(case, backend):
     options = {"backend": backend, **ONLINE[case]}
     problem = AFFINE if "sac" in case else ROOMS
     x = problem.domain.sample(60, 6)
-    for w in TOLD:
+    for w in TOLD if backend == "c" else TOLD[:1]:
         both = []
         for source in (problem, fixed(problem, w)):
             own = dict(options)
