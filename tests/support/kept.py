@@ -9,8 +9,8 @@ import numpy as np
 from capsyn.compression.induction import induce
 from capsyn.exports.sequence import run
 
-KEPT = 500
-"""Most of each that are kept."""
+TREES, SEQUENCES = 100, 24
+"""Most that are kept."""
 
 
 class _Asked:
@@ -34,7 +34,7 @@ class _Asked:
         return self.key == other.key
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=TREES)
 def _kept(asked):
     return induce(*asked.arguments)
 
@@ -63,7 +63,7 @@ class _Steps:
         return self.key == other.key
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=SEQUENCES)
 def _kept_run(steps):
     return run(*steps.arguments)
 
