@@ -32,7 +32,7 @@ def kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="module", autouse=True)
 def kept(request: pytest.FixtureRequest) -> Iterator[None]:
     """Make exact trees and golden sequences once; no trees where compression itself is tested."""
-    from support.kept import kept_induce, kept_run
+    from support.exports.kept import kept_induce, kept_run
 
     with pytest.MonkeyPatch.context() as patch:
         if request.path.parent.name != "compression":
