@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Wave:
     cells: np.ndarray
     bound: np.ndarray  # (B,) [time unit]
     work: int  # pieces that flowed
-    effort: int
+    effort: int  # most for a start
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +145,7 @@ class _Proof:
             if self.late:
                 return
             some, held = cell[part], self._held(layer[part])
-            effort = EFFORT if gain > 0 else EASY
+            effort = np.where((gain > 0) & (self.starts[some] > 0), EFFORT, EASY)
             found = self.follow(self.lower[some], self.upper[some], held, some, effort)
             first = layer[part] == self.twins[self.loop.first, some]
             self.status[some[first]] = found.status[first]
@@ -160,14 +161,14 @@ class _Proof:
         return layer if self.loop.layered else np.full_like(layer, self.loop.labels - 1)
 
     def follow(
-        self, lower: np.ndarray, upper: np.ndarray, held: np.ndarray, cells: np.ndarray, effort: int
+        self, lower: np.ndarray, upper: np.ndarray, held: np.ndarray, cells: np.ndarray, effort: Any
     ) -> Followed:
         """Follow a wave, and keep what of it is proved."""
         found = self.follower.follow(lower, upper, held, effort)
         won = found.status == PROVED
         if won.any():
             kept = (lower[won], upper[won], held[won], cells[won], found.bound[won])
-            self.waves.append(Wave(*kept, int(found.work[won].sum()), effort))
+            self.waves.append(Wave(*kept, int(found.work[won].sum()), int(np.max(effort))))
         return found
 
     def bisect_open(self, when: np.ndarray, box: tuple[np.ndarray, np.ndarray]) -> None:

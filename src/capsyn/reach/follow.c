@@ -7,8 +7,8 @@
  * fewer vertices only grow, flows enclose: so every solution from the first piece is in one of the
  * pieces at each sample.
  */
-#define MOST_PIECES 128
-#define MOST_PARTS 64
+#define MOST_PIECES 32
+#define MOST_PARTS 256
 #define MOST_UNDER 4096 /* cells under a piece that ends */
 
 enum { PROVED, LEFT, AVOIDED, UNBOUNDED, TOO_MANY, TOO_LONG, NOT_WON };
@@ -44,7 +44,7 @@ typedef struct {
     uint8_t *marks; /* layers x cells that a loop that is to stay may be in at its end */
     told_piece *pieces;
     told_flow *flows;
-    int64_t layers, cells, work, horizon, record, nearest, piece_room, flow_room;
+    int64_t layers, cells, horizon, record, nearest, piece_room, flow_room;
     double sample, delay;
     int64_t piece_count, flow_count;
 } task;
@@ -511,7 +511,7 @@ static int in_target(const task *t, arguments *a, const piece *p)
 
 /* Go through the pieces from a box of states with a label in force. */
 static int follow(task *t, const double *lower, const double *upper, const int32_t held,
-                  gathered *g)
+                  const int64_t work, gathered *g)
 {
     piece pieces[MOST_PIECES], start = {.held = held, .jump = 16};
     cutting c;
@@ -549,7 +549,7 @@ static int follow(task *t, const double *lower, const double *upper, const int32
                 continue;
             }
         }
-        if (++g->work > t->work)
+        if (++g->work > work)
             return TOO_LONG;
         box where;
         bounds_of(&p.s, where.lower, where.upper);
@@ -593,15 +593,16 @@ static int follow(task *t, const double *lower, const double *upper, const int32
     return PROVED;
 }
 
-/* Follow boxes (count x STATES ends each) with labels in force; what comes of each. */
+/* Follow boxes (count x STATES ends each) with labels in force, each by at most so many flows;
+ * what comes of each. */
 void capsyn_follow(const int64_t count, task *t, const double *lower, const double *upper,
-                   const int32_t *held, int32_t *status, double *bound, double *extents,
+                   const int32_t *held, const int64_t *most, int32_t *status, double *bound, double *extents,
                    int64_t *switches, int64_t *work, int64_t *told)
 {
     for (int64_t k = 0; k < count; ++k) {
         gathered g;
         const int64_t pieces = t->piece_count, flows = t->flow_count;
-        status[k] = follow(t, lower + k * STATES, upper + k * STATES, held[k], &g);
+        status[k] = follow(t, lower + k * STATES, upper + k * STATES, held[k], most[k], &g);
         bound[k] = g.bound, switches[k] = g.switches, work[k] = g.work;
         memcpy(extents + 2 * STATES * k, g.lower, sizeof g.lower);
         memcpy(extents + 2 * STATES * k + STATES, g.upper, sizeof g.upper);

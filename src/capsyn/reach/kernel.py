@@ -33,7 +33,7 @@ _ARRAYS = (
     "second row next normal below above controls parameters lower upper widths periodic noise "
     "holds kinds grid_lower grid_upper cell counts bound marks pieces flows"
 ).split()
-_NUMBERS = "layers cells work horizon record nearest piece_room flow_room".split()
+_NUMBERS = "layers cells horizon record nearest piece_room flow_room".split()
 
 
 class _Task(ctypes.Structure):
@@ -111,7 +111,7 @@ class Follower:
         """Return what follows a loop; `KernelBuildError` where there is no compiler."""
         function = load(source(loop), ("-ffp-contract=off",)).capsyn_follow
         p = ctypes.c_void_p
-        function.restype, function.argtypes = None, [ctypes.c_int64, *[p] * 10]
+        function.restype, function.argtypes = None, [ctypes.c_int64, *[p] * 11]
         space, tree = loop.space, loop.tree
         doubles = {
             "normal": tree.normal, "below": tree.below, "above": tree.above,
@@ -143,19 +143,20 @@ class Follower:
         return self.arrays["marks"]
 
     def follow(
-        self, lower: np.ndarray, upper: np.ndarray, held: np.ndarray, work: int, horizon: int = 0,
+        self, lower: np.ndarray, upper: np.ndarray, held: np.ndarray, work: Any, horizon: int = 0,
         record: int = 0,
     ) -> Followed:  # fmt: skip
-        """Return what comes of boxes (B, n) with labels in force (B,), by at most so much work.
+        """Return what comes of boxes (B, n) with labels in force (B,), by at most so many flows.
 
         They are followed until they arrive, or for a `horizon` [samples]; what happens on the way
         is told from sample `record` on.
         """
+        most = np.broadcast_to(np.asarray(work, dtype=np.int64), held.shape)
         size = max(1, -(-len(held) // (CHUNK * self.threads)))
         parts = [slice(k, k + size) for k in range(0, len(held), size)]
 
         def run(part: slice) -> Followed:
-            return self._run(lower[part], upper[part], held[part], work, horizon, record)[0]
+            return self._run(lower[part], upper[part], held[part], most[part], horizon, record)[0]
 
         with ThreadPoolExecutor(self.threads) as pool:
             found = list(pool.map(run, parts))
@@ -163,12 +164,13 @@ class Follower:
         return Followed(*(np.concatenate(column) for column in columns))
 
     def tell(
-        self, lower: np.ndarray, upper: np.ndarray, held: np.ndarray, work: int, room: int
+        self, lower: np.ndarray, upper: np.ndarray, held: np.ndarray, work: Any, room: int
     ) -> tuple[Followed, Told]:
         """Return what comes of boxes, and the pieces and flows that say why, `room` of each."""
         pieces = np.zeros(room, self._record("held samples ended id merged"))
         flows = np.zeros(room, self._record("label samples start end waits"))
-        return self._run(lower, upper, held, work, 0, 0, pieces, flows)
+        most = np.broadcast_to(np.asarray(work, dtype=np.int64), held.shape)
+        return self._run(lower, upper, held, most, 0, 0, pieces, flows)
 
     def _record(self, names: str) -> np.dtype:
         n = self.loop.space.n
@@ -181,7 +183,7 @@ class Follower:
         lower: np.ndarray,
         upper: np.ndarray,
         held: np.ndarray,
-        work: int,
+        work: np.ndarray,
         horizon: int,
         record: int,
         pieces: np.ndarray | None = None,
@@ -193,18 +195,19 @@ class Follower:
         arrays = {**self.arrays, "pieces": pieces, "flows": flows}
         task = _Task(
             **{name: array.ctypes.data for name, array in arrays.items()},
-            layers=self.loop.layers, cells=self.cells.total, work=work, horizon=horizon, record=record,
+            layers=self.loop.layers, cells=self.cells.total, horizon=horizon, record=record,
             nearest=self.loop.nearest, piece_room=len(pieces), flow_room=len(flows),
             sample=self.loop.period, delay=self.loop.delay,
         )  # fmt: skip
         lower, upper = (np.ascontiguousarray(a, dtype=float) for a in (lower, upper))
         held = np.ascontiguousarray(held, dtype=np.int32)
+        work = np.ascontiguousarray(work)
         status, bound = np.empty(count, dtype=np.int32), np.empty(count)
         extents = np.empty((count, 2, n))
         switches, spent = np.empty((2, count), dtype=np.int64)
         ends = np.empty((count, 2), dtype=np.int64)
         results = (status, bound, extents, switches, spent, ends)
-        self.function(count, ctypes.addressof(task), *map(pointer, (lower, upper, held, *results)))
+        self.function(count, ctypes.addressof(task), *map(pointer, (lower, upper, held, work, *results)))
         followed = Followed(status, bound, extents[:, 0], extents[:, 1], switches, spent)
         return followed, Told(pieces, flows, ends)
 
