@@ -19,8 +19,8 @@ TOP = Path(__file__).parents[2]
 ORDER = """
 errors validation random_streams statistics version
 
-programs: operations program texts builder patterns intervals interval_text
-    expansion model step_doubling
+programs: operations program texts builder patterns ends intervals interval_text
+    expansion continuity model step_doubling
 native: build compiled source bounds
 modelling: domain alphabet exogenous settings targets grid time_unit switching
 modelling.tails: tail equilibrium riccati
@@ -46,7 +46,7 @@ sources: delayed sequence_costs finite_control_set callables table text scots gr
 optima: grid task sweeps loops iteration comparison optimum
 verification: bisection loop_derivative lyapunov tally agreement trials outcome
     conditions monte_carlo switching_curve sentences
-certification: cell_map certificate certify
+certification: cell_map certificate
 integrations: single_lookup stepping evaluation gymnasium control
 compression: rows optimal induction freedom coarsening affine_tree
 compression.fitted: surface plane_tree oblique
@@ -54,6 +54,8 @@ compression.features: growing space cell_fit controller_fit
 compression: proof judge trees
 compression.looped: loops choice growing fitting by_loop
 compression: compress curve complexity
+reach: half_spaces loop kernel twins arrive stay
+certification: question refute proof_file certify
 tuning: free family figures goal study advice tune
 plots: figure policy trajectory automaton curve switching optimum
     certificate

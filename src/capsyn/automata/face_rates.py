@@ -8,7 +8,8 @@ import numpy as np
 
 from capsyn.policies.policy import Policy
 from capsyn.programs.builder import ProgramBuilder
-from capsyn.programs.intervals import Interval, evaluate_intervals
+from capsyn.programs.ends import Interval
+from capsyn.programs.intervals import evaluate_intervals
 from capsyn.programs.program import Program
 
 UPWARD, DOWNWARD, SLIDING, REPELLING = range(4)

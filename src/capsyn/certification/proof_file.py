@@ -31,9 +31,9 @@ class ArrivalProof:
         """Write the proof: a NumPy archive without objects.
 
         ``header`` is JSON as bytes: the loop, and the SHA-256 of the policy's content. Cells are in
-        C order of the grid ``lower``, ``upper``, ``counts``; ``bound`` (layers, K) is when they have
-        arrived at the latest, ``twins`` (layers, K) the layer whose proof is theirs. Proofs are of
-        ``starts``, in order; those of a wave may end in cells of earlier waves. See `Told`.
+        C order of the grid ``lower``, ``upper``, ``counts``; ``bound`` (layers, K) is when they
+        have arrived at the latest, ``twins`` (layers, K) the layer whose proof is theirs. Proofs
+        are of ``starts``, in order; those of a wave may end in cells of earlier waves. See `Told`.
         """
         loop, cells, arrival = self.asked.loop, self.asked.cells, self.arrival
         header = {

@@ -23,6 +23,7 @@ DATA = {
     "optima": ("dynamic_programming.c",),
     "policies": ("lookup.c",),
     "programs": ("intervals.c",),
+    "reach": ("polygon.c", "box.c", "flow.c", "follow.c"),
     "simulation": ("simulate.c",),
     "sources": ("finite_control_set.c",),
     "exports": (

@@ -18,7 +18,7 @@ import numpy as np
 from capsyn.execution.memory import check_memory
 from capsyn.limits.tubes import Flow
 from capsyn.modelling.domain import Box
-from capsyn.programs.intervals import Interval
+from capsyn.programs.ends import Interval
 
 PARTS = 64
 """Most parts that a least time is followed in."""

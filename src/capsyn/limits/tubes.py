@@ -10,7 +10,7 @@ import numpy as np
 
 from capsyn.modelling.transcription import flow_programs
 from capsyn.native.bounds import box_bounds
-from capsyn.programs.intervals import Interval
+from capsyn.programs.ends import Interval
 from capsyn.programs.program import Program
 
 TRIES = 20

@@ -12,8 +12,9 @@ import numpy as np
 from capsyn.native.build import load
 from capsyn.native.compiled import compiled
 from capsyn.native.source import LANES, declarations, hand_written, pointer
+from capsyn.programs.ends import Interval
 from capsyn.programs.interval_text import interval_c
-from capsyn.programs.intervals import Interval, evaluate_intervals
+from capsyn.programs.intervals import evaluate_intervals
 from capsyn.programs.program import Program
 
 LOOP = """

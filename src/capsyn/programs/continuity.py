@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from fractions import Fraction
 
 from capsyn.programs.builder import ProgramBuilder
@@ -14,10 +15,9 @@ LOGIC = ("not", "and", "or")
 
 
 def jump_conditions(program: Program) -> Program:
-    """Return a program of the same inputs whose outputs are constant wherever `program` is
-    continuous.
+    """Return a program of the same inputs, constant over boxes where `program` is continuous.
 
-    They are the conditions of its selections, but for those between values that are equal where the
+    Its outputs are the conditions of its selections, but for those between values that are equal where the
     condition changes, and what tells on which side of a jump a floor, a sign or an angle is. A
     program without any has the one output 0.
     """
@@ -62,10 +62,13 @@ def _meeting_selections(program: Program) -> set[int]:
     Of an order c between p and q they are so where a - b is a multiple of p - q.
     """
     values = polynomials(program)
+    uses = Counter(k for name, *operands in program.instructions if name != "const"
+                   for k in operands)  # fmt: skip
+    uses.update(program.results)
     found: set[int] = set()
     for name, *operands in program.instructions:
         chosen = alternatives(program, *operands) if name == "add" else None
-        if chosen is None:
+        if chosen is None or any(uses[k] != 1 for k in operands):
             continue
         condition, one, other = chosen
         order, *sides = instruction(program, condition)

@@ -13,17 +13,23 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.programs.ends import (
+    EPSILON,
+    Interval,
+    clip,
+    clip_sign,
+    has_zero,
+    infinite,
+    magnitude,
+    outward,
+    taint,
+    undefined,
+    widen,
+)
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.patterns import alternatives, exhaustive, smoothed_root
 from capsyn.programs.program import Program
 
-Interval = tuple[Any, Any]
-
-_LARGEST = np.finfo(float).max
-_SMALLEST = np.finfo(float).tiny
-_EPSILON = np.finfo(float).eps
-_ULPS = 16 * _EPSILON
-"""Relative error allowed to library functions; NumPy's SIMD forms err by up to 4 units."""
 _PI = np.nextafter(np.pi, 4.0)
 _HUGE = 1e8
 """From here on arguments of sin, cos and tan are not reduced; their range is the answer."""
@@ -44,14 +50,14 @@ def evaluate_intervals(
         low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         if low.shape[:1] != (size,) or low.shape != high.shape:
             raise ValueError(f"`{name}` must be two arrays ({size}, B); got {low.shape}")
-        values += [_taint(low[k], high[k]) for k in range(size)]
+        values += [taint(low[k], high[k]) for k in range(size)]
     shape = np.broadcast_shapes(*(np.shape(low) for low, _ in values))
     with np.errstate(all="ignore"):
         for name, *operands in program.instructions:
             if name == "const":
                 number = np.float64(operands[0])
-                outward = _outward if len(values) in inexact else _taint
-                values.append(outward(number, number))
+                ends = outward if len(values) in inexact else taint
+                values.append(ends(number, number))
                 continue
             arguments = [values[k] for k in operands]
             chosen = alternatives(program, *operands) if name == "add" else None
@@ -66,11 +72,11 @@ def evaluate_intervals(
             else:
                 result = INTERVALS[name](*arguments)
             if name == "add" and exhaustive(program, *operands):
-                result = _clip(result, 1.0, 2.0)
-            result = _taint(*result)
+                result = clip(result, 1.0, 2.0)
+            result = taint(*result)
             if name != "select":  # the branch that is not taken may be undefined
                 for low, _ in arguments:
-                    result = _undefined(np.isnan(low), result)
+                    result = undefined(np.isnan(low), result)
             values.append(result)
     outputs, start = [], 0
     for _, size in program.outputs:
@@ -82,63 +88,13 @@ def evaluate_intervals(
     return outputs
 
 
-def _undefined(where: Any, a: Interval) -> Interval:
-    """Return the interval, undefined in some boxes."""
-    if not np.any(where):
-        return a
-    return np.where(where, np.nan, a[0]), np.where(where, np.nan, a[1])
-
-
-def _taint(low: Any, high: Any) -> Interval:
-    return _undefined(np.isnan(low) | np.isnan(high), (low, high))
-
-
-def _outward(low: Any, high: Any) -> Interval:
-    """Return the interval widened by one number each way: for correctly rounded operations."""
-    return np.nextafter(low, -np.inf), np.nextafter(high, np.inf)
-
-
-def _widen(low: Any, high: Any) -> Interval:
-    """Return the interval widened by what library functions may err."""
-    error_low = np.minimum(np.abs(low), _LARGEST) * _ULPS + _SMALLEST
-    error_high = np.minimum(np.abs(high), _LARGEST) * _ULPS + _SMALLEST
-    # the value itself is a number, also where its bound overflows
-    return np.minimum(low - error_low, _LARGEST), np.maximum(high + error_high, -_LARGEST)
-
-
-def _clip(a: Interval, bottom: Any, top: Any) -> Interval:
-    return np.maximum(a[0], bottom), np.minimum(a[1], top)
-
-
-def _clip_sign(a: Interval, nonnegative: Any, nonpositive: Any) -> Interval:
-    """Return the interval with the sign that is certain in some boxes."""
-    low, high = a
-    return (
-        np.where(nonnegative, np.maximum(low, 0.0), low),
-        np.where(nonpositive, np.minimum(high, 0.0), high),
-    )
-
-
-def _has_zero(a: Interval) -> Any:
-    return (a[0] <= 0) & (a[1] >= 0)
-
-
-def _infinite(a: Interval) -> Any:
-    return np.isinf(a[0]) | np.isinf(a[1])
-
-
-def _magnitude(a: Interval) -> Interval:
-    low, high = np.abs(a[0]), np.abs(a[1])
-    return np.where(_has_zero(a), 0.0, np.minimum(low, high)), np.maximum(low, high)
-
-
 def _add(a: Interval, b: Interval) -> Interval:
     low, high = a[0] + b[0], a[1] + b[1]
-    below, above = _outward(low, high)
+    below, above = outward(low, high)
     # a sum that is 0 is exact
     sums = np.where(low == 0, 0.0, below), np.where(high == 0, 0.0, above)
     opposite = ((a[0] == -np.inf) & (b[1] == np.inf)) | ((a[1] == np.inf) & (b[0] == -np.inf))
-    return _undefined(opposite, sums)
+    return undefined(opposite, sums)
 
 
 def _neg(a: Interval) -> Interval:
@@ -164,23 +120,23 @@ def _clip_product(result: Interval, a: Interval, b: Interval) -> Interval:
     a_up, a_down, b_up, b_down = a[0] >= 0, a[1] <= 0, b[0] >= 0, b[1] <= 0
     zero = (a_up & a_down) | (b_up & b_down)
     nonnegative = (a_up & b_up) | (a_down & b_down) | zero
-    return _clip_sign(result, nonnegative, (a_up & b_down) | (a_down & b_up) | zero)
+    return clip_sign(result, nonnegative, (a_up & b_down) | (a_down & b_up) | zero)
 
 
 def _mul(a: Interval, b: Interval) -> Interval:
-    result = _clip_product(_outward(*_corners(np.multiply, a, b)), a, b)
-    return _undefined((_has_zero(a) & _infinite(b)) | (_has_zero(b) & _infinite(a)), result)
+    result = _clip_product(outward(*_corners(np.multiply, a, b)), a, b)
+    return undefined((has_zero(a) & infinite(b)) | (has_zero(b) & infinite(a)), result)
 
 
 def _square(a: Interval) -> Interval:
-    low, high = _magnitude(a)
-    result = _outward(low * low, high * high)
-    return _clip_sign(result, True, high == 0)
+    low, high = magnitude(a)
+    result = outward(low * low, high * high)
+    return clip_sign(result, True, high == 0)
 
 
 def _div(a: Interval, b: Interval) -> Interval:
-    result = _clip_product(_outward(*_corners(np.divide, a, b)), a, b)
-    return _undefined(_has_zero(b), result)
+    result = _clip_product(outward(*_corners(np.divide, a, b)), a, b)
+    return undefined(has_zero(b), result)
 
 
 def _smoothed(a: Interval, c: float, roots: int) -> Interval:
@@ -195,37 +151,37 @@ def _smoothed(a: Interval, c: float, roots: int) -> Interval:
 
 
 def _copysign(a: Interval, b: Interval) -> Interval:
-    low, high = _magnitude(a)
+    low, high = magnitude(a)
     return np.where(b[0] > 0, low, -high), np.where(b[1] < 0, -low, high)
 
 
 def _fmod(a: Interval, b: Interval) -> Interval:
-    size, divisor = _magnitude(a), _magnitude(b)
+    size, divisor = magnitude(a), magnitude(b)
     quotient = _div(a, divisor)
     low, high = np.trunc(quotient[0]), np.trunc(quotient[1])
     bound = np.minimum(size[1], divisor[1])
     whole = np.where(a[0] < 0, -bound, 0.0), np.where(a[1] > 0, bound, 0.0)
-    rest = _clip(_sub(a, _mul((low, low), divisor)), *whole)
+    rest = clip(_sub(a, _mul((low, low), divisor)), *whole)
     same = low == high
     result = np.where(same, rest[0], whole[0]), np.where(same, rest[1], whole[1])
-    return _undefined(np.isnan(low) | _infinite(a), result)
+    return undefined(np.isnan(low) | infinite(a), result)
 
 
 def _remainder(a: Interval, b: Interval) -> Interval:
     quotient = _div(a, b)
     low, high = np.rint(quotient[0]), np.rint(quotient[1])
     rest = _sub(a, _mul((low, low), b))
-    size = _magnitude(a)[1]
+    size = magnitude(a)[1]
     # rounding of a - b k beside a k that is off by rounding near a tie
-    bound = _magnitude(b)[1] / 2 * (1 + 4 * _EPSILON) + 4 * _EPSILON * size
+    bound = magnitude(b)[1] / 2 * (1 + 4 * EPSILON) + 4 * EPSILON * size
     same = low == high
     result = np.where(same, rest[0], -bound), np.where(same, rest[1], bound)
-    overflow = ~np.isfinite(low + high) | np.isinf(1.1 * size) | _infinite(b)
-    return _undefined(overflow, result)
+    overflow = ~np.isfinite(low + high) | np.isinf(1.1 * size) | infinite(b)
+    return undefined(overflow, result)
 
 
 def _truth(a: Interval) -> Interval:
-    return np.where(_has_zero(a), 0.0, 1.0), np.where((a[0] == 0) & (a[1] == 0), 0.0, 1.0)
+    return np.where(has_zero(a), 0.0, 1.0), np.where((a[0] == 0) & (a[1] == 0), 0.0, 1.0)
 
 
 def _not(a: Interval) -> Interval:
@@ -256,7 +212,7 @@ def _select(condition: Interval, a: Interval) -> Interval:
         np.where(never, 0.0, np.where(always, a[0], np.minimum(a[0], 0.0))),
         np.where(never, 0.0, np.where(always, a[1], np.maximum(a[1], 0.0))),
     )
-    return _undefined(np.isnan(condition[0]), result)
+    return undefined(np.isnan(condition[0]), result)
 
 
 def _either(condition: Interval, a: Interval, b: Interval) -> Interval:
@@ -267,7 +223,7 @@ def _either(condition: Interval, a: Interval, b: Interval) -> Interval:
         np.where(never, b[0], np.where(always, a[0], np.minimum(a[0], b[0]))),
         np.where(never, b[1], np.where(always, a[1], np.maximum(a[1], b[1]))),
     )
-    return _taint(*_undefined(np.isnan(condition[0]), result))
+    return taint(*undefined(np.isnan(condition[0]), result))
 
 
 def _monotone(
@@ -290,15 +246,15 @@ def _monotone(
         result = function(low), function(high)
         if pole:
             low, high = (np.isinf(y) & np.isfinite(x) for x, y in zip(a, result))
-            result = _undefined(low | high, result)
-        result = _clip_sign(_widen(*result), a[0] >= zero, a[1] <= zero)
-        return _clip(result, bottom, top)
+            result = undefined(low | high, result)
+        result = clip_sign(widen(*result), a[0] >= zero, a[1] <= zero)
+        return clip(result, bottom, top)
 
     return enclose
 
 
 def _even(increasing: Callable[..., Interval]) -> Callable[..., Interval]:
-    return lambda a: increasing(_magnitude(a))
+    return lambda a: increasing(magnitude(a))
 
 
 def _reaches(a: Interval, period: float, phase: float) -> Any:
@@ -314,17 +270,17 @@ def _wave(name: str, peak: float) -> Callable[..., Interval]:
 
     def enclose(a: Interval) -> Interval:
         one, two = function(a[0]), function(a[1])
-        low, high = _widen(np.minimum(one, two), np.maximum(one, two))
+        low, high = widen(np.minimum(one, two), np.maximum(one, two))
         low = np.where(_reaches(a, 2 * np.pi, peak + 0.5), -1.0, low)
         high = np.where(_reaches(a, 2 * np.pi, peak), 1.0, high)
-        return _undefined(_infinite(a), _clip((low, high), -1.0, 1.0))
+        return undefined(infinite(a), clip((low, high), -1.0, 1.0))
 
     return enclose
 
 
 def _odd(function: Callable[..., Interval], reach: float) -> Callable[..., Interval]:
     """Return the form with the sign of the argument up to `reach`: widening would lose it."""
-    return lambda a: _clip_sign(
+    return lambda a: clip_sign(
         function(a), (a[0] >= 0) & (a[1] <= reach), (a[0] >= -reach) & (a[1] <= 0)
     )
 
@@ -333,34 +289,34 @@ _increasing_tan = _monotone("tan")
 
 
 def _tan(a: Interval) -> Interval:
-    return _undefined(_reaches(a, np.pi, 0.5) | _infinite(a), _increasing_tan(a))
+    return undefined(_reaches(a, np.pi, 0.5) | infinite(a), _increasing_tan(a))
 
 
 def _atan2(y: Interval, x: Interval) -> Interval:
-    result = _clip_sign(_widen(*_corners(np.arctan2, y, x)), y[0] >= 0, y[1] <= 0)
-    branch = _has_zero(y) & (x[0] <= 0)  # the jump at the negative axis, and the origin
+    result = clip_sign(widen(*_corners(np.arctan2, y, x)), y[0] >= 0, y[1] <= 0)
+    branch = has_zero(y) & (x[0] <= 0)  # the jump at the negative axis, and the origin
     low, high = np.where(branch, -_PI, result[0]), np.where(branch, _PI, result[1])
-    return _clip((low, high), -_PI, _PI)
+    return clip((low, high), -_PI, _PI)
 
 
 def _hypot(a: Interval, b: Interval) -> Interval:
-    (low_a, high_a), (low_b, high_b) = _magnitude(a), _magnitude(b)
-    result = _widen(np.hypot(low_a, low_b), np.hypot(high_a, high_b))
-    return _clip_sign(result, True, (high_a == 0) & (high_b == 0))
+    (low_a, high_a), (low_b, high_b) = magnitude(a), magnitude(b)
+    result = widen(np.hypot(low_a, low_b), np.hypot(high_a, high_b))
+    return clip_sign(result, True, (high_a == 0) & (high_b == 0))
 
 
 def _pow(a: Interval, b: Interval) -> Interval:
     exponent = b[0]
     whole = (exponent == b[1]) & (np.rint(exponent) == exponent)
     even = whole & (np.fmod(exponent, 2) == 0)
-    sizes = _magnitude(a)
+    sizes = magnitude(a)
     base: Interval = np.where(even, sizes[0], a[0]), np.where(even, sizes[1], a[1])
     # of positive bases powers are monotone in base and exponent, of others in the base
-    result = _widen(*_corners(np.power, base, b))
+    result = widen(*_corners(np.power, base, b))
     odd = whole & ~even
-    result = _clip_sign(result, base[0] >= 0, odd & (base[1] <= 0))
-    at_zero = _has_zero(base) & np.where(whole, exponent < 0, exponent <= 0)
-    return _undefined(at_zero | (~whole & (base[0] < 0)) | _infinite(b), result)
+    result = clip_sign(result, base[0] >= 0, odd & (base[1] <= 0))
+    at_zero = has_zero(base) & np.where(whole, exponent < 0, exponent <= 0)
+    return undefined(at_zero | (~whole & (base[0] < 0)) | infinite(b), result)
 
 
 INTERVALS: dict[str, Callable[..., Interval]] = {
@@ -370,7 +326,7 @@ INTERVALS: dict[str, Callable[..., Interval]] = {
     "div": _div,
     "neg": _neg,
     "sqrt": _monotone("sqrt", zero=0.0, bottom=0.0),
-    "fabs": _magnitude,
+    "fabs": magnitude,
     "floor": lambda a: (np.floor(a[0]), np.floor(a[1])),
     "ceil": lambda a: (np.ceil(a[0]), np.ceil(a[1])),
     "copysign": _copysign,

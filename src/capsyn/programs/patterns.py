@@ -24,7 +24,7 @@ def alternatives(program: Program, *values: int) -> tuple[int, int, int] | None:
 
 
 def smoothed_root(program: Program, z: int, divisor: int) -> tuple[float, int] | None:
-    """Return (c, k) where a divisor of z is the k-fold square root of ``z z + c``, c > 0, else None.
+    """Return (c, k) where z is divided by the k-fold square root of ``z z + c``, c > 0, else None.
 
     The quotient then rises with z: so do smoothed signs and square roots. Its derivative,
     ``((1 - p) z^2 + c) / (z^2 + c)^(1 + p / 2)`` with ``p = 2^(1 - k)``, is positive.

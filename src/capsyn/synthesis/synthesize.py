@@ -171,8 +171,8 @@ def synthesize(
     plan.check(problem.space, symbols, symbols + 1 if remembers else 1)
     if plan.affine and problem.delay:
         raise ProblemError("`leaves` must be constant for a problem with a delay; got affine")
-    asked = check_limits(problem, keep_limits)
-    return _synthesized(problem, plan, _Run(threads, backend, executor, checkpoint, progress), asked)
+    run = _Run(threads, backend, executor, checkpoint, progress)
+    return _synthesized(problem, plan, run, check_limits(problem, keep_limits))
 
 
 def _fitted(problem: Problem, plan: SubdivisionPlan, threads: int, backend: str) -> Tail:

@@ -14,8 +14,9 @@ from capsyn.errors import ProblemError
 from capsyn.modelling.transcription import user_program
 from capsyn.policies.policy import Policy
 from capsyn.programs.builder import ProgramBuilder
+from capsyn.programs.ends import Interval
 from capsyn.programs.expansion import Expansion, expand
-from capsyn.programs.intervals import Interval, evaluate_intervals
+from capsyn.programs.intervals import evaluate_intervals
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Program
 from capsyn.validation import describe
