@@ -2,7 +2,7 @@
  *
  * Needs `shape` and its functions, and the programs `rates`, `slopes`, `breaks` as bounds over
  * boxes: rates f(x, u, p), the Jacobian of f by rows, and the conditions at which f may jump. The
- * states from MOVING on are exogenous inputs, whose rates are 0.
+ * states from MOVING on are exogenous inputs, whose rates are 0 in all programs.
  */
 #define ORDER 8   /* of the Taylor series of the flow of a linear system */
 #define PARTS 32  /* most parts of a box in which a bound is looked for */
@@ -29,7 +29,7 @@ static void put(arguments *a, const box *b)
 /* Rates over a box; whether all are finite. */
 static int rates_over(arguments *a, const box *b, double *lower, double *upper)
 {
-    double out[2][MOVING][1];
+    double out[2][STATES][1];
     put(a, b);
     BOUNDS(rates, a, out);
     int known = 1;
@@ -104,7 +104,7 @@ static double series(const double *J, const double *v, const double *w, const do
 /* f in a tube as an affine map, F + J (x - middle) +- rest; 0 where it is none. */
 static int linearised(arguments *a, const box *b, double *middle, double *F, double *J, double *rest)
 {
-    double out[2][MOVING * STATES][1], conditions[2][BREAKS][1], low[STATES], high[STATES];
+    double out[2][STATES * STATES][1], conditions[2][BREAKS][1], low[STATES], high[STATES];
     box at;
     put(a, b);
     BOUNDS(breaks, a, conditions);

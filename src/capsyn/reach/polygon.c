@@ -60,12 +60,13 @@ static int apex(const double *v, const int n, const int k, double *p)
     const double *a = v + 2 * ((k + n - 1) % n), *b = v + 2 * k;
     const double *c = v + 2 * ((k + 1) % n), *d = v + 2 * ((k + 2) % n);
     const double u[2] = {b[0] - a[0], b[1] - a[1]}, w[2] = {c[0] - d[0], c[1] - d[1]};
-    const double turn = u[0] * w[1] - u[1] * w[0]; /* of u to w: both run towards the apex */
+    const double turn = w[0] * u[1] - w[1] * u[0]; /* of w to u: both run towards the apex */
     if (!(turn > 1e-6 * (hypot(u[0], u[1]) * hypot(w[0], w[1]))))
         return 0;
-    const double t = ((c[0] - b[0]) * w[1] - (c[1] - b[1]) * w[0]) / turn;
-    p[0] = b[0] + t * u[0], p[1] = b[1] + t * u[1];
-    return t >= 0 && isfinite(p[0]) && isfinite(p[1]);
+    const double along_u = ((c[1] - b[1]) * w[0] - (c[0] - b[0]) * w[1]) / turn;
+    const double along_w = ((c[1] - b[1]) * u[0] - (c[0] - b[0]) * u[1]) / turn;
+    p[0] = b[0] + along_u * u[0], p[1] = b[1] + along_u * u[1];
+    return along_u >= 0 && along_w >= 0 && isfinite(p[0]) && isfinite(p[1]);
 }
 
 /* Keep n vertices, or fewer around them: edges are taken away where that adds least. */
