@@ -104,7 +104,7 @@ static void cut_below(cutting *c, const int32_t node, const shape *s, const doub
             c->count = start + 1;
             c->parts[start].s = *s;
         }
-    } else if (first || second)
+    } else /* what is not below is beyond, where neither bound is met */
         cut_below(c, first ? node + 1 : t->second[node], s, moved);
 }
 
