@@ -11,7 +11,7 @@ import numpy as np
 
 from capsyn.certification.certificate import Certificate, ProvedCells
 from capsyn.certification.proof_file import ArrivalProof
-from capsyn.certification.question import Asked, Question, question
+from capsyn.certification.question import Asked, Question, halved, question
 from capsyn.certification.refute import refute
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
@@ -26,6 +26,8 @@ SECONDS, STAY_SECONDS = 60.0, 3.0
 """How long arrival and staying are tried unless told [s]."""
 STAY_SHARE = 0.25
 """Share for staying of a time that is told."""
+MOST = 100_000
+"""Most cells that are taken instead of larger ones."""
 FINEST = 4096
 """Most cells along an axis that are proposed for a target."""
 
@@ -107,9 +109,8 @@ def certify(
         seed,
     )  # fmt: skip
     _check_target(asked)
-    follower = Follower.build(asked.loop, asked.cells, processors(threads))
     deadline = began + (SECONDS if told is None else (1 - STAY_SHARE) * told)
-    arrival = arrive(follower, simulated_arrival(asked), asked.starts, asked.box, deadline)
+    asked, arrival = _arrival(asked, processors(threads), deadline, counts is None)
     staying, stopped = None, arrival.stopped
     try:
         late = time.monotonic() + STAY_SECONDS if told is None else began + told
@@ -119,6 +120,20 @@ def certify(
     except KeyboardInterrupt:
         stopped, refuted = True, refute(asked, np.empty(0, dtype=int))
     return _certificate(asked, arrival, staying, refuted, time.monotonic() - began, stopped)
+
+
+def _arrival(
+    asked: Question, threads: int, deadline: float, finer: bool
+) -> tuple[Question, Arrival]:
+    """Return what is proved to arrive; `finer` cells are taken where larger ones are in vain."""
+    while True:
+        patient = not finer or (2 ** int((asked.cells.counts > 1).sum()) * asked.cells.total > MOST)
+        follower = Follower.build(asked.loop, asked.cells, threads)
+        when = simulated_arrival(asked)
+        arrival = arrive(follower, when, asked.starts, asked.box, deadline, patient)
+        if arrival is not None:
+            return asked, arrival
+        asked = halved(asked)
 
 
 def simulated_arrival(asked: Question) -> np.ndarray:
@@ -183,7 +198,8 @@ def _certificate(
     nothing = np.full((n, 2), np.nan)
     stays = np.zeros(asked.cells.total, bool)
     if staying is not None:
-        stays = ((upper >= staying.swing[0]) & (lower <= staying.swing[1])).all(axis=1)
+        near = (upper >= staying.swing[0]) & (lower <= staying.swing[1])
+        stays = np.all(near, axis=1)
     within = arrival.within[proved & (arrival.share >= 1)]
     return Certificate(
         conditions=asked.conditions,

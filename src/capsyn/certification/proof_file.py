@@ -63,7 +63,7 @@ class ArrivalProof:
 
         def write(temporary: Path) -> None:
             with temporary.open("wb") as file:
-                np.savez_compressed(file, **arrays)
+                np.savez_compressed(file, allow_pickle=False, **arrays)
 
         atomic_write(path, write)
 

@@ -28,6 +28,7 @@ from capsyn.policies.policy import Policy
 from capsyn.programs.program import Program
 from capsyn.reach.kernel import Cells
 from capsyn.reach.loop import SampledLoop, sampled_loop
+from capsyn.simulation.closed_loop import new_record
 from capsyn.simulation.experiment import Experiment, per_state, set_up
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import Plant, plant_of
@@ -43,6 +44,10 @@ HORIZONS = 20
 """Prediction horizons that a simulated loop may take to arrive; time units without a horizon."""
 SUBDIVISIONS = 4096
 """Points of a cell, roughly, by which the share of a ball in it is told."""
+TRACED, TRACED_BYTES = 64, 1 << 26
+"""Most simulated loops that tell where the grid is to be, and their bytes."""
+AROUND, WHOLE = 0.1, 0.8
+"""Share by which the grid is wider than that, and share of an axis from which all is taken."""
 NARROW = 1e-9
 """Share of its range within which an exogenous input that is told one value is."""
 
@@ -73,6 +78,7 @@ class Question:
     experiment: Experiment  # simulates the same loop, at the middle of each range
     loop: SampledLoop
     cells: Cells
+    initial: Ball | Box | None
     starts: np.ndarray  # (K,): share of each cell in the initial set
     box: tuple[np.ndarray, np.ndarray]  # (n,), (n,): around the initial set
     middle: np.ndarray  # (P,): of the ranges of parameters
@@ -107,6 +113,8 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
     middle = np.array(list(options.parameters.values()))
     typical = middle[:, None] if len(middle) else None
     experiment = set_up(policy, plant, options, typical)
+    if experiment.target is None:
+        raise ProblemError("`target` must be given: neither policy nor problem has one")
     avoid = _avoided(asked.avoid, plant)
     loop = sampled_loop(
         policy,
@@ -120,8 +128,8 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
         parameters=np.array(list(ranges.values())).reshape(-1, 2).T,
     )
     told = _told(asked.exogenous, plant)
-    cells = _cells(asked.counts, plant, loop, told)
     box = _box(initial, plant, told)
+    cells = _cells(asked.counts, loop, *_region(experiment, loop, middle, box, seed))
     conditions = {
         **({} if plant.time_unit == "s" else {"time_unit": plant.time_unit}),
         "initial": describe_target(initial or plant.domain, plant.domain),
@@ -129,13 +137,21 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
         "avoid": None if avoid is None else describe_target(avoid, plant.space),
         "rate": experiment.rate,
         "delay": delay,
-        "noise": loop.noise[: plant.states].tolist(),
-        "holds": int(experiment.loop.holds.symbols.max()),
+        **({"noise": loop.noise[: plant.states].tolist()} if loop.noise.any() else {}),
+        **({"hold": float(loop.holds.max() * loop.period)} if loop.holds.any() else {}),
         "parameters": {name: list(pair) for name, pair in ranges.items()},
         **({"exogenous": {name: list(pair) for name, pair in told.items()}} if told else {}),
     }
-    starts = _starts(initial, box, plant, cells)
-    return Question(policy, experiment, loop, cells, starts, box, middle, conditions)
+    starts = _starts(initial, box, plant.space, cells)
+    return Question(policy, experiment, loop, cells, initial, starts, box, middle, conditions)
+
+
+def halved(asked: Question) -> Question:
+    """Return the same question of cells half as wide along each axis that has more than one."""
+    cells = asked.cells
+    finer = Cells(cells.lower, cells.upper, np.where(cells.counts > 1, 2 * cells.counts, 1))
+    starts = _starts(asked.initial, asked.box, asked.loop.space, finer)
+    return dataclasses.replace(asked, cells=finer, starts=starts)
 
 
 def _ranges(name: str, given: Any) -> dict[str, tuple[float, float]]:
@@ -194,17 +210,45 @@ def _noise(noise: Any, plant: Plant) -> np.ndarray:
     return errors
 
 
-def _cells(
-    counts: Any, plant: Plant, loop: SampledLoop, told: dict[str, tuple[float, float]]
-) -> Cells:
-    """Return the grid over the domain and the ranges of exogenous inputs, one cell of a value."""
-    space, n = plant.space, plant.states
-    lower, upper = space.lower.copy(), space.upper.copy()
-    fixed = np.zeros(space.n, bool)
-    for k, (low, high) in enumerate(told.values(), start=n):
-        margin = NARROW * space.widths[k] if high - low < NARROW * space.widths[k] else 0.0
-        fixed[k] = margin > 0
-        lower[k], upper[k] = low - margin, high + margin
+def _region(
+    experiment: Experiment,
+    loop: SampledLoop,
+    middle: np.ndarray,
+    box: tuple[np.ndarray, np.ndarray],
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the box (n,), (n,) of the grid: where simulated loops from the starts go, and more.
+
+    It is within the domain, of each axis all or a part, and along exogenous inputs that of the
+    starts; one of no width is made as narrow as can be.
+    """
+    space, samples = loop.space, experiment.loop.samples
+    count = min(TRACED, max(1, TRACED_BYTES // (8 * (samples + 1) * (space.n + 2))))
+    random = np.random.default_rng((seed, 7))
+    states = box[0] + (box[1] - box[0]) * random.random((count, space.n))
+    states[: count // 2] = np.where(random.random((count // 2, space.n)) < 0.5, *box)
+    parameters = np.repeat(middle[None], count, axis=0)
+    trials = experiment.trials(states, np.full(count, loop.delay), parameters)
+    record = new_record(count, samples, space.n, loop.controls.shape[1])
+    experiment.run(trials, None, record)
+    where = record.states.reshape(-1, space.n)
+    where = np.vstack([where[np.isfinite(where).all(axis=1)], *box])
+    low, high = where.min(axis=0), where.max(axis=0)
+    margin = AROUND * (high - low)
+    lower, upper = np.maximum(low - margin, space.lower), np.minimum(high + margin, space.upper)
+    whole = (upper - lower > WHOLE * space.widths) | np.array(space.periodic)
+    lower, upper = np.where(whole, space.lower, lower), np.where(whole, space.upper, upper)
+    n = loop.moving
+    lower[n:], upper[n:] = box[0][n:], box[1][n:]
+    narrow = NARROW * space.widths
+    fixed = upper - lower < narrow
+    return np.where(fixed, lower - narrow, lower), np.where(fixed, upper + narrow, upper)
+
+
+def _cells(counts: Any, loop: SampledLoop, lower: np.ndarray, upper: np.ndarray) -> Cells:
+    """Return the grid over a box, of an exogenous input that has one value one cell."""
+    space = loop.space
+    fixed = upper - lower < 3 * NARROW * space.widths
     free = int((~fixed).sum())
     if counts is None:
         found = np.full(space.n, COUNTS.get(free, FEWEST))
@@ -249,7 +293,7 @@ def _box(
 
 
 def _starts(
-    initial: Ball | Box | None, box: tuple[np.ndarray, np.ndarray], plant: Plant, cells: Cells
+    initial: Ball | Box | None, box: tuple[np.ndarray, np.ndarray], space: Box, cells: Cells
 ) -> np.ndarray:
     """Return the share (K,) of each cell in the initial set; of a ball by points of the cell."""
     shares = np.ones(1)
@@ -259,12 +303,12 @@ def _starts(
         both = np.minimum(faces[1:], box[1][i]) - np.maximum(faces[:-1], box[0][i])
         share = np.clip(both / (faces[1:] - faces[:-1]), 0.0, 1.0)
         share[share > 1 - 1e-12] = 1.0
-        if cells.upper[i] - cells.lower[i] <= 3 * NARROW * plant.space.widths[i]:
+        if cells.upper[i] - cells.lower[i] <= 3 * NARROW * space.widths[i]:
             share[:] = 1.0  # one value
         shares = (shares[:, None] * share).ravel()
     if not isinstance(initial, Ball):
         return shares
-    axes = target_axes(initial, plant.domain)
+    axes = target_axes(initial, space)
     some = np.flatnonzero(shares)
     lower, upper = cells.boxes(some)
     per_axis = max(2, round(SUBDIVISIONS ** (1 / len(axes)) / 4))
@@ -275,8 +319,3 @@ def _starts(
         inside += ((point - initial.center) ** 2).sum(axis=1) <= initial.radius**2
     shares[some] = inside / per_axis ** len(axes)
     return shares
-
-
-def replaced(asked: Asked, **changes: Any) -> Asked:
-    """Return the arguments with some others."""
-    return dataclasses.replace(asked, **changes)

@@ -10,7 +10,6 @@ from capsyn.certification.question import Question
 from capsyn.controllers.command import LEFT_DOMAIN, NOT_FINITE
 from capsyn.modelling.transcription import slopes_program
 from capsyn.reach.half_spaces import HalfSpaces
-from capsyn.reach.twins import rows_under
 from capsyn.simulation.closed_loop import new_record
 
 MOST_TRIED = 512
@@ -19,6 +18,8 @@ LONGER = 5
 """Times as long as loops may take to arrive, for those that seem not to."""
 STILL, ROUND = 1e-3, 0.25
 """Share of the domain within which a loop stands still in its last half, or goes round."""
+LASTING = ("stands still", "goes round", "does not arrive")
+"""How loops fail that go on."""
 NEWTON = 12
 """Steps to a state of rest."""
 SNAP = 1e-9
@@ -39,6 +40,8 @@ def refute(asked: Question, cells: np.ndarray) -> tuple[np.ndarray, tuple[str, .
     states = np.concatenate([rests, middles])
     home = np.concatenate([homes, few])
     failures = _failures(asked, states)
+    resting = (np.arange(len(states)) < len(rests)) & np.isin(failures, LASTING)
+    failures[resting] = "stands still"  # a root of f under its own label
     failed = np.flatnonzero(failures != "")
     return states[failed], tuple(failures[failed].tolist()), home[failed]
 
@@ -148,8 +151,3 @@ def _enters_avoid(asked: Question, state: np.ndarray, end: int) -> bool:
     states = record.states[0][np.isfinite(record.states[0]).all(axis=1)]
     (inside,) = asked.loop.avoid.evaluate(states.T)
     return bool((inside != 0).any())
-
-
-def cells_under(asked: Question, states: np.ndarray) -> np.ndarray:
-    """Return which rows boxes of no size at states are over; for tests of labels."""
-    return rows_under(asked.loop.tree, states, states)[1]

@@ -64,9 +64,11 @@ def inside(program: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[np.n
 
 def arrive(
     follower: Follower, when: np.ndarray, starts: np.ndarray, box: tuple[np.ndarray, np.ndarray],
-    deadline: float,
-) -> Arrival:  # fmt: skip
+    deadline: float, patient: bool = True,
+) -> Arrival | None:  # fmt: skip
     """Return which cells are proved to arrive.
+
+    Without patience, None where much was in vain: smaller cells may do better.
 
     Parameters
     ----------
@@ -84,7 +86,9 @@ def arrive(
     """
     proof = _Proof(follower, starts, deadline)
     try:
-        proof.sweep_all(when)
+        proof.sweep_all(when, patient)
+        if proof.stuck:
+            return None
         proof.bisect_open(when, box)
         stopped = proof.late
     except KeyboardInterrupt:
@@ -106,6 +110,7 @@ class _Proof:
         self.loop, self.cells = follower.loop, follower.cells
         self.twins = twin_layers(self.loop, self.cells)
         self.waves: list[Wave] = []
+        self.stuck = False
         self.lower, self.upper = self.cells.boxes(np.arange(self.cells.total))
         self.status = np.full(self.cells.total, NOT_TRIED)
         self.share, self.within = np.zeros(self.cells.total), np.full(self.cells.total, np.inf)
@@ -125,7 +130,7 @@ class _Proof:
         self.within[cells[won]] = bound[won]
         self.status[cells[won]] = PROVED
 
-    def sweep_all(self, when: np.ndarray) -> None:
+    def sweep_all(self, when: np.ndarray, patient: bool) -> None:
         """Prove whole cells, all layers of each, in the order of their simulated arrival."""
         layer, cell = np.nonzero(self.twins == np.arange(self.loop.layers)[:, None])
         hopeless = ~np.isfinite(when[cell])
@@ -134,15 +139,18 @@ class _Proof:
         layer, cell = layer[order], cell[order]
         while not self.late:
             todo = ~np.isfinite(self.follower.bound[layer, cell])
-            self._sweep(cell[todo], layer[todo])
+            self._sweep(cell[todo], layer[todo], patient)
+            if self.stuck:
+                return
             left = todo & ~np.isfinite(self.follower.bound[layer, cell])
             if left.sum() >= 0.9 * todo.sum():
                 return
 
-    def _sweep(self, cell: np.ndarray, layer: np.ndarray) -> None:
+    def _sweep(self, cell: np.ndarray, layer: np.ndarray, patient: bool) -> None:
         gain = VAIN
         for part in _parts(len(cell)):
-            if self.late:
+            self.stuck = gain < 0 and not patient
+            if self.late or self.stuck:
                 return
             some, held = cell[part], self._held(layer[part])
             effort = np.where((gain > 0) & (self.starts[some] > 0), EFFORT, EASY)

@@ -7,7 +7,7 @@
  * fewer vertices only grow, flows enclose: so every solution from the first piece is in one of the
  * pieces at each sample.
  */
-#define MOST_PIECES 32
+#define MOST_PIECES 128
 #define MOST_PARTS 256
 #define MOST_UNDER 4096 /* cells under a piece that ends */
 
@@ -431,12 +431,14 @@ static int advance(const task *t, arguments *a, const int32_t label, const int w
 static void merge(piece *p, const piece *q)
 {
     shape both;
+    double lower[STATES], upper[STATES];
     hull(&p->s, &q->s, &both);
+    bounds_of(&both, lower, upper);
     p->s = both;
     p->switches = p->switches > q->switches ? p->switches : q->switches;
     for (int i = 0; i < STATES; ++i)
         p->error[i] = greater(p->error[i], q->error[i])
-            + 4 * slack(greater(fabs(both.v[i]), fabs(both.v[STATES + i])));
+            + 4 * slack(greater(fabs(lower[i]), fabs(upper[i])));
 }
 
 static int alike(const piece *p, const piece *q)

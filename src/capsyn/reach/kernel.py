@@ -207,7 +207,9 @@ class Follower:
         switches, spent = np.empty((2, count), dtype=np.int64)
         ends = np.empty((count, 2), dtype=np.int64)
         results = (status, bound, extents, switches, spent, ends)
-        self.function(count, ctypes.addressof(task), *map(pointer, (lower, upper, held, work, *results)))
+        self.function(
+            count, ctypes.addressof(task), *map(pointer, (lower, upper, held, work, *results))
+        )
         followed = Followed(status, bound, extents[:, 0], extents[:, 1], switches, spent)
         return followed, Told(pieces, flows, ends)
 

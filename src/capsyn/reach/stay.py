@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass
 
@@ -68,6 +67,7 @@ class _Search:
     cells: Cells
     members: np.ndarray
     horizon: int = FIRST_HORIZON
+    switches: int = 0  # most in that time
 
     def __post_init__(self) -> None:
         n = self.loop.space.n
@@ -80,7 +80,7 @@ class _Search:
             found = self.image(grid, self.horizon, 0)
             if found is None:
                 return False
-            image, low, high, _ = found
+            image, low, high, self.switches = found
             self.met = np.stack([np.minimum(self.met[0], low), np.maximum(self.met[1], high)])
             same = grid is self.cells
             new = image & ~self.members
@@ -106,8 +106,8 @@ class _Search:
         Loops return after K to K + D samples, where D is the longest hold: each sample is K to 2 K
         + 2 D after some return. What is met then bounds the ripple.
         """
-        none = np.full(self.loop.space.n, np.nan)
-        best = Staying(swing, (none, none), math.nan)
+        rate = self.switches / (self.horizon * self.loop.period)
+        best, first = Staying(swing, swing, rate), True
         hold = int(self.loop.holds.max())
         while True:
             grid = self.cells
@@ -116,16 +116,14 @@ class _Search:
                 grid = Cells(grid.lower, grid.upper, 2 * grid.counts)
             horizon = 2 * (self.horizon + hold)
             found = None
-            if horizon <= LONGEST_HORIZON or math.isnan(best.switch_rate):
+            if horizon <= LONGEST_HORIZON or first:
                 found = self.image(grid, horizon, self.horizon)
             if found is None:
                 return best
             image, low, high, switches = found
-            rate = switches / (self.horizon * self.loop.period)
-            if not math.isnan(best.switch_rate):  # all that is proved holds in the end
-                low, high = np.maximum(low, best.ripple[0]), np.minimum(high, best.ripple[1])
-                rate = min(rate, best.switch_rate)
-            best = Staying(swing, (low, high), rate)
+            rate = min(switches / (self.horizon * self.loop.period), best.switch_rate)
+            low, high = np.maximum(low, best.ripple[0]), np.minimum(high, best.ripple[1])
+            best, first = Staying(swing, (low, high), rate), False  # all that is proved holds
             kept = _within(image, grid, self.members, self.cells)
             self.members, self.cells, self.horizon = image, grid, horizon
             if not kept and not self.close():  # holds may shift when they return
