@@ -279,16 +279,17 @@ typedef struct {
     int64_t switches, work;
 } gathered;
 
-/* Let no piece beyond a face of the domain that no motion crosses outwards; 0 where some may, and
- * where there are no labels beyond, or a piece is as far out as the domain is wide. */
-static int kept_inside(const task *t, arguments *a, piece *p, const box *b)
+/* Let no piece, nor its tube, beyond a face of the domain that no motion crosses outwards; 0 where
+ * some may, and where there are no labels beyond, or one is as far out as the domain is wide. */
+static int kept_inside(const task *t, arguments *a, piece *p, box *b)
 {
     double lower[STATES], upper[STATES];
     for (int i = 0; i < STATES; ++i)
         for (int side = 0; side < 2 && !t->periodic[i]; ++side) {
             bounds_of(&p->s, lower, upper);
             const double sign = side ? 1 : -1, face = side ? t->upper[i] : t->lower[i];
-            const double beyond = sign * (side ? upper[i] : lower[i]) + p->error[i];
+            const double end = sign * (side ? upper[i] : lower[i]) + p->error[i];
+            const double beyond = greater(end, sign * (side ? b->upper[i] : b->lower[i]));
             if (beyond <= sign * face)
                 continue;
             if (t->nearest) { /* the labels there are those of the nearest cells */
@@ -303,6 +304,9 @@ static int kept_inside(const task *t, arguments *a, piece *p, const box *b)
             shape inside;
             if (i < MOVING && !(most_rate(a, &wall, i, sign) <= 0))
                 return 0;
+            *(side ? &b->upper[i] : &b->lower[i]) = face;
+            if (end <= sign * face)
+                continue;
             if (!cut_off(&p->s, normal, sign * face + p->error[i] + 4 * slack(face), &inside))
                 return 0;
             p->s = inside;
@@ -370,6 +374,21 @@ static int measured_outside(const task *t, const box *b)
     return 0;
 }
 
+/* Whether a policy may have no label, with one in force, for a state that is measured in a tube. */
+static int unlabelled(const task *t, const box *b, const int32_t label)
+{
+    piece p = {.held = label};
+    cutting c;
+    int none = measured_outside(t, b);
+    if (!GAPS || none)
+        return none;
+    box_shape(b->lower, b->upper, &p.s);
+    none = !cut(&c, t, &p, 0);
+    for (int k = 0; k < c.count; ++k)
+        none |= c.parts[k].label < 0;
+    return none;
+}
+
 /* Whether a label stays as it is at all states that are measured in a tube. */
 static int constant(const task *t, const box *b, const int32_t label)
 {
@@ -403,6 +422,8 @@ static int advance(const task *t, arguments *a, const int32_t label, const int w
             const int status = samples(t, a, label, count, p, &b);
             if (status != PROVED)
                 return status;
+            if (unlabelled(t, &b, label)) /* it is asked meanwhile */
+                return LEFT;
             join(&all, &b);
             left -= count;
         }

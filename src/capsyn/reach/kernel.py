@@ -235,6 +235,7 @@ def source(loop: SampledLoop) -> str:
         "INPUTS": n + m + loop.parameters.shape[1],
         "BREAKS": len(loop.breaks.results),
         "LABELS": loop.labels,
+        "GAPS": int((loop.next < 0).any()),
         "SLACK": "0x1p-43",
         "MOST_VERTICES": MOST_VERTICES,
     }
