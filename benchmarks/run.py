@@ -15,7 +15,7 @@ from capsyn.version import __version__
 HERE = Path(__file__).parent
 QUESTIONS = (
     "solve synthesis dimensions lookup compression sources tails improve tune loop_trees optimum "
-    "limits told inverter closed_loop explorer command counts exports timing cluster"
+    "limits certify told inverter closed_loop explorer command counts exports timing cluster"
 ).split()
 
 FIRST = {
@@ -56,6 +56,12 @@ FIRST = {
             "1,000,000 trials that break it",
             "cost over the plain policy's",
         )
+    ),
+    "certify": (
+        "double-tank-b, [0.1, 0.9]^2, 1 kHz: proved to arrive",
+        "double-tank-b, [0.1, 0.9]^2, 1 kHz: took",
+        "boost-converter, 200 kHz, hold 10 us: proved to arrive",
+        "boost-converter, 200 kHz, hold 10 us: took",
     ),
     "told": (
         "building, law as default: largest mean error of 1,000 days",

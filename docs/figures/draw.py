@@ -7,8 +7,9 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from capsyn import explore, problems, synthesize
+from capsyn import Box, certify, explore, problems, synthesize
 from capsyn.compression.curve import size_curve
+from capsyn.plots.certificate import save_certificate_plot
 from capsyn.plots.curve import save_curve_plot
 from capsyn.plots.policy import save_policy_plot
 
@@ -59,6 +60,9 @@ if __name__ == "__main__":
     pendulum = synthesize(problems.get("cart-pendulum"))
     save_policy_plot(pendulum, HERE / "cart-pendulum.png", current="5")
     plain = synthesize(problems.plain("cart-pendulum"))
+    tanks = synthesize(problems.get("double-tank-b"))
+    certificate = certify(tanks, Box([0.1, 0.1], [0.9, 0.9]))
+    save_certificate_plot(certificate, tanks.name, HERE / "proved.png")
     save_curve_plot(size_curve(plain), plain.name, HERE / "curve.png")
     dimensions = runpy.run_path(str(HERE.parents[1] / "benchmarks" / "dimensions.py"))
     dimensions["save_growth_plot"](HERE / "growth.png")
