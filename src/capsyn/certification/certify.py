@@ -17,7 +17,7 @@ from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
 from capsyn.modelling.domain import Ball, Box
 from capsyn.policies.policy import Policy
-from capsyn.reach.arrive import Arrival, arrive, inside
+from capsyn.reach.arrive import Arrival, arrive, in_target, inside
 from capsyn.reach.kernel import Cells, Follower
 from capsyn.reach.stay import Staying, stay
 from capsyn.validation import finite_number, whole_number
@@ -152,7 +152,7 @@ def _check_target(asked: Question) -> None:
     counts = asked.cells.counts.copy()
     while True:
         cells = Cells(asked.cells.lower, asked.cells.upper, counts)
-        surely = _in_target(asked, cells)
+        surely = inside(asked.loop.target, *cells.boxes(np.arange(cells.total)))[0]
         if surely.any() or (counts * 2 > FINEST).any() or 4 * cells.total > 1 << 24:
             break
         counts = counts * 2
@@ -167,14 +167,8 @@ def _check_target(asked: Question) -> None:
             f"{' x '.join(map(str, asked.cells.counts))} does, some of `counts` "
             f"{', '.join(map(str, counts))} do"
         )
-    lower, upper = asked.cells.boxes(np.flatnonzero(surely))
-    avoided, _ = inside(asked.loop.avoid, lower, upper)
-    if avoided.all():
+    if not in_target(asked.loop, asked.cells).any():
         raise ProblemError("`avoid` must leave some of the target; it covers all of it")
-
-
-def _in_target(asked: Question, cells: Cells) -> np.ndarray:
-    return inside(asked.loop.target, *cells.boxes(np.arange(cells.total)))[0]
 
 
 def _certificate(

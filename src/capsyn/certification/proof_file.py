@@ -12,7 +12,7 @@ import numpy as np
 from capsyn.certification.question import Question
 from capsyn.execution.files import atomic_write
 from capsyn.policies.file import content_hash
-from capsyn.reach.arrive import Arrival, inside
+from capsyn.reach.arrive import Arrival, in_target
 from capsyn.reach.kernel import PROVED, Follower
 
 FORMAT = 1
@@ -71,8 +71,7 @@ class ArrivalProof:
         """Return all pieces, flows and starts, going through the waves again."""
         loop, cells, arrival = self.asked.loop, self.asked.cells, self.arrival
         follower = Follower.build(loop, cells, 1)
-        surely, _ = inside(loop.target, *cells.boxes(np.arange(cells.total)))
-        follower.bound[:, surely] = 0.0
+        follower.bound[:, in_target(loop, cells)] = 0.0
         n = loop.space.n
         record = np.dtype(
             [("lower", float, n), ("upper", float, n), ("held", np.int32), ("cell", np.int64),
@@ -103,8 +102,8 @@ class ArrivalProof:
             all_pieces.append(pieces)
             all_flows.append(flows)
             starts.append(own)
-            whole = (wave.lower == whole_lower[wave.cells]).all(axis=1)
-            whole &= (wave.upper == whole_upper[wave.cells]).all(axis=1)
+            whole = (wave.lower <= whole_lower[wave.cells]).all(axis=1)
+            whole &= (wave.upper >= whole_upper[wave.cells]).all(axis=1)
             layer = loop.layer_of(wave.held)
             for other in range(loop.layers):
                 same = whole & (arrival.twins[other, wave.cells] == layer)

@@ -11,7 +11,8 @@ import numpy as np
 
 from capsyn.native.bounds import box_bounds
 from capsyn.programs.program import Program
-from capsyn.reach.kernel import PROVED, Followed, Follower
+from capsyn.reach.kernel import PROVED, Cells, Followed, Follower
+from capsyn.reach.loop import SampledLoop
 from capsyn.reach.twins import twin_layers
 
 EASY, EFFORT = 300, 20_000
@@ -24,6 +25,8 @@ LEAST_WAVE = 32
 before it, whatever the threads do."""
 MOST_BISECTIONS = 4
 """Of a start that is not proved as a whole."""
+CLOSED = 1e-12
+"""Share of a cell's width by which one that has its upper face is wider."""
 NOT_TRIED = -1
 
 
@@ -62,6 +65,14 @@ def inside(program: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[np.n
     return surely, ~never
 
 
+def in_target(loop: SampledLoop, cells: Cells) -> np.ndarray:
+    """Return which cells (K,) are wholly in the target, and not in what is to be avoided."""
+    lower, upper = cells.boxes(np.arange(cells.total))
+    surely, _ = inside(loop.target, lower, upper)
+    _, avoided = inside(loop.avoid, lower, upper)
+    return surely & ~avoided
+
+
 def arrive(
     follower: Follower, when: np.ndarray, starts: np.ndarray, box: tuple[np.ndarray, np.ndarray],
     deadline: float, patient: bool = True,
@@ -84,7 +95,7 @@ def arrive(
     deadline : float
         When to stop, as `time.monotonic` counts [s].
     """
-    proof = _Proof(follower, starts, deadline)
+    proof = _Proof(follower, starts, box[1], deadline)
     try:
         proof.sweep_all(when, patient)
         if proof.stuck:
@@ -105,7 +116,9 @@ def arrive(
 
 
 class _Proof:
-    def __init__(self, follower: Follower, starts: np.ndarray, deadline: float) -> None:
+    def __init__(
+        self, follower: Follower, starts: np.ndarray, end: np.ndarray, deadline: float
+    ) -> None:
         self.follower, self.starts, self.deadline = follower, starts, deadline
         self.loop, self.cells = follower.loop, follower.cells
         self.twins = twin_layers(self.loop, self.cells)
@@ -114,7 +127,12 @@ class _Proof:
         self.lower, self.upper = self.cells.boxes(np.arange(self.cells.total))
         self.status = np.full(self.cells.total, NOT_TRIED)
         self.share, self.within = np.zeros(self.cells.total), np.full(self.cells.total, np.inf)
-        surely, _ = inside(self.loop.target, self.lower, self.upper)
+        # cells are half-open; one where the starts end has its upper face, too
+        space, reach = self.loop.space, CLOSED * self.cells.widths
+        last = (np.abs(self.upper - end) <= reach) & (self.upper < space.upper)
+        self.upper = np.where(last, self.upper + reach, self.upper)
+        self.end = np.where(end < space.upper, end + reach, end)
+        surely = in_target(self.loop, self.cells)
         follower.bound[:, surely] = 0.0
         self._count(np.flatnonzero(surely))
 
@@ -183,7 +201,8 @@ class _Proof:
         """Prove parts of what is open of the initial set, the default in force."""
         cell = np.flatnonzero((self.starts > 0) & (self.share < 1) & np.isfinite(when))
         cell = cell[np.argsort(when[cell], kind="stable")]
-        lower, upper = np.maximum(self.lower[cell], box[0]), np.minimum(self.upper[cell], box[1])
+        lower = np.maximum(self.lower[cell], box[0])
+        upper = np.minimum(self.upper[cell], self.end)
         whole = (lower == self.lower[cell]).all(axis=1) & (upper == self.upper[cell]).all(axis=1)
         self.within[cell] = 0.0
         part = np.ones(len(cell))
