@@ -25,7 +25,8 @@ def rows_under(tree: HalfSpaces, lower: np.ndarray, upper: np.ndarray) -> tuple[
         up, down = np.maximum(normal, 0), np.minimum(normal, 0)
         least = (up * lower[box] + down * upper[box]).sum(axis=1)
         most = (up * upper[box] + down * lower[box]).sum(axis=1)
-        first, second = least < tree.below[node], most > tree.above[node]
+        first = least < tree.below[node]
+        second = ~first | (most > tree.above[node])
         box = np.concatenate([box[first], box[second]])
         node = np.concatenate([node[first] + 1, tree.second[node[second]]])
     pairs = np.unique(np.concatenate(found, axis=1), axis=1)
