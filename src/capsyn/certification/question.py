@@ -93,6 +93,8 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
     ProblemError
         An argument that cannot be used, by name.
     """
+    if policy.exogenous is not None and asked.model is None:
+        policy, asked = _cut(policy, asked)
     ranges = _ranges("parameters", asked.parameters)
     plant = plant_of(policy, asked.model, tuple(ranges))
     delay = plant.delay if asked.delay is None else finite_number("delay", asked.delay, least=0.0)
@@ -168,6 +170,16 @@ def _ranges(name: str, given: Any) -> dict[str, tuple[float, float]]:
             raise ProblemError(f"`{name}['{key}']` must be (low, high); got {describe(value)}")
         ranges[str(key)] = (low, high)
     return ranges
+
+
+def _cut(policy: Policy, asked: Asked) -> tuple[Policy, Asked]:
+    """Return the policy of the states alone where each exogenous input is told one value."""
+    told, given = policy.exogenous, asked.exogenous
+    assert told is not None
+    values = list(given.values()) if isinstance(given, Mapping) else given
+    if not is_list(values, told.n) or any(is_list(value, 2) for value in values):
+        return policy, asked
+    return policy.at(given), dataclasses.replace(asked, exogenous=None)
 
 
 def _told(given: Any, plant: Plant) -> dict[str, tuple[float, float]]:

@@ -66,13 +66,13 @@ def states_of_rest(asked: Question, cells: np.ndarray) -> tuple[np.ndarray, np.n
             for _ in range(NEWTON):
                 (rates,) = loop.rates.evaluate(x, *inputs)
                 (jacobian,) = slopes.evaluate(x, *inputs)
-                matrices = np.moveaxis(jacobian.reshape(n, loop.space.n, -1), 2, 0)[:, :, :n]
-                step = (np.linalg.pinv(np.nan_to_num(matrices)) @ rates.T[:, :, None])[:, :, 0]
+                matrices = jacobian.reshape(-1, loop.space.n, len(cells))[:n, :n].transpose(2, 0, 1)
+                step = (np.linalg.pinv(np.nan_to_num(matrices)) @ rates[:n].T[:, :, None])[:, :, 0]
                 x[:n] -= np.nan_to_num(step).T
             (rates,) = loop.rates.evaluate(x, *inputs)
         states = x.T
         near = ((states >= lower - SNAP * widths) & (states <= upper + SNAP * widths)).all(axis=1)
-        still = near & (np.abs(rates.T) <= 1e-9 * widths[:n] / loop.period).all(axis=1)
+        still = near & (np.abs(rates[:n].T) <= 1e-9 * widths[:n] / loop.period).all(axis=1)
         states = _on_faces(loop.tree, states[still], SNAP * widths)
         own = asked.policy.leaves(states, True, "numpy", np.full(len(states), label, np.int32))
         found.append(states[own == label])
