@@ -59,7 +59,7 @@ class Family:
 
 
 def _plane(x, u, p, f):
-    bent = f.if_else(x[0] + x[1] > 0, x[0] + x[1], 0)
+    bent = f.if_else(x[0] + x[1] > 0, x[0] + x[1], (x[0] + x[1]) / 2)
     return [
         p[0] * x[0] + p[1] * x[1] + p[2] * f.sin(3 * x[1]) + u[0],
         p[3] * x[0] + p[4] * x[1] + p[5] * x[0] * u[1] + p[6] * bent + u[1],
