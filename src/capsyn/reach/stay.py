@@ -23,6 +23,8 @@ MARGIN = 0.25
 """Share by which a grid is wider than the set it is for, on either side."""
 SHRUNK = 0.6
 """Share of a grid's width below which the next grid is narrower."""
+SETTLED = 0.97
+"""Share of the last ripple, and rate of switches, from which the next is not worth more work."""
 ROUNDS, UNIONS = 80, 3
 """Most images, and how often in turn cells that are new are added to a set."""
 
@@ -123,7 +125,15 @@ class _Search:
             image, low, high, switches = found
             rate = min(switches / (self.horizon * self.loop.period), best.switch_rate)
             low, high = np.maximum(low, best.ripple[0]), np.minimum(high, best.ripple[1])
-            best, first = Staying(swing, (low, high), rate), False  # all that is proved holds
+            last, best = best, Staying(swing, (low, high), rate)  # all that is proved holds
+            before = last.ripple[1] - last.ripple[0]
+            if (
+                not first
+                and (high - low > SETTLED * before).all()
+                and rate > SETTLED * last.switch_rate
+            ):
+                return best
+            first = False
             kept = _within(image, grid, self.members, self.cells)
             self.members, self.cells, self.horizon = image, grid, horizon
             if not kept and not self.close():  # holds may shift when they return
