@@ -86,16 +86,17 @@ def test_a_large_map_is_coarser_and_says_no_more_than_is_proved(counts):
 def test_the_sentence_of_a_whole_proof():
     ripple = np.array([[0.45, 0.55], [-0.2, 0.2]])
     assert sentence(complete(SQUARE, (20, 10), ripple=ripple)) == (
-        "100% of the starts arrive in the target within 1.5 s, and stay for ever: ripple level in "
-        "[0.45, 0.55] m, flow in [-0.2, 0.2]; at most 13.24 switches / s"
+        "100% of the starts arrive in the target within 1.5 s, and then stay in a box: ripple level "
+        "in [0.45, 0.55] m, flow in [-0.2, 0.2]; at most 13.24 switches / s"
     )
 
 
 def test_the_sentence_of_half_a_proof():
     told = sentence(by_hand(SQUARE, (20, 10), staying=0.25, conditions={"avoid": "a box"}))
-    assert told.startswith("81.25% of the starts arrive in the target within 1.5 s, 25% stay")
+    assert told.startswith("81.25% of the starts arrive in the target within 1.5 s, 25% then stay")
     assert told.endswith(
-        "; 100% never enter what is to be avoided; refuted from 1 start; open 17.969%"
+        "; until then these do not enter what is to be avoided, nor ever after; refuted from 1 "
+        "start; open 17.969%"
     )
     stopped = by_hand(SQUARE, (20, 10), staying=0.0, stopped=True)
     assert "; that they stay is not proved; refuted" in sentence(stopped)

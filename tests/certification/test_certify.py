@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import time
 
 import numpy as np
 import pytest
@@ -121,8 +122,15 @@ def test_a_proof_that_is_stopped_keeps_what_it_has(pendulum):
     assert certificate.open > 0
 
 
+def test_time_is_kept_where_a_start_takes_long(policy):
+    began = time.monotonic()
+    certificate = certify(policy, noise=0.3, counts=48, seconds=2)
+    assert time.monotonic() - began < 6  # building and simulating included
+    assert certificate.stopped
+
+
 def test_finer_cells_are_taken_where_larger_ones_are_in_vain(pendulum, monkeypatch):
-    monkeypatch.setattr("capsyn.reach.arrive.VAIN", 1000)
+    monkeypatch.setattr("capsyn.reach.arrive.VAIN", -1)
     certificate = certify(pendulum, seconds=4)
     assert certificate.cells.counts > (72, 72)
 
@@ -189,5 +197,5 @@ def test_a_policy_that_is_told_is_proved_for_a_value_and_for_a_range():
     assert one.arrival == 1.0
     assert 1.05 <= one.within <= 1.3  # from -1 to 0.2 before the goal
     both = certify(told, counts=48, seconds=5)
-    assert both.arrival > 0.99
+    assert both.arrival > 0.9
     assert both.within >= 1.3 - 1e-9  # from -1 to a goal of 0.5

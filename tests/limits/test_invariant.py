@@ -8,7 +8,7 @@ import pytest
 import capsyn.limits.invariant as invariant
 from capsyn import Box, KeepLimits, SsacSettings, synthesize
 from capsyn.errors import CapsynWarning
-from capsyn.limits.asked import sampled_loop
+from capsyn.limits.asked import limited_loop
 from capsyn.limits.invariant import viable
 from support.proofs.limits import PERIOD, double_integrator, worst_limit
 
@@ -71,7 +71,7 @@ def test_one_state_by_hand():
 
 
 def loop_of(policy, **cells):
-    return sampled_loop(policy, KeepLimits(**cells))
+    return limited_loop(policy, KeepLimits(**cells))
 
 
 def test_moves_lead_where_the_flow_ends(kept):
@@ -97,17 +97,17 @@ def test_mutants_let_limits_be_broken(mutant, monkeypatch):
     if mutant == "hold":
         problem = problem.replace(min_dwell=4 * PERIOD)
         monkeypatch.setattr(
-            "capsyn.limits.asked.SampledLoop",
-            lambda *args: invariant.SampledLoop(*args[:8], np.ones(4, dtype=int), *args[9:]),
+            "capsyn.limits.asked.LimitedLoop",
+            lambda *args: invariant.LimitedLoop(*args[:8], np.ones(4, dtype=int), *args[9:]),
         )
     elif mutant == "tube":  # limits at the ends alone, far apart
         problem = problem.replace(
             dynamics=lambda x, u: [x[1], 3 * u[0]],
             settings=dataclasses.replace(problem.settings, sample_time=0.4),
         )
-        original = invariant.SampledLoop.bound
+        original = invariant.LimitedLoop.bound
         monkeypatch.setattr(
-            invariant.SampledLoop,
+            invariant.LimitedLoop,
             "followed",
             lambda self, box, parts: _ends_only(self, box, parts, original),
         )
@@ -132,9 +132,9 @@ def test_mutants_let_limits_be_broken(mutant, monkeypatch):
             domain=Box([0.0, -1.5], [4.0, 1.5], periodic=[True, False]),
             limits=lambda x: [(x[0] > 3.0) * (x[0] < 3.5) * (x[1] + 0.5), -1.4 - x[1]],
         )
-        original = invariant.SampledLoop.bound
+        original = invariant.LimitedLoop.bound
         monkeypatch.setattr(
-            invariant.SampledLoop, "bound", lambda self, low, high: original(self, low, low)
+            invariant.LimitedLoop, "bound", lambda self, low, high: original(self, low, low)
         )
     policy = synthesize(problem, keep_limits=KeepLimits(cells=cells))
     states = policy.domain.sample(60_000, 3)

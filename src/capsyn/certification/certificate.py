@@ -33,7 +33,7 @@ class ProvedCells:
     within : (K,)
         Time by which they have [time unit]; infinite where a cell is not wholly proved.
     stays : (K,) booleans
-        Cells of a set that the loop never leaves once it is there.
+        Cells in which a loop may be once it has arrived; it is in no other then, for ever.
     refuted : (K,) booleans
         Cells with a start from which a simulated loop fails.
     """
@@ -86,18 +86,19 @@ class Certificate:
     within : float
         Time by which every proved start has arrived [time unit].
     switch_rate : float
-        Most changes of the symbol in a time unit, once it stays; NaN where nothing stays.
+        Most changes of the symbol in a time unit, on average in the long run; NaN where nothing
+        stays.
     ripple : (n, 2)
         Least and greatest value of each state once it stays [state units]; NaN where nothing does.
     refuted : (R, n)
         Starts from which a simulated loop fails.
     failures : R strings
         How each does: ``"stands still"``, ``"goes round"``, ``"leaves the domain"``, ``"enters
-        avoid"`` or ``"does not arrive"``.
+        avoid"``, ``"begins in avoid"`` or ``"does not arrive"``.
     open : float
         Share that is neither proved nor in a cell with a refuted start.
     replays : R strings
-        The command that simulates each refuted start.
+        The command that simulates each refuted start, where the command line has made it.
     seconds : float
         How long it took.
     stopped : bool

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Mapping
@@ -128,7 +129,7 @@ def _arrival(
     """Return what is proved to arrive; `finer` cells are taken where larger ones are in vain."""
     while True:
         patient = not finer or (2 ** int((asked.cells.counts > 1).sum()) * asked.cells.total > MOST)
-        follower = Follower.build(asked.loop, asked.cells, threads)
+        follower = Follower.build(asked.loop, asked.cells, threads, deadline)
         when = simulated_arrival(asked)
         arrival = arrive(follower, when, asked.starts, asked.box, deadline, patient)
         if arrival is not None:
@@ -171,6 +172,18 @@ def _check_target(asked: Question) -> None:
         raise ProblemError("`avoid` must leave some of the target; it covers all of it")
 
 
+def _meets(
+    lower: np.ndarray, upper: np.ndarray, swing: tuple[np.ndarray, np.ndarray], space: Box
+) -> np.ndarray:
+    """Return which boxes (B, n) meet one, on a periodic axis a period on or back, too."""
+    meets = np.ones(len(lower), bool)
+    for i, period in enumerate(space.periods):
+        turns = np.arange(-2, 3) * period if period else np.zeros(1)
+        low, high = swing[0][i] + turns[:, None], swing[1][i] + turns[:, None]
+        meets &= ((upper[:, i] >= low) & (lower[:, i] <= high)).any(axis=0)
+    return meets
+
+
 def _certificate(
     asked: Question,
     arrival: Arrival,
@@ -180,6 +193,8 @@ def _certificate(
     stopped: bool,
 ) -> Certificate:
     n, starts = asked.loop.space.n, asked.starts
+    if isinstance(asked.initial, Ball):  # what of a part is in it is not known
+        arrival = dataclasses.replace(arrival, share=np.where(arrival.share < 1, 0.0, 1.0))
     states, failures, home = refuted
     total = starts.sum()
     failed = np.zeros(asked.cells.total, bool)
@@ -187,14 +202,11 @@ def _certificate(
     failed &= arrival.share < 1
     arrives = float((arrival.share * starts).sum() / total)
     left = np.where(failed, 0.0, (1 - arrival.share) * starts)
-    proved = starts * arrival.share > 0
     lower, upper = asked.cells.boxes(np.arange(asked.cells.total))
     nothing = np.full((n, 2), np.nan)
     stays = np.zeros(asked.cells.total, bool)
     if staying is not None:
-        near = (upper >= staying.swing[0]) & (lower <= staying.swing[1])
-        stays = np.all(near, axis=1)
-    within = arrival.within[proved & (arrival.share >= 1)]
+        stays = _meets(lower, upper, staying.swing, asked.loop.space)
     return Certificate(
         conditions=asked.conditions,
         method="pieces" if n == 2 else "boxes",
@@ -210,7 +222,7 @@ def _certificate(
         arrival=arrives,
         staying=arrives if staying is not None else 0.0,
         avoiding=arrives if staying is not None else 0.0,
-        within=float(within.max()) if len(within) else math.nan,
+        within=float(arrival.latest) if arrives > 0 else math.nan,
         switch_rate=math.nan if staying is None else staying.switch_rate,
         ripple=nothing if staying is None else np.stack(staying.ripple, axis=1),
         refuted=states,

@@ -83,6 +83,8 @@ class ArrivalProof:
         for number, wave in enumerate(arrival.waves):
             room = ROOM * wave.work + 64 + 4 * len(wave.held)
             found, told = follower.tell(wave.lower, wave.upper, wave.held, wave.effort, room)
+            if (needed := int(told.ends.max())) > room:  # those that are merged may be many
+                found, told = follower.tell(wave.lower, wave.upper, wave.held, wave.effort, needed)
             assert (found.status == PROVED).all(), "a proof must come out the same again"
             own = np.zeros(len(wave.held), record)
             ends = np.concatenate([np.zeros((1, 2), dtype=np.int64), told.ends])
@@ -109,11 +111,13 @@ class ArrivalProof:
                 same = whole & (arrival.twins[other, wave.cells] == layer)
                 follower.bound[other, wave.cells[same]] = found.bound[same]
         if not starts:
-            return told_nothing(follower, record)
+            return _told_nothing(follower, record)
         return np.concatenate(all_pieces), np.concatenate(all_flows), np.concatenate(starts)
 
 
-def told_nothing(follower: Follower, record: np.dtype) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _told_nothing(
+    follower: Follower, record: np.dtype
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return no pieces, flows and starts."""
     n = follower.loop.space.n
     _, told = follower.tell(np.empty((0, n)), np.empty((0, n)), np.empty(0), 0, 0)

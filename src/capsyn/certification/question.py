@@ -21,6 +21,7 @@ from capsyn.modelling.targets import (
     check_target,
     describe_target,
     target_axes,
+    target_program,
     with_tolerance,
 )
 from capsyn.modelling.transcription import target_condition
@@ -28,7 +29,6 @@ from capsyn.policies.policy import Policy
 from capsyn.programs.program import Program
 from capsyn.reach.kernel import Cells
 from capsyn.reach.loop import SampledLoop, sampled_loop
-from capsyn.simulation.closed_loop import new_record
 from capsyn.simulation.experiment import Experiment, per_state, set_up
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import Plant, plant_of
@@ -44,10 +44,6 @@ HORIZONS = 20
 """Prediction horizons that a simulated loop may take to arrive; time units without a horizon."""
 SUBDIVISIONS = 4096
 """Points of a cell, roughly, by which the share of a ball in it is told."""
-TRACED, TRACED_BYTES = 64, 1 << 26
-"""Most simulated loops that tell where the grid is to be, and their bytes."""
-AROUND, WHOLE = 0.1, 0.8
-"""Share by which the grid is wider than that, and share of an axis from which all is taken."""
 NARROW = 1e-9
 """Share of its range within which an exogenous input that is told one value is."""
 
@@ -84,6 +80,14 @@ class Question:
     middle: np.ndarray  # (P,): of the ranges of parameters
     conditions: dict[str, Any]
 
+    def begins(self, states: np.ndarray) -> np.ndarray:
+        """Return which states (B, n) are in the initial set."""
+        inside = ((states >= self.box[0]) & (states <= self.box[1])).all(axis=1)
+        if isinstance(self.initial, Ball):
+            off = states[:, target_axes(self.initial, self.loop.space)] - self.initial.center
+            inside &= (off**2).sum(axis=1) <= self.initial.radius**2
+        return np.asarray(inside)
+
 
 def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Question:
     """Return what is to be proved.
@@ -98,6 +102,8 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
     ranges = _ranges("parameters", asked.parameters)
     plant = plant_of(policy, asked.model, tuple(ranges))
     delay = plant.delay if asked.delay is None else finite_number("delay", asked.delay, least=0.0)
+    if asked.target is None and policy.target is None:
+        raise ProblemError("`target` must be given: neither policy nor problem has one")
     initial = asked.initial
     check_initial(initial, plant.domain)
     options = LoopOptions(
@@ -115,9 +121,9 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
     middle = np.array(list(options.parameters.values()))
     typical = middle[:, None] if len(middle) else None
     experiment = set_up(policy, plant, options, typical)
-    if experiment.target is None:
-        raise ProblemError("`target` must be given: neither policy nor problem has one")
+    assert experiment.target is not None
     avoid = _avoided(asked.avoid, plant)
+    _check_periods(plant, experiment.target, avoid, middle)
     loop = sampled_loop(
         policy,
         plant,
@@ -131,7 +137,7 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
     )
     told = _told(asked.exogenous, plant)
     box = _box(initial, plant, told)
-    cells = _cells(asked.counts, loop, *_region(experiment, loop, middle, box, seed))
+    cells = _cells(asked.counts, loop, box)
     conditions = {
         **({} if plant.time_unit == "s" else {"time_unit": plant.time_unit}),
         "initial": describe_target(initial or plant.domain, plant.domain),
@@ -139,6 +145,8 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
         "avoid": None if avoid is None else describe_target(avoid, plant.space),
         "rate": experiment.rate,
         "delay": delay,
+        "model": "its own" if asked.model is None else "given",
+        "outside": str(policy.outside),
         **({"noise": loop.noise[: plant.states].tolist()} if loop.noise.any() else {}),
         **({"hold": float(loop.holds.max() * loop.period)} if loop.holds.any() else {}),
         "parameters": {name: list(pair) for name, pair in ranges.items()},
@@ -214,6 +222,34 @@ def _avoided(avoid: Any, plant: Plant) -> Target | None:
     return avoid
 
 
+def _check_periods(
+    plant: Plant, target: Target | None, avoid: Target | None, middle: np.ndarray
+) -> None:
+    """Raise where a set or the plant is another one period on, at random states."""
+    space = plant.space
+    states = space.sample(256, 0).T
+    controls = np.repeat(plant.default[:, None], 256, axis=1)
+    parameters = np.repeat(middle[:, None], 256, axis=1)
+    for axis in np.flatnonzero(space.periodic):
+        later = states.copy()
+        later[axis] += space.widths[axis]
+        for name, value in (
+            ("target", target_program(target, space)),
+            ("avoid", target_program(avoid, space)),
+        ):
+            if (value.evaluate(states)[0] != value.evaluate(later)[0]).mean() > 0.01:
+                raise ProblemError(
+                    f"`{name}` must come again every period of '{space.names[axis]}'; it does not"
+                )
+        here, there = (plant.rates(x, controls, parameters) for x in (states, later))
+        if not np.allclose(
+            here, there, rtol=1e-6, atol=1e-9 * np.nanmax(np.abs(here)), equal_nan=True
+        ):
+            raise ProblemError(
+                f"the model must come again every period of '{space.names[axis]}'; it does not"
+            )
+
+
 def _noise(noise: Any, plant: Plant) -> np.ndarray:
     """Return the largest error of each measured state; exogenous inputs are known."""
     errors = np.zeros(plant.space.n)
@@ -222,45 +258,13 @@ def _noise(noise: Any, plant: Plant) -> np.ndarray:
     return errors
 
 
-def _region(
-    experiment: Experiment,
-    loop: SampledLoop,
-    middle: np.ndarray,
-    box: tuple[np.ndarray, np.ndarray],
-    seed: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the box (n,), (n,) of the grid: where simulated loops from the starts go, and more.
-
-    It is within the domain, of each axis all or a part, and along exogenous inputs that of the
-    starts; one of no width is made as narrow as can be.
-    """
-    space, samples = loop.space, experiment.loop.samples
-    count = min(TRACED, max(1, TRACED_BYTES // (8 * (samples + 1) * (space.n + 2))))
-    random = np.random.default_rng((seed, 7))
-    states = box[0] + (box[1] - box[0]) * random.random((count, space.n))
-    states[: count // 2] = np.where(random.random((count // 2, space.n)) < 0.5, *box)
-    parameters = np.repeat(middle[None], count, axis=0)
-    trials = experiment.trials(states, np.full(count, loop.delay), parameters)
-    record = new_record(count, samples, space.n, loop.controls.shape[1])
-    experiment.run(trials, None, record)
-    where = record.states.reshape(-1, space.n)
-    where = np.vstack([where[np.isfinite(where).all(axis=1)], *box])
-    low, high = where.min(axis=0), where.max(axis=0)
-    margin = AROUND * (high - low)
-    lower, upper = np.maximum(low - margin, space.lower), np.minimum(high + margin, space.upper)
-    whole = (upper - lower > WHOLE * space.widths) | np.array(space.periodic)
-    lower, upper = np.where(whole, space.lower, lower), np.where(whole, space.upper, upper)
-    n = loop.moving
+def _cells(counts: Any, loop: SampledLoop, box: tuple[np.ndarray, np.ndarray]) -> Cells:
+    """Return the grid over the domain and the values of exogenous inputs; one cell of one value."""
+    space, n, narrow = loop.space, loop.moving, NARROW * loop.space.widths
+    lower, upper = space.lower.copy(), space.upper.copy()
     lower[n:], upper[n:] = box[0][n:], box[1][n:]
-    narrow = NARROW * space.widths
     fixed = upper - lower < narrow
-    return np.where(fixed, lower - narrow, lower), np.where(fixed, upper + narrow, upper)
-
-
-def _cells(counts: Any, loop: SampledLoop, lower: np.ndarray, upper: np.ndarray) -> Cells:
-    """Return the grid over a box, of an exogenous input that has one value one cell."""
-    space = loop.space
-    fixed = upper - lower < 3 * NARROW * space.widths
+    lower, upper = np.where(fixed, lower - narrow, lower), np.where(fixed, upper + narrow, upper)
     free = int((~fixed).sum())
     if counts is None:
         found = np.full(space.n, COUNTS.get(free, FEWEST))

@@ -8,7 +8,6 @@ import numpy as np
 
 from capsyn.certification.question import Question
 from capsyn.controllers.command import LEFT_DOMAIN, NOT_FINITE
-from capsyn.modelling.transcription import slopes_program
 from capsyn.reach.half_spaces import HalfSpaces
 from capsyn.simulation.closed_loop import new_record
 
@@ -18,6 +17,7 @@ LONGER = 5
 """Times as long as loops may take to arrive, for those that seem not to."""
 STILL, ROUND = 1e-3, 0.25
 """Share of the domain within which a loop stands still in its last half, or goes round."""
+BEGINS = "begins in avoid"
 LASTING = ("stands still", "goes round", "does not arrive")
 """How loops fail that go on."""
 NEWTON = 12
@@ -39,10 +39,16 @@ def refute(asked: Question, cells: np.ndarray) -> tuple[np.ndarray, tuple[str, .
     rests, homes = states_of_rest(asked, cells)
     states = np.concatenate([rests, middles])
     home = np.concatenate([homes, few])
+    own = np.arange(len(states)) < len(rests)
+    begins = asked.begins(states)
+    states, home, own = states[begins], home[begins], own[begins]
     failures = _failures(asked, states)
-    resting = (np.arange(len(states)) < len(rests)) & np.isin(failures, LASTING)
+    resting = own & np.isin(failures, LASTING)
     failures[resting] = "stands still"  # a root of f under its own label
+    (avoided,) = asked.loop.avoid.evaluate(states.T)
+    failures[avoided[0] != 0] = BEGINS
     failed = np.flatnonzero(failures != "")
+    failed = failed[np.argsort(failures[failed] == BEGINS, kind="stable")]
     return states[failed], tuple(failures[failed].tolist()), home[failed]
 
 
@@ -55,7 +61,6 @@ def states_of_rest(asked: Question, cells: np.ndarray) -> tuple[np.ndarray, np.n
     loop, n = asked.loop, asked.loop.moving
     lower, upper = asked.cells.boxes(cells)
     widths = loop.space.widths
-    slopes = slopes_program(loop.rates)
     found, home = [np.empty((0, loop.space.n))], [np.empty(0, dtype=int)]
     for label, control in enumerate(loop.controls):
         x = ((lower + upper) / 2).T.copy()
@@ -65,7 +70,7 @@ def states_of_rest(asked: Question, cells: np.ndarray) -> tuple[np.ndarray, np.n
         with np.errstate(all="ignore"):
             for _ in range(NEWTON):
                 (rates,) = loop.rates.evaluate(x, *inputs)
-                (jacobian,) = slopes.evaluate(x, *inputs)
+                (jacobian,) = loop.slopes.evaluate(x, *inputs)
                 matrices = jacobian.reshape(-1, loop.space.n, len(cells))[:n, :n].transpose(2, 0, 1)
                 step = (np.linalg.pinv(np.nan_to_num(matrices)) @ rates[:n].T[:, :, None])[:, :, 0]
                 x[:n] -= np.nan_to_num(step).T

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError, warn
-from capsyn.limits.invariant import SampledLoop
+from capsyn.limits.invariant import LimitedLoop
 from capsyn.limits.tubes import Flow
 from capsyn.modelling.grid import MAX_COUNT
 from capsyn.modelling.transcription import user_program
@@ -117,7 +117,7 @@ def check_limits(problem: Any, asked: Any) -> KeepLimits | None:
     return asked
 
 
-def sampled_loop(policy: Policy, asked: KeepLimits, backend: str = "auto") -> SampledLoop:
+def limited_loop(policy: Policy, asked: KeepLimits, backend: str = "auto") -> LimitedLoop:
     """Return the loop of a policy with its model's limits, and the cells to look at."""
     assert policy.model is not None and policy.settings is not None
     assert policy.model.limits is not None
@@ -139,7 +139,7 @@ def sampled_loop(policy: Policy, asked: KeepLimits, backend: str = "auto") -> Sa
     counts = _counts(policy, period, pairs) if asked.cells is None else asked.cells
     counts = whole_numbers("cells", counts, policy.space.n, least=1, most=MAX_COUNT)
     policy.space.check_resolution(counts)
-    return SampledLoop(
+    return LimitedLoop(
         Flow.of(asked.dynamics(policy), backend),
         box_bounds(policy.model.limits, backend),
         policy.space,

@@ -27,7 +27,7 @@ Part = tuple[int, float, int]
 
 
 @dataclass(frozen=True)
-class SampledLoop:
+class LimitedLoop:
     """A sampled loop whose limits are to be kept, and the cells in which that is asked for."""
 
     flow: Flow
@@ -66,10 +66,13 @@ class SampledLoop:
         parts = [(before, late, 1), (label, self.period - late, 1)]
         return [part for part in parts if part[1] > 0]
 
-    def followed(self, box: Interval, parts: Sequence[Part]) -> tuple[np.ndarray, Interval]:
+    def followed(
+        self, box: Interval, parts: Sequence[Part], inside: bool = False
+    ) -> tuple[np.ndarray, Interval]:
         """Return the largest limit (A,) on the way from boxes (n, A) under labels, and the ends.
 
-        It is infinite where nothing is known.
+        It is infinite where nothing is known, and where loops that are to stay `inside` the domain
+        may leave it, or go round farther than a period.
         """
         count = box[0].shape[1]
         worst = np.full(count, -np.inf)
@@ -77,8 +80,16 @@ class SampledLoop:
             control = np.repeat(self.controls[label][:, None], count, axis=1)
             tubes = self.flow.tubes(*box, control, duration, self.parameters, steps)
             worst = np.maximum(worst, self.bound(tubes.lower, tubes.upper))
+            worst[self._beyond(tubes.lower, tubes.upper, inside)] = np.inf
             box = tubes.end_lower, tubes.end_upper
         return worst, box
+
+    def _beyond(self, lower: np.ndarray, upper: np.ndarray, inside: bool) -> np.ndarray:
+        """Return which boxes (n, B) leave the domain, or go a whole period beyond it."""
+        own = slice(self.space.n - self.told)
+        reach = np.where(self.space.periodic, self.space.widths, 0.0 if inside else np.inf)
+        low, high = (self.space.lower - reach)[own, None], (self.space.upper + reach)[own, None]
+        return np.asarray(((lower[own] < low) | (upper[own] > high)).any(axis=0))
 
     def bound(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         """Return the largest limit (B,) in boxes (n, B); infinite where it is not known.
@@ -149,7 +160,7 @@ class _Move:
         return _Move(self.label, self.layers, self.cells[some], ends)
 
 
-def viable(loop: SampledLoop) -> Viable:
+def viable(loop: LimitedLoop) -> Viable:
     """Return the largest set of cells from which the limits of a loop can be kept for ever."""
     n, count, layers = loop.space.n, loop.cells, loop.layers
     pairs = layers * loop.candidates if loop.delay else layers + loop.candidates
@@ -172,7 +183,7 @@ def viable(loop: SampledLoop) -> Viable:
     return Viable(within, kept, allowed, rounds)
 
 
-def _moves(loop: SampledLoop, cells: np.ndarray) -> list[_Move]:
+def _moves(loop: LimitedLoop, cells: np.ndarray) -> list[_Move]:
     """Return all moves from cells (A,), whatever follows."""
     labels = range(len(loop.controls))
     moves: list[_Move] = []
@@ -188,7 +199,7 @@ def _moves(loop: SampledLoop, cells: np.ndarray) -> list[_Move]:
 
 
 def _move(
-    loop: SampledLoop,
+    loop: LimitedLoop,
     cells: np.ndarray,
     before: int,
     label: int,
@@ -207,7 +218,7 @@ def _move(
     if not entered or not more:
         return _Move(label, layers, cells[some], (first.where(some),))
     rest = [(label, more * loop.period, min(more, PARTS))]
-    worst, box = loop.followed(box, rest)
+    worst, box = loop.followed(box, rest, inside=True)  # a loop is asked meanwhile, too
     there, last = _ends(loop, cells, box, into)
     some &= there & (worst <= 0)
     alike = (loop.controls == loop.controls[label]).all(axis=1).sum() > 1
@@ -215,14 +226,14 @@ def _move(
     return _Move(label, layers, cells[some], tuple(end.where(some) for end in ends))
 
 
-def _table_shape(loop: SampledLoop) -> tuple[int, ...]:
+def _table_shape(loop: LimitedLoop) -> tuple[int, ...]:
     """Return the shape of a table of sums: a periodic axis is there twice."""
     turns = np.where(loop.space.periodic, 2, 1)
     return tuple(int(k) for k in turns * loop.counts + 1)
 
 
 def _ends(
-    loop: SampledLoop, cells: np.ndarray, box: Interval, layer: int
+    loop: LimitedLoop, cells: np.ndarray, box: Interval, layer: int
 ) -> tuple[np.ndarray, _Ends]:
     """Return which end boxes (n, A) are in the domain, (A,), and the cells that they touch."""
     space, counts, told = loop.space, loop.counts, loop.told
@@ -248,7 +259,7 @@ def _ends(
     return some, _Ends(layer, np.array(corners, dtype=np.int32), volumes)
 
 
-def _sums(loop: SampledLoop, kept: np.ndarray) -> np.ndarray:
+def _sums(loop: LimitedLoop, kept: np.ndarray) -> np.ndarray:
     """Return how many cells of a set (C,) lie below every corner, flat."""
     table = np.zeros(_table_shape(loop), dtype=np.int32)
     inner = kept.reshape(loop.counts)

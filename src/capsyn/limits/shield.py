@@ -13,8 +13,8 @@ from capsyn.cells.merged import entry_count, grids_of, merged
 from capsyn.cells.row_table import RowTable
 from capsyn.controllers.ssac import BatchController, flow
 from capsyn.errors import warn
-from capsyn.limits.asked import KeepLimits, moved, sampled_loop
-from capsyn.limits.invariant import SampledLoop, Viable, viable
+from capsyn.limits.asked import KeepLimits, limited_loop, moved
+from capsyn.limits.invariant import LimitedLoop, Viable, viable
 from capsyn.limits.kept import Kept
 from capsyn.modelling.grid import Grid
 from capsyn.policies.policy import Policy
@@ -34,7 +34,7 @@ def shielded(
     may be taken, else that which scores best of those that may. Where limits cannot be kept it has
     the label whose worst limit in the next period is least, its own if that is one of them.
     """
-    loop = sampled_loop(policy, asked, backend)
+    loop = limited_loop(policy, asked, backend)
     found = viable(loop)
     labels = _labels(policy, controller, loop, found)
     sets = _free(policy, loop, found, labels)
@@ -57,7 +57,7 @@ def shielded(
 
 
 def _labels(
-    policy: Policy, controller: BatchController, loop: SampledLoop, found: Viable
+    policy: Policy, controller: BatchController, loop: LimitedLoop, found: Viable
 ) -> np.ndarray:
     """Return the labels (C, J) int32 that cells have, by that in force."""
     labels = np.empty((loop.cells, loop.layers), dtype=np.int32)
@@ -85,14 +85,14 @@ def _labels(
     return labels
 
 
-def centres(loop: SampledLoop, cells: np.ndarray) -> np.ndarray:
+def centres(loop: LimitedLoop, cells: np.ndarray) -> np.ndarray:
     """Return the centres (A, n) of cells (A,)."""
     lower, upper = loop.boxes(cells)
     return np.asarray(((lower + upper) / 2).T)
 
 
 def _scores(
-    controller: BatchController, loop: SampledLoop, states: np.ndarray, before: int
+    controller: BatchController, loop: LimitedLoop, states: np.ndarray, before: int
 ) -> np.ndarray:
     """Return what labels score (A, S) at states (A, n) with the price of a change, least is best.
 
@@ -108,7 +108,7 @@ def _scores(
 
 
 def _least_bad(
-    policy: Policy, loop: SampledLoop, cells: np.ndarray, own: np.ndarray, before: int
+    policy: Policy, loop: LimitedLoop, cells: np.ndarray, own: np.ndarray, before: int
 ) -> np.ndarray:
     """Return the labels (A,) from whose centres the worst limit in the next period is least.
 
@@ -135,7 +135,7 @@ def _least_bad(
     return np.where(stays, own, np.argmax(least, axis=0)).astype(np.int32)
 
 
-def _free(policy: Policy, loop: SampledLoop, found: Viable, labels: np.ndarray) -> np.ndarray:
+def _free(policy: Policy, loop: LimitedLoop, found: Viable, labels: np.ndarray) -> np.ndarray:
     """Return the sets of labels (C, J, W) that cells may have, in `compress` with freedom.
 
     They are those that the policy's test points saw there, of those that may be taken; the cell's
@@ -161,7 +161,7 @@ def _free(policy: Policy, loop: SampledLoop, found: Viable, labels: np.ndarray) 
     return sets
 
 
-def _cells(loop: SampledLoop, numbers: np.ndarray, sets: np.ndarray) -> CellTree:
+def _cells(loop: LimitedLoop, numbers: np.ndarray, sets: np.ndarray) -> CellTree:
     """Return cells of row numbers (C,) and sets of labels (C, J, W), merged where these are one."""
     free = np.flatnonzero(several(sets).any(axis=1))
     flat = sets[free].reshape(len(free), int(np.prod(sets.shape[1:])))
@@ -177,7 +177,7 @@ def _cells(loop: SampledLoop, numbers: np.ndarray, sets: np.ndarray) -> CellTree
     return CellTree(grid, entries.astype(np.int32), mixed.astype(np.int32), seen)
 
 
-def _kept(loop: SampledLoop, found: Viable, said: dict[str, Any]) -> Kept:
+def _kept(loop: LimitedLoop, found: Viable, said: dict[str, Any]) -> Kept:
     """Return the set of states from which limits are kept."""
     every = found.kept.T
     if loop.layers == 1:
@@ -196,7 +196,7 @@ def _merged(kinds: np.ndarray, counts: tuple[int, ...]) -> tuple[np.ndarray, Gri
     return entries, grid, own
 
 
-def limit_figures(policy: Policy, loop: SampledLoop, found: Viable) -> dict[str, Any]:
+def limit_figures(policy: Policy, loop: LimitedLoop, found: Viable) -> dict[str, Any]:
     """Return what could be kept, as plain data.
 
     ``within`` is the share of the space, states and exogenous inputs, where limits hold; ``share``
@@ -217,7 +217,7 @@ def limit_figures(policy: Policy, loop: SampledLoop, found: Viable) -> dict[str,
     }
 
 
-def _ranges(policy: Policy, loop: SampledLoop, some: np.ndarray) -> dict[str, list[float]]:
+def _ranges(policy: Policy, loop: LimitedLoop, some: np.ndarray) -> dict[str, list[float]]:
     """Return the ranges of states and exogenous inputs, by name, in some cells (C,)."""
     if not some.any():
         return {}
@@ -226,7 +226,7 @@ def _ranges(policy: Policy, loop: SampledLoop, some: np.ndarray) -> dict[str, li
     return {name: [float(low), float(high)] for name, low, high in ends}
 
 
-def _warn(policy: Policy, loop: SampledLoop, figures: dict[str, Any]) -> None:
+def _warn(policy: Policy, loop: LimitedLoop, figures: dict[str, Any]) -> None:
     """Warn where nothing is kept, or more might be with finer cells."""
     far = moved(policy, loop.period)
     widths = policy.space.widths / loop.counts

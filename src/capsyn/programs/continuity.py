@@ -17,9 +17,9 @@ LOGIC = ("not", "and", "or")
 def jump_conditions(program: Program) -> Program:
     """Return a program of the same inputs, constant over boxes where `program` is continuous.
 
-    Its outputs are the conditions of its selections, but for those between values that are equal where the
-    condition changes, and what tells on which side of a jump a floor, a sign or an angle is. A
-    program without any has the one output 0.
+    Its outputs are the conditions of its selections, but for those between values that are equal
+    where the condition changes, and what tells on which side of a jump a floor, a sign or an angle
+    is. A program without any has the one output 0.
     """
     meeting = _meeting_selections(program)
     builder = ProgramBuilder()

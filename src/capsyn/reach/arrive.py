@@ -49,7 +49,8 @@ class Arrival:
 
     bound: np.ndarray  # (layers, K): time by which a cell has [time unit], infinite where unproved
     share: np.ndarray  # (K,): of the starts in each cell, the default in force
-    within: np.ndarray  # (K,): time by which they have
+    within: np.ndarray  # (K,): time by which they have, infinite where not all of a cell have
+    latest: float  # time by which all that are proved have [time unit]
     status: np.ndarray  # (K,): why the rest is not, into `STATUS`, or `NOT_TRIED`
     waves: list[Wave]  # in the order of the proof
     twins: np.ndarray  # (layers, K): the first layer of a cell that comes to the same
@@ -104,10 +105,13 @@ def arrive(
         stopped = proof.late
     except KeyboardInterrupt:
         stopped = True
+    latest = proof.within[(proof.share > 0) & (starts > 0)].max(initial=-np.inf)
+    proof.within[proof.share < 1] = np.inf
     return Arrival(
         follower.bound.copy(),
         proof.share,
         proof.within,
+        latest,
         proof.status,
         proof.waves,
         proof.twins,
@@ -221,7 +225,6 @@ class _Proof:
             if self.late or not left.any():
                 break
             cell, part, lower, upper = (x[left] for x in (cell, part, lower, upper))
-        self.within[self.share < 1] = np.inf
 
     def _prove_parts(
         self, lower: np.ndarray, upper: np.ndarray, cell: np.ndarray, part: np.ndarray,

@@ -37,6 +37,7 @@ typedef struct {
     const double *lower, *upper, *widths; /* domain */
     const uint8_t *periodic;
     const double *noise;
+    const volatile int32_t *stop; /* not 0: what is not done is not proved */
     const int64_t *holds, *kinds; /* LABELS: samples that a label is held; equal: no switch */
     const double *grid_lower, *grid_upper, *cell; /* of the cells */
     const int64_t *counts;
@@ -374,18 +375,21 @@ static int measured_outside(const task *t, const box *b)
     return 0;
 }
 
-/* Whether a policy may have no label, with one in force, for a state that is measured in a tube. */
+/* Whether a policy that holds a label may have no label for a state that is measured in a tube, or
+ * another of the same control, which it takes at once, and after which something else follows. */
 static int unlabelled(const task *t, const box *b, const int32_t label)
 {
     piece p = {.held = label};
     cutting c;
     int none = measured_outside(t, b);
-    if (!GAPS || none)
+    if (!(GAPS || DRIFTS) || none)
         return none;
     box_shape(b->lower, b->upper, &p.s);
     none = !cut(&c, t, &p, 0);
     for (int k = 0; k < c.count; ++k)
-        none |= c.parts[k].label < 0;
+        none |= c.parts[k].label < 0
+            || (DRIFTS && c.parts[k].label != label
+                && t->kinds[c.parts[k].label] == t->kinds[label]);
     return none;
 }
 
@@ -418,6 +422,8 @@ static int advance(const task *t, arguments *a, const int32_t label, const int w
         int64_t left = t->holds[label]; /* longer than a loop is followed, if need be */
         bounds_of(&p->s, all.lower, all.upper);
         while (left > 0) {
+            if (*t->stop)
+                return TOO_LONG;
             const int64_t count = left < 16 ? left : 16;
             const int status = samples(t, a, label, count, p, &b);
             if (status != PROVED)
@@ -527,6 +533,9 @@ static int in_target(const task *t, arguments *a, const piece *p)
     bounds_of(&p->s, b.lower, b.upper);
     for (int i = 0; i < STATES; ++i)
         b.lower[i] -= p->error[i], b.upper[i] += p->error[i];
+    for (int i = 0; i < MOVING; ++i) /* beyond the domain nothing is said of staying */
+        if (t->nearest && !t->periodic[i] && (b.lower[i] < t->lower[i] || b.upper[i] > t->upper[i]))
+            return 0;
     put(a, &b);
     BOUNDS(target, a, inside);
     return inside[0][0][0] > 0 || inside[1][0][0] < 0;
@@ -572,10 +581,12 @@ static int follow(task *t, const double *lower, const double *upper, const int32
                 continue;
             }
         }
-        if (++g->work > work)
+        if (++g->work > work || *t->stop)
             return TOO_LONG;
         box where;
         bounds_of(&p.s, where.lower, where.upper);
+        for (int i = 0; i < STATES; ++i)
+            where.lower[i] -= p.error[i], where.upper[i] += p.error[i];
         if (measured_outside(t, &where))
             return LEFT;
         if (!cut(&c, t, &p, p.samples == 0))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
-from concurrent.futures import ThreadPoolExecutor
+import math
+import time
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,7 +33,7 @@ CHUNK = 4
 
 _ARRAYS = (
     "second row next normal below above controls parameters lower upper widths periodic noise "
-    "holds kinds grid_lower grid_upper cell counts bound marks pieces flows"
+    "stop holds kinds grid_lower grid_upper cell counts bound marks pieces flows"
 ).split()
 _NUMBERS = "layers cells horizon record nearest piece_room flow_room".split()
 
@@ -105,10 +107,16 @@ class Follower:
     function: Any
     threads: int
     arrays: dict[str, np.ndarray]
+    deadline: float = math.inf
 
     @staticmethod
-    def build(loop: SampledLoop, cells: Cells, threads: int) -> Follower:
-        """Return what follows a loop; `KernelBuildError` where there is no compiler."""
+    def build(
+        loop: SampledLoop, cells: Cells, threads: int, deadline: float = math.inf
+    ) -> Follower:
+        """Return what follows a loop; `KernelBuildError` where there is no compiler.
+
+        What is not done by the `deadline`, as `time.monotonic` counts [s], is not proved.
+        """
         function = load(source(loop), ("-ffp-contract=off",)).capsyn_follow
         p = ctypes.c_void_p
         function.restype, function.argtypes = None, [ctypes.c_int64, *[p] * 11]
@@ -130,7 +138,8 @@ class Follower:
         shape = (loop.layers, cells.total)
         arrays["bound"] = np.full(shape, np.inf)
         arrays["marks"] = np.zeros(shape, dtype=np.uint8)
-        return Follower(loop, cells, function, threads, arrays)
+        arrays["stop"] = np.zeros(1, dtype=np.int32)
+        return Follower(loop, cells, function, threads, arrays, deadline)
 
     @property
     def bound(self) -> np.ndarray:
@@ -159,7 +168,13 @@ class Follower:
             return self._run(lower[part], upper[part], held[part], most[part], horizon, record)[0]
 
         with ThreadPoolExecutor(self.threads) as pool:
-            found = list(pool.map(run, parts))
+            running = [pool.submit(run, part) for part in parts]
+            try:
+                left = self.deadline - time.monotonic()
+                wait(running, timeout=None if left == math.inf else max(left, 0.0))
+            finally:  # late, or interrupted
+                self.arrays["stop"][0] = any(not one.done() for one in running)
+            found = [one.result() for one in running]
         columns = zip(*(vars(one).values() for one in found), strict=True)
         return Followed(*(np.concatenate(column) for column in columns))
 
@@ -236,6 +251,7 @@ def source(loop: SampledLoop) -> str:
         "BREAKS": len(loop.breaks.results),
         "LABELS": loop.labels,
         "GAPS": int((loop.next < 0).any()),
+        "DRIFTS": int((loop.next != loop.next[:, :1]).any() or (loop.holds != loop.holds[0]).any()),
         "SLACK": "0x1p-43",
         "MOST_VERTICES": MOST_VERTICES,
     }

@@ -97,6 +97,7 @@ def sampled_loop(
             f"`delay` must be at most one sample, {period:g} {plant.time_unit}; got {delay:g}"
         )
     tree = policy if isinstance(policy, DecisionTree) else exact_tree(policy)
+    at_once = policy.outside_at_once and bool((holds.symbols > 1).any())  # no hold is kept there
     rows = tree.transitions.astype(np.int32)
     now = np.arange(rows.shape[1])
     rows = np.where(holds.forbidden[now, rows], now, rows).astype(np.int32)
@@ -119,5 +120,5 @@ def sampled_loop(
         noise,
         period,
         min(delay, period),
-        policy.outside == "nearest" and not tree.has_planes,
+        policy.outside == "nearest" and not tree.has_planes and not at_once,
     )

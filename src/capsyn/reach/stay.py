@@ -35,7 +35,7 @@ class Staying:
 
     swing: tuple[np.ndarray, np.ndarray]  # (n,), (n,): between what it stays once it has arrived
     ripple: tuple[np.ndarray, np.ndarray]  # (n,), (n,): and in the end
-    switch_rate: float  # most changes of the label, in the end [1 / time unit]
+    switch_rate: float  # most changes of the label, in the long run [1 / time unit]
 
 
 def stay(loop: SampledLoop, threads: int, deadline: float) -> Staying | None:
@@ -108,7 +108,8 @@ class _Search:
         Loops return after K to K + D samples, where D is the longest hold: each sample is K to 2 K
         + 2 D after some return. What is met then bounds the ripple.
         """
-        rate = self.switches / (self.horizon * self.loop.period)
+        begun = 0 if self.loop.layered else 1  # the label in force is not known then
+        rate = (self.switches + begun) / (self.horizon * self.loop.period)
         best, first = Staying(swing, swing, rate), True
         hold = int(self.loop.holds.max())
         while True:
@@ -148,7 +149,7 @@ class _Search:
         where a loop cannot be followed, or ends outside the grid.
         """
         loop, n = self.loop, self.loop.space.n
-        follower = Follower.build(loop, grid, self.threads)
+        follower = Follower.build(loop, grid, self.threads, self.deadline)
         layer, cell = np.nonzero(self.members)
         lower, upper = self.cells.boxes(cell)
         held = layer if loop.layered else np.full_like(layer, loop.labels - 1)

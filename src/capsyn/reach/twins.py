@@ -46,10 +46,13 @@ def twin_layers(loop: SampledLoop, cells: Cells) -> np.ndarray:
     margin = ROUNDING * cells.widths + loop.noise
     box, row = rows_under(loop.tree, lower - margin, upper + margin)
     starts = np.searchsorted(box, np.arange(cells.total))
+    round_ = np.array(loop.space.periodic)  # a cell at the seam may be measured beyond it
+    low, high = lower - margin < loop.space.lower, upper + margin > loop.space.upper
+    seam = ((low | high) & round_).any(axis=1)
     for later in range(1, loop.layers):
         for first in range(later):
             same = loop.next[row, first] == loop.next[row, later]
             equal = np.logical_and.reduceat(same, starts)
-            open_ = equal & (twins[later] == later)
+            open_ = equal & (twins[later] == later) & ~seam
             twins[later, open_] = twins[first, open_]
     return twins

@@ -74,12 +74,13 @@ def _certificate(data: dict[str, Any]) -> str:
         said = f"{proved_share(arrival)} of the starts arrive in the target within {within} {unit}"
         if staying:
             whole = staying == arrival
-            said += ", and stay for ever" if whole else f", {proved_share(staying)} stay for ever"
+            said += ", and then stay in a box" if whole else f", {proved_share(staying)} then stay in a box"
             said += _ripple(data, unit)
         else:
             said += "; that they stay is not proved"
     if conditions.get("avoid"):
-        said += f"; {proved_share(data['avoiding'])} never enter what is to be avoided"
+        said += "; until then these do not enter what is to be avoided"
+        said += ", nor ever after" if data["avoiding"] else "; that they never do is not proved"
     count = len(data["refuted"])
     more = [f"refuted from {count:,} start{'' if count == 1 else 's'}"] if count else []
     more += [f"open {proved_share(data['open'], ROUND_CEILING)}"] if data["open"] else []

@@ -112,7 +112,6 @@ def test_replays_of_the_proof_itself_are_kept_and_five_are_printed(run, proving)
 def test_a_proof_that_was_stopped_is_told(run, proving):
     proving(complete, stopped=True, open=0.5)
     out, _ = run("certify", "tank.cap")
-    assert out.splitlines()[-1] == "stopped      before its end; what is proved stands"
     assert "; stopped before its end" in out.splitlines()[0]
 
 

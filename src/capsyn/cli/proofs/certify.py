@@ -90,7 +90,7 @@ def certify(file: File, options: CertifyOptions, as_json: Json = False) -> None:
     policy = Policy.load(file)
     given = _arguments(policy, options)
     with working("proving"):
-        certificate = _with_replays(certify(policy, **given), file, options, given)
+        certificate = _with_replays(certify(policy, **given), file, policy.domain.n, options, given)
     if options.output is not None:
         save_certificate_plot(certificate, policy.name, options.output)
     if options.certificate is not None:
@@ -155,7 +155,7 @@ def _value_or_range(name: str, text: str) -> Any:
 
 
 def _with_replays(
-    certificate: Certificate, file: str, options: CertifyOptions, given: dict[str, Any]
+    certificate: Certificate, file: str, states: int, options: CertifyOptions, given: dict[str, Any]
 ) -> Certificate:
     """Return the certificate with the command that simulates each of its refuted starts.
 
@@ -168,10 +168,13 @@ def _with_replays(
     start: dict[str, Any] = dict.fromkeys(["delay", "disturbance", "noise"], [])
     for kind in ("parameters", "exogenous"):
         start[kind] = {name: _middle(value) for name, value in given.get(kind, {}).items()}
-    lines = (
-        simulate_line(file, start | {"initial": state}, values)
-        for state in certificate.refuted.tolist()
-    )
+    names = certificate.cells.domain.names
+    lines = []
+    for row in certificate.refuted.tolist():  # after the states what they were told
+        told = dict(zip(names[states:], row[states:])) or start["exogenous"]
+        lines.append(
+            simulate_line(file, start | {"initial": row[:states], "exogenous": told}, values)
+        )
     return dataclasses.replace(certificate, replays=tuple(lines))
 
 

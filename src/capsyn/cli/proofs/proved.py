@@ -28,8 +28,6 @@ def print_certificate(data: dict[str, Any]) -> None:
             print_line("again", start["replay"])
     if len(refuted) > MOST_REFUTED:
         print_line("", f"and {len(refuted) - MOST_REFUTED:,} more, which --json tells")
-    if data["stopped"]:
-        print_line("stopped", "before its end; what is proved stands")
 
 
 def _named(failure: str) -> str:
