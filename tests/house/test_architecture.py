@@ -56,6 +56,8 @@ compression.looped: loops choice growing fitting by_loop
 compression: compress curve complexity
 reach: half_spaces loop kernel twins arrive stay
 certification: question refute proof_file certify
+certification.checker: bounds sets flows cells moving pieces
+certification: check
 tuning: free family figures goal study advice tune
 plots: figure policy trajectory automaton curve switching optimum
     certificate
