@@ -98,6 +98,6 @@ if __name__ == "__main__":
     proved(
         "boost-converter, load known to +-20 %", boost, model=load, parameters={"load": (16, 24)}
     )
-    tree = capsyn.compress(pendulum, "linear", nodes=31)
+    tree = capsyn.compress(capsyn.synthesize(problems.plain("cart-pendulum")), "linear")
     proved(f"cart-pendulum, linear tree of {tree.node_count} nodes", tree, target=upright)
     print(json.dumps(rows))

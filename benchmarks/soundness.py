@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 
 import numpy as np
 
+from capsyn.errors import ProblemError
 from support.proofs.attack import attack, prove
 from support.proofs.random_loops import KINDS, random_case
 
@@ -27,7 +28,10 @@ def tried(seed, trajectories):
     """Return what came of a case: its seed, figures, seconds, and violations by name."""
     case = random_case(np.random.default_rng([21, seed]), KINDS[seed % len(KINDS)])
     began = time.process_time()
-    proof = prove(case)
+    try:
+        proof = prove(case)
+    except (ProblemError, ValueError) as error:  # no answer is no false one, and counts as none
+        return {"seed": seed, "error": f"{type(error).__name__}: {error}"}
     proved = time.process_time()
     found = attack(case, proof, trajectories, seed)
     moving = int((proof.bound > 0).sum())
@@ -54,14 +58,17 @@ def main(cases, trajectories, first=0):
         seeds = range(first, first + cases)
         for result in pool.map(tried, seeds, [trajectories] * cases, chunksize=4):
             results.append(result)
-            if result["violations"] or len(results) % 100 == 0:
+            if "error" in result or result["violations"] or len(results) % 100 == 0:
                 print(len(results), result, file=sys.stderr, flush=True)
+    errors = sum("error" in result for result in results)
+    results = [result for result in results if "error" not in result]
     false = sum(bool(result["violations"]) for result in results)
     some = [result for result in results if result["moving"]]
     shares = [result["share"] for result in results]
     title = f"{cases:,} random loops, {trajectories:,} attacks on each"
     rows = [
         row(f"{title}: false proofs", false, "", "<= 0"),
+        row(f"{title}: refused or failed", errors, "", "<= 0"),
         row(f"{title}: with something proved outside the target", len(some)),
         row(f"{title}: mean share proved to arrive", 100 * float(np.mean(shares)), "%"),
         row(f"{title}: proved to stay", sum(result["stays"] for result in results)),

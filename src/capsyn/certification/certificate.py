@@ -125,7 +125,7 @@ class Certificate:
     proof: Proof | None = None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the proof of arrival to a file that `capsyn.certification.check` goes through.
+        """Write the proof of arrival to a file at `path`, which ``capsyn check`` goes through.
 
         Raises
         ------

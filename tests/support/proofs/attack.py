@@ -28,8 +28,8 @@ TOLERANCE = 1e-7
 """By how much a claim must be broken to count, in states; steps err by less."""
 FINER = 16
 """Times as many steps with which what seems to break a claim is tried again."""
-STAYING, LASTING = 1000, 600
-"""Most loops that are followed once they have arrived, and for how many samples."""
+STAYING, LASTING = 5, 600
+"""One of so many loops is followed once it has arrived, and for how many samples at most."""
 
 
 @dataclass
@@ -87,14 +87,14 @@ def asked_of(case: Case) -> Question:
     return question(case.policy, arguments, 1, 0)
 
 
-def prove(case: Case) -> Proof:
-    """Return what is proved of a case, as `capsyn.certify` does."""
+def prove(case: Case, stays: bool = True) -> Proof:
+    """Return what is proved of a case, as `capsyn.certify` does; of staying if so."""
     with little_effort() as horizons:
         asked = asked_of(case)
         follower = Follower.build(asked.loop, asked.cells, 1)
         never = math.inf
         arrival = arrive(follower, simulated_arrival(asked), asked.starts, asked.box, never)
-        stays = stay(asked.loop, 1, never)
+        remains = stay(asked.loop, 1, never) if stays else None
     loop, cells = asked.loop, asked.cells
     parts = [(w.lower, w.upper, w.held, w.bound) for w in arrival.waves]
     layer, cell = np.nonzero(np.isfinite(arrival.bound))
@@ -109,7 +109,7 @@ def prove(case: Case) -> Proof:
     tried = arrival.status != NOT_TRIED
     share = float((arrival.share * asked.starts).sum() / max(asked.starts.sum(), 1e-300))
     assert tried.any() or not len(arrival.waves)
-    return Proof(asked, lower, upper, held, bound, share, stays, settled, window)
+    return Proof(asked, lower, upper, held, bound, share, remains, settled, window)
 
 
 @dataclass
@@ -255,7 +255,7 @@ def attack(case: Case, proof: Proof, count: int, seed: Any = 0) -> list[Violatio
 def _attack(a: Attack, count: int) -> list[Violation]:
     arrived, found = _arrive(a, count)
     if a.proof.staying is not None:
-        found += _stay(a, arrived, min(count, STAYING))
+        found += _stay(a, arrived, count // STAYING)
     return found
 
 
