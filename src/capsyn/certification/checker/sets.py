@@ -48,10 +48,11 @@ def clip(points: np.ndarray, a: np.ndarray, limit: np.ndarray) -> tuple[np.ndarr
     if not len(rows):
         return points, alive
     p, v, gone = points[rows], value[rows], gone[rows]
-    t = v[:, :, None] / (v[:, :, None] - np.where(gone, v, 1.0)[:, None])
     along = p[:, :, 1] * a[rows, :1] - p[:, :, 0] * a[rows, 1:]
-    cross = along[:, :, None] + t * (along[:, None] - along[:, :, None])
-    pairs = ~gone[:, :, None] & gone[:, None]  # one that stays and one that goes
+    with np.errstate(all="ignore"):  # of other pairs than one that stays and one that goes
+        t = v[:, :, None] / (v[:, :, None] - np.where(gone, v, 1.0)[:, None])
+        cross = along[:, :, None] + t * (along[:, None] - along[:, :, None])
+    pairs = ~gone[:, :, None] & gone[:, None]
     least, most = (np.where(pairs, cross, end).reshape(len(rows), -1) for end in (np.inf, -np.inf))
     ends, every = [], np.arange(len(rows))
     for best in (least.argmin(axis=1), most.argmax(axis=1)):
