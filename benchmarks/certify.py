@@ -88,7 +88,9 @@ if __name__ == "__main__":
     proved(
         "double-tank-a, sensor error 0.002", a, (">= 99",), initial=inner, noise=0.002, seconds=120
     )
-    found = proved("cart-pendulum, |E| <= 2.94 J, 1 kHz", pendulum, (">= 99",), target=upright)
+    found = proved(
+        "cart-pendulum, |E| <= 2.94 J, 1 kHz", pendulum, (">= 99",), target=upright, counts=144
+    )
     row("cart-pendulum: open", 100 * found.open, "%")
     row(f"cart-pendulum: states of rest found: {named(found)}", len(found.refuted))
     found = proved("boost-converter, 200 kHz, hold 10 us", boost, (">= 100", "<= 0.03", "<= 3"))
@@ -99,5 +101,7 @@ if __name__ == "__main__":
         "boost-converter, load known to +-20 %", boost, model=load, parameters={"load": (16, 24)}
     )
     tree = capsyn.compress(capsyn.synthesize(problems.plain("cart-pendulum")), "linear")
-    proved(f"cart-pendulum, linear tree of {tree.node_count} nodes", tree, target=upright)
+    proved(
+        f"cart-pendulum, linear tree of {tree.node_count} nodes", tree, target=upright, counts=144
+    )
     print(json.dumps(rows))

@@ -86,8 +86,8 @@ def test_a_large_map_is_coarser_and_says_no_more_than_is_proved(counts):
 def test_the_sentence_of_a_whole_proof():
     ripple = np.array([[0.45, 0.55], [-0.2, 0.2]])
     assert sentence(complete(SQUARE, (20, 10), ripple=ripple)) == (
-        "100% of the starts arrive in the target within 1.5 s, and then stay in a box: ripple level "
-        "in [0.45, 0.55] m, flow in [-0.2, 0.2]; at most 13.24 switches / s"
+        "100% of the starts arrive in the target within 1.5 s, and then stay in a box: ripple "
+        "level in [0.45, 0.55] m, flow in [-0.2, 0.2]; at most 13.24 switches / s"
     )
 
 

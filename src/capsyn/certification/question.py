@@ -84,7 +84,7 @@ class Question:
         """Return which states (B, n) are in the initial set."""
         inside = ((states >= self.box[0]) & (states <= self.box[1])).all(axis=1)
         if isinstance(self.initial, Ball):
-            off = states[:, target_axes(self.initial, self.loop.space)] - self.initial.center
+            off = states[:, target_axes(self.initial, self.policy.domain)] - self.initial.center
             inside &= (off**2).sum(axis=1) <= self.initial.radius**2
         return np.asarray(inside)
 
@@ -152,7 +152,7 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
         "parameters": {name: list(pair) for name, pair in ranges.items()},
         **({"exogenous": {name: list(pair) for name, pair in told.items()}} if told else {}),
     }
-    starts = _starts(initial, box, plant.space, cells)
+    starts = _starts(initial, box, plant.domain, cells)
     return Question(policy, experiment, loop, cells, initial, starts, box, middle, conditions)
 
 
@@ -160,7 +160,7 @@ def halved(asked: Question) -> Question:
     """Return the same question of cells half as wide along each axis that has more than one."""
     cells = asked.cells
     finer = Cells(cells.lower, cells.upper, np.where(cells.counts > 1, 2 * cells.counts, 1))
-    starts = _starts(asked.initial, asked.box, asked.loop.space, finer)
+    starts = _starts(asked.initial, asked.box, asked.policy.domain, finer)
     return dataclasses.replace(asked, cells=finer, starts=starts)
 
 
@@ -309,7 +309,7 @@ def _box(
 
 
 def _starts(
-    initial: Ball | Box | None, box: tuple[np.ndarray, np.ndarray], space: Box, cells: Cells
+    initial: Ball | Box | None, box: tuple[np.ndarray, np.ndarray], domain: Box, cells: Cells
 ) -> np.ndarray:
     """Return the share (K,) of each cell in the initial set; of a ball by points of the cell."""
     shares = np.ones(1)
@@ -319,12 +319,12 @@ def _starts(
         both = np.minimum(faces[1:], box[1][i]) - np.maximum(faces[:-1], box[0][i])
         share = np.clip(both / (faces[1:] - faces[:-1]), 0.0, 1.0)
         share[share > 1 - 1e-12] = 1.0
-        if cells.upper[i] - cells.lower[i] <= 3 * NARROW * space.widths[i]:
+        if box[0][i] == box[1][i]:
             share[:] = 1.0  # one value
         shares = (shares[:, None] * share).ravel()
     if not isinstance(initial, Ball):
         return shares
-    axes = target_axes(initial, space)
+    axes = target_axes(initial, domain)
     some = np.flatnonzero(shares)
     lower, upper = cells.boxes(some)
     per_axis = max(2, round(SUBDIVISIONS ** (1 / len(axes)) / 4))

@@ -114,7 +114,8 @@ def _limits(policy: Policy) -> dict[str, Any]:
     assert policy.kept is not None
     cells, rows = policy.kept.cells, policy.kept.rows
     places, volumes = cells.volumes()
-    always = rows[:, : max(rows.shape[1] - 1, 1)].all(axis=1)[cells.labels_at(places)]
+    kept = np.all(rows[:, : max(rows.shape[1] - 1, 1)], axis=1)
+    always = np.asarray(kept)[cells.labels_at(places)]
     return {
         "kept_share": float(volumes[always].sum() / volumes.sum()),
         "sample_time": policy.kept.sample_time,

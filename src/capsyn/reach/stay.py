@@ -85,7 +85,7 @@ class _Search:
             image, low, high, self.switches = found
             self.met = np.stack([np.minimum(self.met[0], low), np.maximum(self.met[1], high)])
             same = grid is self.cells
-            new = image & ~self.members
+            new = image & ~self.members if same else image
             if same and not new.any():
                 return True
             if same and new.sum() < 0.1 * self.members.sum() and unions < UNIONS:

@@ -73,8 +73,8 @@ def _certificate(data: dict[str, Any]) -> str:
         within = _rounded(data["within"], ROUND_CEILING)
         said = f"{proved_share(arrival)} of the starts arrive in the target within {within} {unit}"
         if staying:
-            whole = staying == arrival
-            said += ", and then stay in a box" if whole else f", {proved_share(staying)} then stay in a box"
+            some = " and" if staying == arrival else f" {proved_share(staying)}"
+            said += f",{some} then stay in a box"
             said += _ripple(data, unit)
         else:
             said += "; that they stay is not proved"
