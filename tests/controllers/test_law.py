@@ -141,11 +141,11 @@ def test_the_adjoint_is_the_gradient_of_the_discretised_cost(case):
     solution = controller.solve(np.ascontiguousarray(z.T))
     assert np.allclose(solution.cost, cost(z), rtol=1e-12)
     rho, wanted = adjoint_of(controller, z), np.zeros((n, 4))
-    for i in range(n):  # fourth order: errors of 1e-12 and of rounding
+    for i in range(n):  # fourth order: errors of 1e-8 and of rounding
         for weight, far in ((8, 1), (-1, 2)):
             h = np.zeros((problem.space.n, 1))
-            h[i] = far * 1e-3
-            wanted[i] += weight * (cost(z + h) - cost(z - h)) / 12e-3
+            h[i] = far * 1e-5
+            wanted[i] += weight * (cost(z + h) - cost(z - h)) / 12e-5
     size = np.linalg.norm(wanted, axis=0) + 1e-3 * np.abs(solution.cost)
     assert (np.abs(rho[:n] - wanted) <= 1e-7 * size).all()
     assert not rho[n:].any()

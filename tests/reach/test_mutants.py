@@ -49,7 +49,7 @@ MUTANTS = {
     "no noise": (PLANE, ("p->error[i] + t->noise[i];", "p->error[i];")),
     "one end of parameters": (PLANE, ("t->parameters[end * PARAMETERS + j]", "t->parameters[j]")),
     "nothing avoided": (ROOTS, ("        return AVOIDED;\n", "        ;\n")),
-    "no wall": (PLANE, ("!(most_rate(a, &wall, i, sign) <= 0)", "0")),
+    "no wall": (PLANE, ("i < MOVING && crossed(a, &wall, i, sign)", "0")),
     "cells missed": (PLANE, ("at[0] <= last[0]; ++at[0]) { /*", "at[0] < last[0]; ++at[0]) { /*")),
     "another label in force": (PLANE, ("(t->layers > 1 ? p->held : 0)", "0")),
     "one copy of a turning axis": (TURNING, ("k <= greater(high, low)", "k <= low")),

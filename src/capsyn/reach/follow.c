@@ -280,6 +280,22 @@ typedef struct {
     int64_t switches, work;
 } gathered;
 
+/* Whether a motion may cross a wall outwards: a rate of 0 keeps it only where it is Lipschitz. */
+static int crossed(arguments *a, const box *wall, const int axis, const double sign)
+{
+    const double rate = most_rate(a, wall, axis, sign);
+    double conditions[2][BREAKS][1], out[2][STATES * STATES][1];
+    int may = !(rate <= 0);
+    put(a, wall);
+    BOUNDS(breaks, a, conditions);
+    for (int k = 0; k < BREAKS; ++k)
+        may |= !(conditions[0][k][0] == conditions[1][k][0]);
+    BOUNDS(slopes, a, out);
+    for (int j = axis * STATES; rate == 0 && j < (axis + 1) * STATES; ++j)
+        may |= !isfinite(out[0][j][0]) || !isfinite(out[1][j][0]);
+    return may;
+}
+
 /* Let no piece, nor its tube, beyond a face of the domain that no motion crosses outwards; 0 where
  * some may, and where there are no labels beyond, or one is as far out as the domain is wide. */
 static int kept_inside(const task *t, arguments *a, piece *p, box *b)
@@ -303,7 +319,7 @@ static int kept_inside(const task *t, arguments *a, piece *p, box *b)
             wall.lower[i] = wall.upper[i] = face;
             normal[i] = sign;
             shape inside;
-            if (i < MOVING && !(most_rate(a, &wall, i, sign) <= 0))
+            if (i < MOVING && crossed(a, &wall, i, sign))
                 return 0;
             *(side ? &b->upper[i] : &b->lower[i]) = face;
             if (end <= sign * face)
@@ -483,6 +499,8 @@ static void tell(task *t, piece *p)
     memcpy(told->error, p->error, sizeof told->error);
     told->count = p->s.count, told->held = p->held, told->samples = p->samples;
     told->ended = 0, told->id = p->id, told->merged = -1;
+    for (int k = STATES * p->s.count; k < SHAPE_SIZE; ++k)
+        told->v[k] = 0; /* a polygon of few vertices */
 }
 
 static void told_merged(task *t, const int32_t old, const int32_t new)
