@@ -140,12 +140,8 @@ def _arrival(
 def simulated_arrival(asked: Question) -> np.ndarray:
     """Return when a simulated loop arrives from the middle of each cell (K,) [time unit]."""
     lower, upper = asked.cells.boxes(np.arange(asked.cells.total))
-    experiment = asked.experiment
-    parameters = np.repeat(asked.middle[None], len(lower), axis=0)
-    delays = np.full(len(lower), asked.loop.delay)
-    trials = experiment.trials((lower + upper) / 2, delays, parameters)
-    experiment.run(trials, None, None)
-    return np.where(trials["arrived"] < 0, np.inf, trials["arrived"] / experiment.rate)
+    trials, _ = asked.simulated((lower + upper) / 2)
+    return np.where(trials["arrived"] < 0, np.inf, trials["arrived"] / asked.experiment.rate)
 
 
 def _check_target(asked: Question) -> None:

@@ -44,6 +44,7 @@ MALFORMED = (
     CapsynError, OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError,
     MemoryError, EOFError, NotImplementedError, RecursionError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
+"""What reading bytes that anyone may have written can raise; each is told as a refusal."""
 
 
 @dataclass(frozen=True)

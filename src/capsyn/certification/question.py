@@ -29,6 +29,7 @@ from capsyn.policies.policy import Policy
 from capsyn.programs.program import Program
 from capsyn.reach.kernel import Cells
 from capsyn.reach.loop import SampledLoop, sampled_loop
+from capsyn.simulation.closed_loop import Record, new_record
 from capsyn.simulation.experiment import Experiment, per_state, set_up
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import Plant, plant_of
@@ -79,6 +80,23 @@ class Question:
     box: tuple[np.ndarray, np.ndarray]  # (n,), (n,): around the initial set
     middle: np.ndarray  # (P,): of the ranges of parameters
     conditions: dict[str, Any]
+
+    def simulated(
+        self, states: np.ndarray, samples: int | None = None, recorded: bool = False
+    ) -> tuple[np.ndarray, Record | None]:
+        """Return trials (B,) of the loop from states (B, n) that have run, and their record if any.
+
+        They run for so many samples, by default those of the experiment.
+        """
+        run = self.experiment
+        if samples is not None:
+            run = dataclasses.replace(run, loop=dataclasses.replace(run.loop, samples=samples))
+        count, inputs = len(states), self.loop.controls.shape[1]
+        parameters = np.repeat(self.middle[None], count, axis=0)
+        trials = run.trials(states, np.full(count, self.loop.delay), parameters)
+        record = new_record(count, run.loop.samples, states.shape[1], inputs) if recorded else None
+        run.run(trials, None, record)
+        return trials, record
 
     def begins(self, states: np.ndarray) -> np.ndarray:
         """Return which states (B, n) are in the initial set."""

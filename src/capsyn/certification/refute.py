@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from capsyn.certification.question import Question
 from capsyn.controllers.command import LEFT_DOMAIN, NOT_FINITE
 from capsyn.reach.half_spaces import HalfSpaces
-from capsyn.simulation.closed_loop import new_record
 
 MOST_TRIED = 512
 """Most states that are simulated."""
@@ -104,21 +101,14 @@ def _on_faces(tree: HalfSpaces, states: np.ndarray, reach: np.ndarray) -> np.nda
 
 def _failures(asked: Question, states: np.ndarray) -> np.ndarray:
     """Return how simulated loops fail from states (B, n), an empty string where they do not."""
-    experiment, period = asked.experiment, asked.experiment.loop.period
-    samples = LONGER * experiment.loop.samples
-    longer = dataclasses.replace(
-        experiment, loop=dataclasses.replace(experiment.loop, samples=samples)
-    )
-    parameters = np.repeat(asked.middle[None], len(states), axis=0)
-    trials = longer.trials(states, np.full(len(states), asked.loop.delay), parameters)
-    longer.run(trials, None, None)
+    trials, _ = asked.simulated(states, LONGER * asked.experiment.loop.samples)
     failed = trials["arrived"] < 0
     out = np.isin(trials["ended"], (LEFT_DOMAIN, NOT_FINITE))
     names = np.where(failed, "does not arrive", "").astype(object)
     names[failed & out] = "leaves the domain"
     lasting = np.flatnonzero(failed & ~out)
     if len(lasting):
-        names[lasting] = _ways(asked, trials["state"][lasting], period)
+        names[lasting] = _ways(asked, trials["state"][lasting])
     if asked.conditions["avoid"] is not None:
         for k in np.flatnonzero(names == ""):
             if _enters_avoid(asked, states[k], int(trials["end"][k])):
@@ -126,17 +116,10 @@ def _failures(asked: Question, states: np.ndarray) -> np.ndarray:
     return names
 
 
-def _ways(asked: Question, states: np.ndarray, period: float) -> list[str]:
+def _ways(asked: Question, states: np.ndarray) -> list[str]:
     """Return what loops do that have gone on to states (B, n), followed for a little longer."""
-    experiment = asked.experiment
-    samples = min(experiment.loop.samples, 4096)
-    short = dataclasses.replace(
-        experiment, loop=dataclasses.replace(experiment.loop, samples=samples)
-    )
-    parameters = np.repeat(asked.middle[None], len(states), axis=0)
-    trials = short.trials(states, np.full(len(states), asked.loop.delay), parameters)
-    record = new_record(len(states), samples, states.shape[1], asked.loop.controls.shape[1])
-    short.run(trials, None, record)
+    _, record = asked.simulated(states, min(asked.experiment.loop.samples, 4096), recorded=True)
+    assert record is not None
     spread = (record.states.max(axis=1) - record.states.min(axis=1)) / asked.loop.space.widths
     ends = np.abs(record.states[:, -1] - record.states[:, 0]) / asked.loop.space.widths
     still, back = spread.max(axis=1) <= STILL, ends.max(axis=1) <= ROUND * spread.max(axis=1)
@@ -145,14 +128,8 @@ def _ways(asked: Question, states: np.ndarray, period: float) -> list[str]:
 
 def _enters_avoid(asked: Question, state: np.ndarray, end: int) -> bool:
     """Return whether a simulated loop is in what it must avoid at a sample before its end."""
-    experiment = asked.experiment
-    samples = max(1, min(end, 1 << 16))
-    run = dataclasses.replace(
-        experiment, loop=dataclasses.replace(experiment.loop, samples=samples)
-    )
-    trials = run.trials(state[None], np.full(1, asked.loop.delay), asked.middle[None])
-    record = new_record(1, samples, len(state), asked.loop.controls.shape[1])
-    run.run(trials, None, record)
+    _, record = asked.simulated(state[None], max(1, min(end, 1 << 16)), recorded=True)
+    assert record is not None
     states = record.states[0][np.isfinite(record.states[0]).all(axis=1)]
     (inside,) = asked.loop.avoid.evaluate(states.T)
     return bool((inside != 0).any())

@@ -25,6 +25,8 @@ LEAST_WAVE = 32
 before it, whatever the threads do."""
 MOST_BISECTIONS = 4
 """Of a start that is not proved as a whole."""
+LITTLE = 0.9
+"""Share of a sweep's starts that are left where the next is not worth its work."""
 CLOSED = 1e-12
 """Share of a cell's width by which one that has its upper face is wider."""
 NOT_TRIED = -1
@@ -165,7 +167,7 @@ class _Proof:
             if self.stuck:
                 return
             left = todo & ~np.isfinite(self.follower.bound[layer, cell])
-            if left.sum() >= 0.9 * todo.sum():
+            if left.sum() >= LITTLE * todo.sum():  # few were won: another sweep would win fewer
                 return
 
     def _sweep(self, cell: np.ndarray, layer: np.ndarray, patient: bool) -> None:
