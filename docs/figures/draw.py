@@ -71,3 +71,4 @@ if __name__ == "__main__":
     settings = dataclasses.replace(satellite.settings, control_weight=100.0)  # as on the page
     policy = synthesize(satellite, settings=settings)
     save_policy_plot(policy, HERE / "satellite.png", ("wx", "wy"), {"wz": 0.05})
+    runpy.run_path(str(HERE / "guides.py"))["draw"]()  # the pictures at the heads of guides
