@@ -77,9 +77,13 @@ FIRST = {
 
 INTRODUCTION = """# Benchmarks
 
-`make bench` runs one script per question, each in a process of its own, and writes this file and
-`results.json`. Times are medians; trust the ratios, which are measured within one run, more than
-the times. "Wanted" is what the project asks of itself on two cores.
+With this page you can judge how fast capsyn is, how good its policies are, and how small they
+get.
+
+`make bench` runs one script for each question, each script in a process of its own. It writes
+this file and `results.json`. Times are medians. Trust the ratios more than the times, since each
+ratio is measured within one run. The column "wanted" is what the project asks of itself on two
+cores.
 """
 
 
