@@ -15,7 +15,8 @@ from capsyn.version import __version__
 HERE = Path(__file__).parent
 QUESTIONS = (
     "solve synthesis dimensions lookup compression sources tails improve tune loop_trees optimum "
-    "limits certify told inverter closed_loop explorer command counts exports timing cluster"
+    "limits certify told inverter coordinates closed_loop explorer command counts exports "
+    "timing cluster"
 ).split()
 
 FIRST = {

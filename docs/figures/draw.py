@@ -7,6 +7,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import loops
+
 from capsyn import Box, certify, explore, problems, synthesize
 from capsyn.compression.curve import size_curve
 from capsyn.plots.certificate import save_certificate_plot
@@ -55,7 +57,19 @@ def of_page(page, name):
         return runpy.run_path(str(path))
 
 
+def save_guide_pictures():
+    """Write the pictures that open guides."""
+    for name in ("choosing", "good", "references", "switching", "limits", "evidence"):
+        getattr(loops, name)(HERE / f"{name}.png")
+    loops.dwell(HERE / "dwell.png", of_page("dwell.md", "room.py")["problem"])
+    loops.coordinates(HERE / "coordinates.png", of_page("coordinates.md", "axes.py"))
+    loops.actuators(
+        HERE / "actuators.png", lambda name: of_page("actuators.md", f"{name}.py")["problem"]
+    )
+
+
 if __name__ == "__main__":
+    save_guide_pictures()
     save_policy_plot(synthesize(problems.get("double-tank-a")), HERE / "double-tank-a.png")
     pendulum = synthesize(problems.get("cart-pendulum"))
     save_policy_plot(pendulum, HERE / "cart-pendulum.png", current="5")
