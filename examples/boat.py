@@ -1,4 +1,7 @@
-"""A boat that drifts in one dimension, with two on/off thrusters and water that brakes it."""
+"""Make a policy for a boat that drifts in one dimension and has two on/off thrusters.
+
+The water brakes the boat. The goal is to stop at position 0.
+"""
 
 import casadi as ca
 

@@ -1,4 +1,7 @@
-"""What the boat's policy is worth: Monte Carlo where little is sure, then the online sSAC."""
+"""Measure what the boat's policy is worth, and compare it with online sSAC.
+
+The Monte Carlo trials vary mass and drag, and add noise, delay and a least time between switches.
+"""
 
 import numpy as np
 from boat import problem
@@ -10,7 +13,7 @@ arrived = capsyn.Box([-0.5, -0.5], [0.5, 0.5], names=["position", "speed"])
 
 
 def heavier_boat(x, u, p):
-    """Return the rates of a boat whose mass and drag are not quite known."""
+    """Return the rates of a boat whose mass and drag are known only roughly."""
     mass, drag = p[0], p[1]
     return [x[1], (u[0] - u[1] - drag * x[1] * np.fabs(x[1])) / mass]
 

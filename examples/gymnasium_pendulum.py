@@ -1,7 +1,8 @@
-"""Gymnasium's Pendulum-v1 with three torques: predictive control made a table, then played.
+"""Play Gymnasium's Pendulum-v1 with a policy that is made from predictive control.
 
-All sequences of six torques, the later ones held longer, are tried at every test point with the
-environment's own cost; the policy of their best first torques plays the environment.
+The controller tries all sequences of six torques at every test point, with the environment's own
+cost. Later torques of a sequence are held longer. The policy gives the first torque of the best
+sequence, and plays the environment.
 """
 
 import casadi as ca
@@ -33,7 +34,7 @@ problem = capsyn.Problem(
 
 
 def state(observation):
-    """Return the state of what the environment shows: cosine, sine, rate."""
+    """Return the state (angle, rate) of an observation (cosine, sine, rate)."""
     return [np.arctan2(observation[1], observation[0]), observation[2]]
 
 

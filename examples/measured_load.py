@@ -1,9 +1,10 @@
-"""A measured load: a boost converter keeps the voltage that is wanted at any load it is told.
+"""Keep the wanted voltage of a boost converter at any load that a sensor measures.
 
-A sensor at the output gives current over voltage: the conductance of the load, which enters the
-rates linearly, as a resistance does not, so that affine leaves fit. The default is a law: the duty
-cycle of the wanted voltage at rest. The cost is the square of one combination of both errors. Where
-it is 0 the converter slides towards its rest: a volt too many counts as a quarter of an ampere.
+A sensor at the output gives current over voltage, which is the conductance of the load. The rates
+are linear in the conductance, and not in the resistance, so affine leaves fit the conductance well.
+The default control is a law: the duty cycle that holds the wanted voltage at rest. The cost is the
+square of one combination of both errors, in which one volt counts as a quarter of an ampere. Where
+the combination is 0, the converter slides towards its rest.
 """
 
 import numpy as np
@@ -14,13 +15,13 @@ SUPPLY, INDUCTANCE, CAPACITANCE = 20.0, 1e-3, 100e-6  # V, H, F
 
 
 def dynamics(x, u, w):
-    """Return the rates of current [A/s] and voltage [V/s]; `u` is 1 where the switch is on."""
+    """Return the rates of current [A/s] and voltage [V/s]; `u` is 1 while the switch is on."""
     off = 1 - u[0]
     return [(SUPPLY - off * x[1]) / INDUCTANCE, (off * x[0] - w[1] * x[1]) / CAPACITANCE]
 
 
 def distance(x, w):
-    """Return the cost [A^2] of current and voltage, told the wanted voltage [V] and load [S]."""
+    """Return the cost [A^2] of current and voltage for a wanted voltage [V] and a load [S]."""
     at_rest = w[0] ** 2 * w[1] / SUPPLY
     return (x[0] - at_rest + 0.25 * (x[1] - w[0])) ** 2
 

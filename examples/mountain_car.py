@@ -1,7 +1,7 @@
-"""Gymnasium's MountainCar-v0 by an energy: a policy of sSAC plays it, with the car's own physics.
+"""Play Gymnasium's MountainCar-v0 with a policy of sSAC that uses the car's energy.
 
-The engine is too weak for the hill. The cost asks for the energy at which the car, from the bottom,
-reaches the flag; a time unit is a step of the environment.
+The engine is too weak to drive up the hill at once. The cost therefore asks for the energy with
+which the car reaches the flag from the bottom. The time unit is a step of the environment.
 """
 
 import casadi as ca

@@ -1,4 +1,4 @@
-"""The paper's pendulum: the two-symbol policy is the analytical bang-bang law."""
+"""Compare the paper's two-symbol policy of the pendulum with the analytical bang-bang law."""
 
 import numpy as np
 

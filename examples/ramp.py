@@ -1,8 +1,9 @@
-"""A reference that ramps: a camera on a rail follows a part on a conveyor, and is told its speed.
+"""Follow a reference that ramps: a camera on a rail follows a part on a conveyor belt.
 
-A controller that is not told takes the part to stand still: it brakes as it comes near, and trails
-behind. The belt has a sensor, so its speed is an exogenous input; the default is a law, the drive
-that keeps this speed, so that the prediction is right where the camera follows.
+A controller that is not told the speed of the belt believes that the part stands still. It brakes
+as the camera comes near, and the camera trails behind. Here a sensor measures the speed of the
+belt, so the speed is an exogenous input. The default control is a law: the drive that keeps this
+speed. The prediction is therefore right when the camera follows the part.
 """
 
 import capsyn

@@ -1,8 +1,9 @@
-"""A current that follows a sine: its angle is a state, its speed and amplitude are told.
+"""Let a current follow a sine whose speed and amplitude are told to the controller.
 
-A bridge puts -48, 0 or 48 V on a coil. The reference is ``amplitude * sin(angle)``, and the angle's
-rate is the speed that the controller is told: so it knows where the reference goes next. One policy
-is for every speed and amplitude within bounds, and both may change while it runs.
+A bridge puts -48, 0 or 48 V on a coil. The reference is ``amplitude * sin(angle)``. The angle is a
+state, and its rate is the speed that the controller is told, so the controller knows where the
+reference goes next. One policy serves every speed and amplitude within bounds. Speed and amplitude
+may change while the policy runs.
 """
 
 import casadi as ca
@@ -20,10 +21,11 @@ def dynamics(x, u, w):
 
 
 def problem():
-    """Return the problem: the cost is the error of the current after a sample.
+    """Return the problem, whose cost is the squared error of the current after one sample.
 
-    The prediction is a sample of no voltage. The effort is the square of what a voltage moves the
-    current by meanwhile, so that the best symbol is the one after which the error is least.
+    The prediction lasts one sample, without voltage. The effort of a voltage is the square of the
+    current that the voltage adds in this sample. The best symbol is therefore the one after which
+    the error is least.
     """
     return capsyn.Problem(
         name="sine",
@@ -53,7 +55,7 @@ def problem():
 
 
 def tried_out(time, x, w):
-    """Return the voltages (B, 1) after which the error is least, solved online."""
+    """Return the voltages (B, 1) after which the error is least, by trying all of them online."""
     voltages = np.array([-SUPPLY, 0, SUPPLY])
     stays = np.exp(-RESISTANCE * PERIOD / INDUCTANCE)
     current = stays * x[:, :1] + (1 - stays) * voltages / RESISTANCE

@@ -1,7 +1,8 @@
-"""A setpoint that people change: two rooms, told the wanted temperature and the weather.
+"""Cool two rooms to a setpoint that people change.
 
-The built-in problem `building`: one compressor with two stages, which stays as it is for 5 min at
-least, and a valve that sends half of the cold to the second room.
+The controller is told the wanted temperature and the weather. The built-in problem `building` has
+one compressor with two stages, which keeps a stage for 5 min at least. A valve sends half of the
+cold to the second room.
 """
 
 import numpy as np
@@ -13,7 +14,10 @@ DAY = 24 * 60.0  # min
 
 
 def offsets(policy, count=100, seed=0):
-    """Return mean errors of the first room [K] over the second day, (count,), told at random."""
+    """Return the first room's mean errors (count,) over the second day [K].
+
+    Each run has a random start, setpoint and outdoor temperature.
+    """
     rng = np.random.default_rng(seed)
     problem = problems.get("building")
     starts, told = (

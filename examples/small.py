@@ -1,4 +1,4 @@
-"""A boat's controller made small: three kinds of decision trees, and the automaton behind them."""
+"""Make the boat's controller small: three kinds of decision trees, and the policy's automaton."""
 
 from boat import problem
 

@@ -1,15 +1,15 @@
-"""A heater that is on or off: how horizon and default decide where the temperature settles.
+"""Show how horizon and default decide where the temperature of a heated room settles.
 
-sSAC predicts with the default control alone, and adds one symbol for a moment. A long prediction
-without heat looks cold even above the goal, so the policy heats too long; a default that holds the
-goal, or a short horizon, removes the bias.
+The heater is on or off. sSAC predicts with the default control alone, and adds one symbol for a
+moment. A long prediction without heat looks cold even above the goal, so the policy heats too long.
+A default that holds the goal removes this error. A short horizon removes it as well.
 """
 
 import capsyn
 
 
 def thermostat(default, horizon):
-    """Return the problem of holding 21 degrees where it is 15 outside."""
+    """Return the problem of holding 21 degrees in a room while it is 15 degrees outside."""
     return capsyn.Problem(
         name="thermostat",
         dynamics=lambda x, u: [-0.1 * (x[0] - 15) + u[0]],

@@ -1,5 +1,6 @@
 """Draw the pictures at the heads of guides: real policies, and how parts connect."""
 
+import runpy
 import sys
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from capsyn import Box, compress, problems, subdivide, synthesize
+from capsyn import Box, compress, problems, simulate, subdivide, synthesize
 from capsyn.controllers.ssac import policy_controller
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.colors import PALETTE
@@ -268,7 +269,48 @@ def sizes():
     return figure
 
 
-DRAWN = (table, trees, exports, loop, entries, stairs, cluster, insertion, sizes)
+def boat():
+    """Return the map of the example boat's policy with three closed loops, and one over time."""
+    policy = synthesize(runpy.run_path(str(HERE.parents[1] / "examples" / "boat.py"))["problem"])
+    starts = [[8.0, 0.0], [-5.0, 2.0], [9.0, -3.0]]
+    runs = simulate(policy, starts, duration=20.0, rate=100.0)
+    figure = Figure(figsize=(8.5, 3.4))
+    left, right = figure.subplots(1, 2)
+    plot_policy(policy, ax=left, legend=False, outlines=False)
+    left.plot(runs.states[..., 0].T, runs.states[..., 1].T, color="white", lw=2.4)
+    left.plot(runs.states[..., 0].T, runs.states[..., 1].T, color=INK, lw=1.2)
+    left.plot(*np.transpose(starts), "o", color=INK, ms=4)
+    marks = [Rectangle((0, 0), 1, 1, facecolor=color) for color in PALETTE[:3]]
+    left.legend(marks, policy.alphabet.names, fontsize=8, loc="lower left")
+    left.set_title("one symbol for every state", fontsize=10)
+    right.plot(runs.times, runs.states[..., 0].T, lw=1.4)
+    right.set(xlabel="time [s]", ylabel="position [m]")
+    right.set_title("three closed loops", fontsize=10)
+    figure.tight_layout()
+    return figure
+
+
+def interface():
+    """Return which function makes what of a problem."""
+    figure, ax = sheet(8.5, 2.9, 8.5, 2.9)
+    box(ax, 0.9, 1.5, "Problem", 1.3, 0.6, "#F6E7CE", fontsize=11)
+    box(ax, 3.6, 1.5, "Policy", 1.3, 0.6, "#D8E6F3", fontsize=11)
+    arrow(ax, (1.55, 1.5), (2.95, 1.5), "synthesize")
+    made = [
+        "simulate: Trajectory",
+        "monte_carlo: MonteCarlo",
+        "certify: Certificate",
+        "compress: DecisionTree",
+        "export: files (C, FMU, ...)",
+    ]
+    for k, what in enumerate(made):
+        y = 2.6 - 0.55 * k
+        arrow(ax, (4.25, 1.5), (5.95, y))
+        box(ax, 7.2, y, what, 2.4, 0.42)
+    return figure
+
+
+DRAWN = (interface, boat, table, trees, exports, loop, entries, stairs, cluster, insertion, sizes)
 
 
 def draw(names=()):
