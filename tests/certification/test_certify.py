@@ -48,6 +48,12 @@ def tanks():
     return capsyn.synthesize(problems.get("double-tank-b"))
 
 
+def test_a_start_with_a_fixed_state_is_proved_with_a_little_around_it(policy):
+    certificate = certify(policy, initial=Box([-1, 0.5], [1, 0.5]), counts=32)
+    assert certificate.arrival == certificate.staying == 1.0
+    assert certificate.conditions["initial"] == "a in [-1, 1], b = 0.5"
+
+
 def test_two_integrators_arrive_as_fast_as_they_can(policy):
     certificate = certify(policy, counts=32)
     assert certificate.arrival == certificate.staying == 1.0

@@ -253,21 +253,39 @@ def test_a_terminal_gets_a_progress_bar(tmp_path):
     assert b"level 4/4" in text and b"solves" in text
 
 
+RUNS = "from capsyn.cli.app import main; print('runs', flush=True); main()"
+
+
+def interrupted(*arguments, cwd):
+    """Return what a command says on stderr to Ctrl-C, two seconds after it has begun."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", RUNS, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+    )
+    assert process.stdout.readline() == "runs\n"
+    time.sleep(2.0)
+    assert process.poll() is None, f"it must still be running; {process.communicate()}"
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=5)
+    assert process.returncode == 130 and out == ""
+    return err
+
+
 def test_interrupt_leaves_what_was_there(tmp_path):
     """Ctrl-C in the middle of a long synthesis: exit 130, the old file whole, no other file."""
     path = tmp_path / "p.cap"
     path.write_text("precious")
     slow = ["--max-level", "4", "--backend", "numpy", "-o", str(path)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "capsyn", "synth", "cart-pole", *slow],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-    )
-    time.sleep(2.0)
-    assert process.poll() is None, f"it must still be running; {process.communicate()}"
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=20)
-    assert process.returncode == 130 and out == "" and err.strip() == "interrupted"
+    err = interrupted("synth", "cart-pole", *slow, cwd=tmp_path)
+    assert err.strip() == "interrupted: --checkpoint DIR would keep what is solved for the next run"
     assert os.listdir(tmp_path) == ["p.cap"] and path.read_text() == "precious"
+
+
+def test_an_interrupt_does_not_wait_for_compiled_code(tmp_path):
+    """Loops that run for minutes in one call of compiled code end with the process."""
+    capsyn("synth", "double-tank-a", "--max-level", "2", "-o", "tank.cap", cwd=tmp_path)
+    slow = ["simulate", "tank.cap", "--duration", "50000"]
+    assert interrupted(*slow, cwd=tmp_path) == "interrupted\n"

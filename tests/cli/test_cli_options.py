@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from capsyn import SsacSettings, synthesize
-from capsyn.cli.app import SettingsOptions, SubdivisionOptions
 from capsyn.cli.better.tune import tune
 from capsyn.cli.evidence import KINDS, VerifyOptions, verify
 from capsyn.cli.loop import ControllerTexts, LoopTexts, SimulateOptions, simulate
+from capsyn.cli.making.synth import SettingsOptions, SubdivisionOptions
 from capsyn.cli.options import flat, option
 from capsyn.simulation.options import LoopOptions
 

@@ -273,6 +273,17 @@ def test_wrong_input_is_one_line(run, line, reason):
     assert out == "" and err.startswith("error: ") and err.count("\n") == 1 and reason in err
 
 
+def test_trials_start_at_the_value_that_is_fixed(run):
+    rows = [
+        json.loads(run("verify", "tank.cap", "--monte-carlo", "5", "--initial", text, "--json")[0])
+        for text in ("x1=0:0", "x1=0", "x1=0,x2=0.2:0.4")
+    ]
+    conditions = [row["monte_carlo"]["conditions"]["initial"] for row in rows]
+    assert conditions == ["x1 = 0", "x1 = 0", "x1 = 0, x2 in [0.2, 0.4]"]
+    starts = monte_carlo(Policy.load("tank.cap"), 5, initial=Box([0], [0], names=["x1"])).initial
+    assert (starts[:, 0] == 0).all() and len(set(starts[:, 1])) == 5
+
+
 def test_reproduce_writes_every_figure_and_a_table_of_the_numbers(run, folder):
     out, _ = run("reproduce", "-o", "paper", "--trials", "10")
     names = {path.name for path in (folder / "paper").iterdir()}

@@ -8,7 +8,7 @@ import pytest
 
 from capsyn import Policy
 from capsyn.errors import ProblemError
-from capsyn.execution.files import atomic_write, check_writable
+from capsyn.execution.files import atomic_write, check_writable, write_text
 from capsyn.policies.file import content_hash
 from support.policy_files import (
     assert_equal,
@@ -36,6 +36,23 @@ def test_a_writer_that_fails_leaves_what_was_there(tmp_path, error, old):
         atomic_write(path, write)
     assert entries_of(tmp_path) == ([] if old is None else ["p.cap"])
     assert old is None or path.read_bytes() == old
+
+
+@pytest.mark.parametrize(
+    "save", [lambda path: full().save(path), lambda path: write_text(path, "x" * 2000)]
+)
+def test_a_full_disk_is_one_line_and_leaves_what_was_there(tmp_path, monkeypatch, save):
+    resource = pytest.importorskip("resource", reason="limits of file sizes are POSIX's")
+    (tmp_path / "p.cap").write_bytes(b"old")
+    monkeypatch.chdir(tmp_path)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(ProblemError, match="^cannot write the output 'p.cap': File too large$"):
+            save("p.cap")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert entries_of(tmp_path) == ["p.cap"] and (tmp_path / "p.cap").read_bytes() == b"old"
 
 
 def test_a_writer_that_removes_its_file_leaves_what_was_there(tmp_path):

@@ -25,7 +25,7 @@ native: build compiled source bounds
 modelling: domain alphabet exogenous settings targets grid time_unit switching
 modelling.tails: tail equilibrium riccati
 modelling: problem transcription
-execution: files processors memory answers checkpoint cluster
+execution: files interrupts processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter inverter building docking quadrotor
 cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree cut faces packing work
@@ -83,6 +83,7 @@ cli.proofs: proved certify
 cli: paper evidence compression export look
     import_table doctor
 cli.better: improve tune
+cli.making: synth
 cli: app
 
 __main__

@@ -3,15 +3,18 @@
 import json
 import math
 import pickle
+import re
 
 import numpy as np
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from capsyn import Ball, Box
+from capsyn import Alphabet, Ball, Box, subdivide
 from capsyn.errors import ProblemError
+from capsyn.modelling.exogenous import check_exogenous
 from capsyn.modelling.grid import MAX_COUNT
+from capsyn.modelling.targets import check_target, describe_target
 
 NAN, INF = float("nan"), float("inf")
 
@@ -23,11 +26,11 @@ REFUSED = [
     (([0], [None]), {}, "`upper` must be finite; got [None]"),
     (([], []), {}, "`lower` and `upper` must have one entry per state; got 0 and 0"),
     (([0, 0], [1]), {}, "`lower` and `upper` must have one entry per state; got 2 and 1"),
-    (([0, 1], [1, 1]), {}, "`upper` must be greater than `lower` on axis 'x2'; got [1.0, 1.0]"),
+    (([0, 1], [1, 0]), {}, "`upper` must be at least `lower` on axis 'x2'; got [1.0, 0.0]"),
     (
         ([2], [1]),
         {"names": ["v"]},
-        "`upper` must be greater than `lower` on axis 'v'; got [2.0, 1.0]",
+        "`upper` must be at least `lower` on axis 'v'; got [2.0, 1.0]",
     ),
     (
         ([-1.7e308], [1.7e308]),
@@ -51,6 +54,20 @@ REFUSED = [
     (([0], [1]), {"periodic": [True, False]}, "`periodic` must be 1 boolean(s); got [True, False]"),
     (([0], [1]), {"periodic": np.array(True)}, "`periodic` must be 1 boolean(s); got array(True)"),
 ]
+
+
+def test_a_box_may_fix_a_state_but_no_domain_does():
+    start = Box([0, 1], [2, 1], names=["x", "v"])
+    assert (start.sample(9)[:, 1] == 1).all() and np.ptp(start.sample(9)[:, 0]) > 0
+    assert describe_target(start, start) == "x in [0, 2], v = 1"
+    message = "`upper` must be greater than `lower` on axis 'v' of `{}`; got [1.0, 1.0]"
+    for name, make in {
+        "domain": lambda: subdivide(lambda x: x[:, 0], start, 2),
+        "exogenous": lambda: check_exogenous(start, Box([0], [1]), Alphabet([0, 1])),
+        "target": lambda: check_target(start, start),
+    }.items():
+        with pytest.raises(ProblemError, match=re.escape(message.format(name))):
+            make()
 
 
 @pytest.mark.parametrize(("arguments", "options", "message"), REFUSED)

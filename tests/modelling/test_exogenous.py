@@ -161,7 +161,7 @@ def test_replaced_problems_are_checked_anew():
     wider = ROOMS.replace(exogenous=Box([15, 10], [25, 38], names=["setpoint", "outdoor"]))
     assert wider.space.lower.tolist() == [18, 18, 15, 10] and ROOMS.space.lower[2] == 20
     refused(lambda: ROOMS.replace(exogenous=None), "`")
-    refused(lambda: ROOMS.replace(exogenous=Box([20], [25])), "`partitions` must be")
+    refused(lambda: ROOMS.replace(exogenous=Box([20], [25])), "`dynamics` failed on symbols")
 
 
 def test_default_laws_are_checked():

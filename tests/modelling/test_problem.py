@@ -277,3 +277,12 @@ def test_max_level_that_does_not_fit_is_found_before_any_work(monkeypatch):
         subdivide(lambda x: x / 0, made.domain, 2, max_level=made.max_level)
     with pytest.raises(ProblemError, match=r"^`max_level` 20 .* max_level <= \d fits"):
         synthesize(made)
+
+
+def test_the_grid_of_another_space_follows_unless_it_was_given_for_each_axis():
+    fewer = problem(partitions=4, refinement=3)
+    line = {"domain": Box([0], [1]), "running_cost": lambda x: x[0] ** 2}
+    made = fewer.replace(**line, dynamics=lambda x, u: [u[0]])
+    assert (made.partitions, made.refinement) == ((4,), (3,))
+    with pytest.raises(ProblemError, match="`partitions` must be .* 1 of them"):
+        problem(partitions=(4, 5)).replace(**line, dynamics=lambda x, u: [u[0]])

@@ -143,6 +143,21 @@ def test_gaps_beside_oblique_surfaces_have_the_colour_of_the_default():
     assert np.array_equal(*images) and len(np.unique(images[0].reshape(-1, 3), axis=0)) == 2
 
 
+def test_a_value_outside_is_refused_or_some_periods_away():
+    tree = tree_of((12, 7, 5), periodic=1, seed=3)
+    periodic = tree.domain.periodic.index(True)
+    name, other = (tree.domain.names[i] for i in (periodic, (periodic + 1) % 3))
+    axes = [i for i in range(3) if i != periodic]
+    value, width = tree.domain.lower[periodic] + 0.25, tree.domain.widths[periodic]
+    with pytest.warns(capsyn.errors.CapsynWarning, match="some periods away"):
+        far = plot_policy(tree, axes, {name: value + 8 * width}, ax=Figure().add_subplot())
+    near = plot_policy(tree, axes, {name: value}, ax=Figure().add_subplot())
+    assert far.get_title() == near.get_title()
+    axes = [i for i in range(3) if tree.domain.names[i] != other]
+    with pytest.raises(ProblemError, match=f"`at {other}` must lie in .*; got 1e"):
+        plot_policy(tree, axes, {other: 1e9}, ax=Figure().add_subplot())
+
+
 def test_a_picture_of_a_tree_has_its_colours():
     tree = tree_of((12, 7, 5), periodic=1, seed=3)
     ax = plot_policy(tree, (2, 0), ax=Figure().add_subplot())

@@ -359,7 +359,7 @@ TAMPERED = {
     "shallow max_level": (at("max_level")(1), DEEPER),
     # the rest of the content
     "no domain": (delete("domain"), "keys are not those"),
-    "domain upside down": (at("domain", "upper")([-1, 5]), "must be greater than `lower`"),
+    "domain upside down": (at("domain", "upper")([-1, 5]), "must be at least `lower`"),
     "domain of text": (at("domain", "upper")(["7", "5"]), "`upper` must be numbers"),
     "domain of 3 axes": (at("domain", "lower")([0, 0, 0]), "one entry per state"),
     "domain with more": (

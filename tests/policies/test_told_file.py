@@ -111,7 +111,7 @@ TAMPERED = {
     "no box": ("plain", delete("exogenous"), "has other sizes"),
     "no box of a tree": ("tree", delete("exogenous"), "has other sizes"),
     "one more bound": ("plain", at("exogenous", "upper")([25, 38, 1]), "`upper` must"),
-    "upside down": ("plain", at("exogenous", "upper")([19, 38]), "must be greater than `lower`"),
+    "upside down": ("plain", at("exogenous", "upper")([19, 38]), "must be at least `lower`"),
     "too narrow": ("plain", at("exogenous", "upper")([20.000000000000004, 38]), "too high"),
     "names that clash": (
         "plain",

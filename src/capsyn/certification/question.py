@@ -45,6 +45,8 @@ HORIZONS = 20
 """Prediction horizons that a simulated loop may take to arrive; time units without a horizon."""
 SUBDIVISIONS = 4096
 """Points of a cell, roughly, by which the share of a ball in it is told."""
+THIN = 1e-6
+"""Share of the domain's width that is proved on either side of a state whose start is fixed."""
 NARROW = 1e-9
 """Share of its range within which an exogenous input that is told one value is."""
 
@@ -322,6 +324,9 @@ def _box(
                 f"`initial` must be within the domain, [{domain.lower[i]:g}, {domain.upper[i]:g}] "
                 f"on axis '{domain.names[i]}'; got [{lower[i]:g}, {upper[i]:g}]"
             )
+    thin, margin = lower == upper, THIN * domain.widths  # a proof is of sets that have a volume
+    lower = np.where(thin, np.maximum(lower - margin, domain.lower), lower)
+    upper = np.where(thin, np.minimum(upper + margin, domain.upper), upper)
     ends = np.array(list(told.values())).reshape(-1, 2)
     return np.concatenate([lower, ends[:, 0]]), np.concatenate([upper, ends[:, 1]])
 

@@ -2,52 +2,35 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 import warnings
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from capsyn.cli.better.improve import improve
 from capsyn.cli.better.tune import tune
 from capsyn.cli.compression import automaton, compress
-from capsyn.cli.console import notes, print_table, progress_bars, show, working
+from capsyn.cli.console import print_table, show, working
 from capsyn.cli.doctor import doctor
 from capsyn.cli.evidence import switching, verify
 from capsyn.cli.export import export
 from capsyn.cli.import_table import import_table
 from capsyn.cli.look import at, explore, query
 from capsyn.cli.loop import simulate
+from capsyn.cli.making.synth import synth
 from capsyn.cli.options import (
-    Backend,
     Current,
-    Dask,
     File,
     Json,
-    LimitOptions,
-    MinDwell,
-    Outside,
-    OutsideAtOnce,
-    Seed,
-    SwitchingOptions,
-    Threads,
     assignments,
-    executor,
-    flat,
     number,
-    option,
-    whole_number_list,
 )
 from capsyn.cli.paper import bench, reproduce
 from capsyn.cli.printed import print_report
 from capsyn.cli.proofs.certify import certify, check
-from capsyn.errors import CapsynError, CapsynWarning, ProblemError
-
-if TYPE_CHECKING:
-    from capsyn.modelling.problem import Problem
-    from capsyn.modelling.settings import SsacSettings
+from capsyn.errors import CapsynError, CapsynWarning
+from capsyn.execution.interrupts import INTERRUPTED, ending_soon, tell
 
 app = typer.Typer(
     name="capsyn",
@@ -59,9 +42,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-INTERRUPTED = 130
-"""Exit status after Ctrl-C."""
 
 
 def _version(wanted: bool) -> None:
@@ -104,176 +84,7 @@ def list_problems(as_json: Json = False) -> None:
     show(as_json, rows, lambda: print_table(shown))
 
 
-@dataclass(frozen=True)
-class ProblemOptions:
-    """What is made of a problem where its own horizon, default or grid is not wanted."""
-
-    output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
-    horizon: float | None = option("Prediction horizon [time unit].")
-    tail: str | None = option(
-        "Cost to go: riccati[:EFFORT], which also sets a horizon, fit (to closed loops), or none."
-    )
-    default: str | None = option("Control of the prediction.", metavar="U[,U..]")
-    max_level: int | None = option("Most times that a cell is split along an axis.")
-    partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
-    refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
-    leaves: str | None = option("constant, or affine for far fewer solves.")
-    tuned: str | None = option(
-        "Settings that capsyn tune found, for what is free.", "--settings", metavar="FILE"
-    )
-    source: str = option(
-        "Whose symbols: those of sSAC, or the best for closed loops of time T [default: 10 "
-        "horizons], of at most three states.",
-        default="ssac",
-        metavar="ssac|optimum[:T]",
-    )
-
-    def grid(self) -> dict[str, Any]:
-        """Return the arguments of `capsyn.synthesize` for the grid; None: the problem's own."""
-        return {
-            "partitions": whole_number_list("--partitions", self.partitions),
-            "refinement": whole_number_list("--refinement", self.refinement),
-            "max_level": self.max_level,
-            "leaves": self.leaves,
-        }
-
-
-@dataclass(frozen=True)
-class SettingsOptions:
-    """Fields of `capsyn.SsacSettings`; None leaves the problem's own."""
-
-    rule: str | None = option("schedule or steepest.")
-    gamma: float | None = option("Wanted sensitivity over cost.")
-    alpha_d: float | None = option("Wanted sensitivity, absolute.")
-    control_weight: float | None = option("Weight R of the effort.")
-    on_no_descent: str | None = option("best or default.")
-    steps: int | None = option("Integration steps over the horizon.")
-    tolerance: float | None = option("Of the step-doubling check.")
-    precision: str | None = option("double or single.")
-
-    def of(self, settings: SsacSettings) -> SsacSettings | None:
-        """Return a problem's settings with these changes; None where there are none."""
-        changes = {name: value for name, value in vars(self).items() if value is not None}
-        if "alpha_d" in changes and "gamma" not in changes:
-            changes["gamma"] = type(settings).gamma  # the problem's own gamma gives way
-        if "gamma" in changes and "alpha_d" not in changes:
-            changes["alpha_d"] = None
-        return dataclasses.replace(settings, **changes) if changes else None
-
-
-@dataclass(frozen=True)
-class SubdivisionOptions:
-    """Arguments of `capsyn.synthesize` for the subdivision."""
-
-    test_points: str = option(
-        "vertices or center+faces, then +center, +edge_midpoints, +random:R.",
-        default="vertices+center",
-    )
-    leaf_error: float = option("Of affine leaves, accepted share.", default=0.01)
-    refine: str = option(
-        "isotropic, or adaptive: split along the axes that matter.", default="isotropic"
-    )
-    seed: Seed = 0
-    max_solves: int | None = option("Most solves; affine or adaptive cells spend them.")
-    max_seconds: float | None = option("Stop after so long [s]; the result depends on the machine.")
-    max_memory: str | None = option("Stop before so much, as 2GB.", metavar="BYTES")
-    memory_limit: str | None = option(
-        "Refuse what may take more at worst [default: what is available].", metavar="BYTES"
-    )
-    backend: Backend = "auto"
-    threads: Threads = None
-
-
-@app.command()
-@flat
-def synth(
-    problem: Annotated[
-        str,
-        typer.Argument(
-            metavar="PROBLEM",
-            help="A built-in name, path/to/file.py[:name] or package.module:name.",
-        ),
-    ],
-    *,
-    changes: ProblemOptions,
-    settings: SettingsOptions,
-    outside: Outside = None,
-    min_dwell: MinDwell = None,
-    outside_at_once: OutsideAtOnce = None,
-    switching: SwitchingOptions,
-    limits: LimitOptions,
-    subdivision: SubdivisionOptions,
-    dask: Dask = None,
-    checkpoint: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DIR", help="Keep what is solved there; a run that was killed goes on from it."
-        ),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Make the control alphabet policy of a problem."""
-    from capsyn.cli.better.optimum import optimal_policy
-    from capsyn.policies.report import report
-    from capsyn.synthesis.synthesize import synthesize
-    from capsyn.verification.switching_curve import chatter_hint
-
-    chosen, path = _chosen_problem(problem, changes)
-    chosen = chosen.replace(switching=switching.of(chosen))
-    own, options = settings.of(chosen.settings), changes.grid() | vars(subdivision)
-    rules: dict[str, Any] = {
-        "outside": outside,
-        "min_dwell": min_dwell,
-        "outside_at_once": outside_at_once,
-        "delay": switching.delay,
-    }
-    if changes.source != "ssac":
-        unused = {"settings of sSAC": own, "--dask": dask, "--checkpoint": checkpoint}
-        unused["--keep-limits"] = limits.of() or None
-        policy = optimal_policy(chosen, changes.source, options, rules, unused)
-        hint = None
-    else:
-        with (
-            executor(dask) as client,
-            progress_bars() as progress,
-            notes("capsyn.execution.checkpoint"),
-        ):
-            more = options | rules | {"executor": client, "checkpoint": checkpoint}
-            more["keep_limits"] = limits.of()
-            policy = synthesize(chosen, settings=own, progress=progress, **more)
-        hint = chatter_hint(policy, subdivision.threads)
-    policy.save(path)
-    data = report(policy) | {"file": path, "seconds": policy.timings}
-    if hint is not None:
-        data["hints"] = [*data["hints"], hint]
-    end = f"wrote {path} in {sum(policy.timings.values()):.2f} s"
-    show(as_json, data, lambda: print_report(data), end)
-
-
-def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
-    """Return the problem that a text names, changed, and the path of its policy, checked."""
-    from capsyn.cli.better.tune import problem_of
-    from capsyn.execution.files import check_writable
-
-    if changes.output is not None:
-        check_writable(changes.output)
-    problem = problem_of(text, changes.tuned)
-    if changes.tail in ("none", "fit"):
-        problem = problem.replace(tail=None if changes.tail == "none" else changes.tail)
-    elif changes.tail is not None:
-        problem = problem.replace(tail=changes.tail, horizon=changes.horizon)
-    if changes.horizon is not None:
-        problem = problem.replace(horizon=changes.horizon)
-    if changes.default is not None:
-        values = [number("--default", u) for u in changes.default.split(",")]
-        problem = problem.replace(default=values)
-    if changes.output is not None:
-        return problem, changes.output
-    path = f"{problem.name}.cap"
-    if "/" in path:
-        raise ProblemError(f"the name '{problem.name}' makes no file name; give one with -o")
-    check_writable(path)
-    return problem, path
+app.command()(synth)
 
 
 @app.command()
@@ -363,6 +174,11 @@ app.command()(doctor)
 def main() -> None:
     """Run the command line; an error is one line on stderr and exit status 2."""
     warnings.showwarning = _show_warning
+    with ending_soon():
+        _main()
+
+
+def _main() -> None:
     # ClickException, wherever this Typer keeps its click
     click_error: Any = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
     try:
@@ -379,7 +195,7 @@ def main() -> None:
     except (OSError, MemoryError) as error:
         _fail(f"{type(error).__name__}: {error}")
     if status == INTERRUPTED:
-        print("interrupted", file=sys.stderr)
+        tell()
     sys.exit(status if isinstance(status, int) else 0)
 
 

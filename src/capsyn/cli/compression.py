@@ -11,7 +11,7 @@ import typer
 
 from capsyn.cli.console import print_table, show, working
 from capsyn.cli.loop import LoopTexts, loop_options
-from capsyn.cli.options import File, Json, flat, number_or_range, option, region
+from capsyn.cli.options import INITIAL, File, Json, flat, number_or_range, option, starts
 from capsyn.cli.printed import print_automaton, print_compression
 from capsyn.errors import ProblemError
 
@@ -87,7 +87,7 @@ class CompressOptions(LoopTexts):
         "Time limit of a loop [time unit] [default: 10 horizons of the policy]."
     )
     initial: str | None = option(
-        "Where loops start: NAME=LOW:HIGH[,..] [default: the domain].",
+        f"Where loops start: {INITIAL}",
         metavar="SET",
         before="tolerance",
     )
@@ -119,7 +119,7 @@ class CompressOptions(LoopTexts):
         asked = {name: getattr(loop, name) for name in names} | {"duration": self.duration}
         asked |= {name: getattr(self, name) for name in ("trials", "within", "hold")}
         if self.initial is not None:
-            asked["initial"] = region("--initial", self.initial, policy.domain.names)
+            asked["initial"] = starts(self.initial, policy.domain.names)
         return {name: value for name, value in asked.items() if value is not None}
 
     def budget(self) -> dict[str, Any]:

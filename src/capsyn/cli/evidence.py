@@ -14,6 +14,7 @@ from capsyn.cli.better.optimum import compare_with_optimum, print_optimum
 from capsyn.cli.console import print_table, show, working
 from capsyn.cli.loop import ControllerTexts, controller_of, loop_options, tracked
 from capsyn.cli.options import (
+    INITIAL,
     Backend,
     Dask,
     File,
@@ -27,7 +28,7 @@ from capsyn.cli.options import (
     one_or_list,
     option,
     price,
-    region,
+    starts,
 )
 from capsyn.cli.printed import print_agreement, print_lyapunov, print_monte_carlo
 from capsyn.errors import ProblemError
@@ -47,9 +48,7 @@ class VerifyOptions(ControllerTexts):
     duration: float | None = option(
         "Time limit of a trial, as all times in the model's time unit [default: 20]."
     )
-    initial: str | None = option(
-        "NAME=LOW:HIGH[,..] [default: the domain].", metavar="SET", before="target"
-    )
+    initial: str | None = option(INITIAL, metavar="SET", before="target")
     within: float | None = option("Time to arrive in.", before="model")
     hold: float | None = option("Time at the end to stay there [default: 0].", before="model")
     lyapunov: str | None = option(
@@ -118,14 +117,12 @@ def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
     from capsyn.verification.monte_carlo import try_out
     from capsyn.verification.trials import TrialOptions
 
-    controller, initial = controller_of(policy, options), None
-    if options.initial is not None:
-        initial = region("--initial", options.initial, policy.domain.names)
+    controller = controller_of(policy, options)
     loop = loop_options(policy, options, one=number_or_range, each=number_or_range, executor=client)
     trials = TrialOptions(
         loop,
         options.monte_carlo or 0,
-        initial=initial,
+        initial=starts(options.initial, policy.domain.names),
         within=options.within,
         hold=options.hold or 0.0,
         confidence=options.confidence,

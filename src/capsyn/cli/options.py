@@ -44,6 +44,8 @@ OutsideAtOnce = Annotated[
         "problem or policy says]."
     ),
 ]
+INITIAL = "NAME=LOW:HIGH or NAME=VALUE[,..] [default: the domain]."
+"""Help of the option that says where loops start."""
 Seed = Annotated[int, typer.Option(help="Of everything that is random.")]
 Backend = Annotated[str, typer.Option(help="auto, c or numpy.")]
 Threads = Annotated[int | None, typer.Option(help="Default: one per processor.")]
@@ -234,8 +236,9 @@ def executor(address: str | None) -> Iterator[Any]:
         yield None
         return
     from capsyn.execution.cluster import connect
+    from capsyn.execution.interrupts import lasting
 
-    with connect(address) as client:
+    with lasting(), connect(address) as client:
         yield client
 
 
@@ -302,10 +305,7 @@ def region(
     name: str, text: str, known: Sequence[str], tolerance: float | None = None
 ) -> Ball | Box:
     """Return the box of ``NAME=LOW:HIGH,..``, or the ball around ``NAME=VALUE,..``."""
-    parts = assignments(name, text.split(","))
-    names = list(parts)
-    check_states(name, names, known)
-    bounds = [[number(key, value) for value in parts[key].split(":")] for key in names]
+    names, bounds = _bounds(name, text, known)
     if all(len(pair) == 2 for pair in bounds) and tolerance is None:
         lower, upper = zip(*bounds)
         return Box(lower, upper, names=names)
@@ -315,3 +315,20 @@ def region(
         f"{name} must be NAME=LOW:HIGH,.., or NAME=VALUE,.. with --tolerance; got '{text}'"
         + (" with it" if tolerance is not None else "")
     )
+
+
+def starts(text: str | None, known: Sequence[str]) -> Box | None:
+    """Return where ``--initial`` says that loops start: a range of a state, or one value."""
+    if text is None:
+        return None
+    names, bounds = _bounds("--initial", text, known)
+    if max(map(len, bounds)) > 2:
+        raise ProblemError(f"--initial must be NAME=LOW:HIGH or NAME=VALUE,..; got '{text}'")
+    return Box([pair[0] for pair in bounds], [pair[-1] for pair in bounds], names=names)
+
+
+def _bounds(name: str, text: str, known: Sequence[str]) -> tuple[list[str], list[list[float]]]:
+    """Return the states that a set is about, and what stands between colons for each."""
+    parts = assignments(name, text.split(","))
+    check_states(name, list(parts), known)
+    return list(parts), [[number(k, value) for value in v.split(":")] for k, v in parts.items()]

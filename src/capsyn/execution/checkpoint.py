@@ -22,7 +22,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError, warn
 from capsyn.execution.answers import Answer, Labelling, Packed, digest, kind, parts
-from capsyn.execution.files import atomic_write, write_text
+from capsyn.execution.files import atomic_write, save_arrays, write_text
 from capsyn.validation import describe, one_line, whole_number
 
 FORMAT = "capsyn-checkpoint"
@@ -261,14 +261,12 @@ def _key(states: np.ndarray) -> bytes:
 
 
 def _write_block(path: Path, new: list[tuple[bytes, Answer]]) -> None:
-    from safetensors.numpy import save_file
-
     packed = Packed.of([answer for _, answer in new])
     arrays = {f"answer{i}": column for i, column in enumerate(packed.columns)}
     arrays["keys"] = np.frombuffer(b"".join(key for key, _ in new), np.uint8).reshape(len(new), -1)
     arrays["rows"] = packed.rows
     about = json.dumps([packed.together, packed.dtypes])
-    save_file(arrays, path, {"about": about, "sha256": digest(arrays, about)})
+    save_arrays(arrays, path, {"about": about, "sha256": digest(arrays, about)})
 
 
 def _read_block(path: Path) -> tuple[list[bytes], Packed]:

@@ -31,7 +31,8 @@ class Box:
     Parameters
     ----------
     lower, upper : (n,)
-        Bounds [state units], ``lower < upper``.
+        Bounds [state units], ``lower <= upper``: where they are equal, the state is fixed; a domain
+        has none.
     names, units : n strings, optional
         Default: ``x1 .. xn`` and no units.
     periodic : n booleans, optional
@@ -48,7 +49,7 @@ class Box:
     Raises
     ------
     ProblemError
-        Wrong shapes, bounds that are NaN or beyond `LARGEST`, or ``upper <= lower``.
+        Wrong shapes, bounds that are NaN or beyond `LARGEST`, or ``upper < lower``.
     """
 
     lower: Any
@@ -68,9 +69,9 @@ class Box:
         names = texts("names", self.names, n, self.unnamed(n))
         distinct("names", names)
         for name, low, high in zip(names, lower, upper):
-            if not low < high:
+            if not low <= high:
                 raise ProblemError(
-                    f"`upper` must be greater than `lower` on axis '{name}'; got [{low}, {high}]"
+                    f"`upper` must be at least `lower` on axis '{name}'; got [{low}, {high}]"
                 )
             if max(abs(low), abs(high)) > LARGEST:
                 raise ProblemError(
@@ -103,6 +104,15 @@ class Box:
     def periods(self) -> np.ndarray:
         """Widths of the periodic axes, (n,) [state units], 0 of the others."""
         return np.where(self.periodic, self.widths, 0.0)
+
+    def check_wide(self, what: str) -> None:
+        """Raise `ProblemError` where a state is fixed; `what` is the argument that the box is."""
+        for name, low, high in zip(self.names, self.lower, self.upper):
+            if not low < high:
+                raise ProblemError(
+                    f"`upper` must be greater than `lower` on axis '{name}' of `{what}`; got "
+                    f"[{low}, {high}]"
+                )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Box) and self.to_json() == other.to_json()

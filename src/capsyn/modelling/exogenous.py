@@ -31,6 +31,7 @@ def check_exogenous(exogenous: Any, domain: Box, alphabet: Alphabet) -> Box | No
         return None
     if not isinstance(exogenous, Box):
         raise ProblemError(f"`exogenous` must be a capsyn.Box; got {describe(exogenous)}")
+    exogenous.check_wide("exogenous")
     if exogenous.names == Box.unnamed(exogenous.n):
         names = tuple(f"w{i + 1}" for i in range(exogenous.n))
         exogenous = dataclasses.replace(exogenous, names=names)

@@ -129,6 +129,7 @@ class Problem:
             raise ProblemError(f"`name` must be a printable string; got {describe(self.name)}")
         if not isinstance(self.domain, Box):
             raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(self.domain)}")
+        self.domain.check_wide("domain")
         if not isinstance(self.alphabet, Alphabet):
             keep(self, alphabet=Alphabet(self.alphabet))
         keep(self, exogenous=check_exogenous(self.exogenous, self.domain, self.alphabet))
@@ -263,7 +264,8 @@ class Problem:
     def replace(self, **changes: Any) -> Problem:
         """Return the problem with some fields replaced: ``replace(horizon=2.0)``.
 
-        `changes` are fields by name; the result is checked like a new problem.
+        `changes` are fields by name; the result is checked like a new problem. A grid that has the
+        same numbers along all axes has them along those of another space, too.
 
         Raises
         ------
@@ -271,6 +273,9 @@ class Problem:
             A value that cannot be used.
         """
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        for name in ("partitions", "refinement"):
+            if len(each := set(fields[name])) == 1 and changes.keys() & {"domain", "exogenous"}:
+                (fields[name],) = each
         changed = object.__new__(type(self))
         if not changes.keys() & _OF_TAILS and "_terminal" in vars(self):
             vars(changed)["_terminal"] = self._terminal  # a tail takes a while

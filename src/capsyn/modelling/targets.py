@@ -33,6 +33,8 @@ def check_target(target: Any, domain: Box, name: str = "target") -> None:
         raise ProblemError(
             f"`{name}` must be a Ball, a Box or a function of the state; got {describe(target)}"
         )
+    if isinstance(target, Box) and name != "initial":  # the only set that may have no volume
+        target.check_wide(name)
     axes = target_axes(target, domain, name)
     lower, upper, periodic = domain.lower[axes], domain.upper[axes], np.array(domain.periodic)[axes]
     if isinstance(target, Ball):
@@ -107,7 +109,7 @@ def describe_target(target: Target, domain: Box) -> str:
         center = ", ".join(f"{v:g}" for v in target.center)
         return f"ball of radius {target.radius:g} around {', '.join(names)} = {center}"
     return ", ".join(
-        f"{name} in [{low:g}, {high:g}]"
+        f"{name} in [{low:g}, {high:g}]" if low < high else f"{name} = {low:g}"
         for name, low, high in zip(names, target.lower, target.upper)
     )
 

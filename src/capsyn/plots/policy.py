@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from capsyn.errors import ProblemError
+from capsyn.errors import ProblemError, warn
 from capsyn.modelling.switching import DEFAULT
 from capsyn.plots.figure import frame, literal, outline_width, rectangles, saved_figure
 from capsyn.policies.checks import labels_in_force
@@ -80,11 +80,12 @@ def plot_policy(
             )
         i = domain.names.index(name)
         point[i] = finite_number(f"at {name}", value)
-        if not domain.periodic[i] and not domain.lower[i] <= point[i] <= domain.upper[i]:
-            raise ProblemError(
-                f"`at {name}` must lie in [{domain.lower[i]:g}, {domain.upper[i]:g}]; "
-                f"got {point[i]:g}"
-            )
+        bounds = f"[{domain.lower[i]:g}, {domain.upper[i]:g}]"
+        if not domain.lower[i] <= point[i] <= domain.upper[i]:
+            if not domain.periodic[i]:
+                raise ProblemError(f"`at {name}` must lie in {bounds}; got {point[i]:g}")
+            asked, point = point[i], domain.wrap(point[None, :])[0]
+            warn(f"`at {name}` of {asked:g} is {point[i]:g} in {bounds}, some periods away")
     steps = domain.locate(point[None, :], tree.counts)[0]
     in_force = labels_in_force(current, (), policy.alphabet)
     now = None if in_force is None else int(in_force[0])

@@ -43,6 +43,7 @@ def check_fields(policy: Any, structure: type) -> None:
     """
     if not isinstance(policy.name, str) or not policy.name.isprintable():
         raise ProblemError(f"`name` must be a printable string; got {describe(policy.name)}")
+    policy.domain.check_wide("domain")
     keep(policy, exogenous=check_exogenous(policy.exogenous, policy.domain, policy.alphabet))
     keep(policy, default=policy.alphabet.control("default", policy.default))
     keep(policy, outside=check_outside(policy.outside, policy.alphabet))

@@ -22,7 +22,7 @@ from capsyn.cells.masks import WORD, word_count
 from capsyn.cells.split_tree import TREE_ARRAYS, SplitTree
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.execution.answers import digest
-from capsyn.execution.files import atomic_write
+from capsyn.execution.files import atomic_write, save_arrays
 from capsyn.execution.memory import check_memory
 from capsyn.limits.kept import KEPT_ARRAYS, Kept
 from capsyn.modelling.alphabet import Alphabet
@@ -108,9 +108,7 @@ def _arrays(policy: Any) -> dict[str, np.ndarray]:
 
 
 def _write(arrays: dict[str, np.ndarray], path: Path, metadata: dict[str, str]) -> None:
-    from safetensors.numpy import save_file
-
-    save_file({k: np.ascontiguousarray(v) for k, v in arrays.items()}, path, metadata)
+    save_arrays({k: np.ascontiguousarray(v) for k, v in arrays.items()}, path, metadata)
 
 
 def _canonical(data: Any) -> str:

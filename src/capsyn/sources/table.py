@@ -140,7 +140,9 @@ class Table:
     def _box(self, counts: Sequence[int]) -> Box:
         lower = self.first - self.step / 2
         upper = lower + self.step * np.array(counts)
-        return Box(lower, upper, names=self.names, units=self.units, periodic=self.periodic)
+        box = Box(lower, upper, names=self.names, units=self.units, periodic=self.periodic)
+        box.check_wide("domain")
+        return box
 
     @property
     def symbols(self) -> np.ndarray:

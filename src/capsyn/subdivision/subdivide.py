@@ -170,6 +170,7 @@ def subdivide(
         raise ProblemError(f"`label` must be a function; got {describe(label)}")
     if not isinstance(domain, Box):
         raise ProblemError(f"`domain` must be a capsyn.Box; got {describe(domain)}")
+    domain.check_wide("domain")
     check_time_unit(time_unit)
     true_or_false("in_force", in_force)
     if in_force and returns in ("scores", "masks+scores"):

@@ -205,7 +205,7 @@ def test_requirements_that_are_not_met_are_the_exit_status(run, proving, name, s
         (["--noise", "0:1"], "--noise must be a bound E, or one of each state"),
         (["--noise", "much"], "`--noise` must be a number; got 'much'"),
         (["--initial", "y=0:1"], "--initial must name states among x1, x2; got 'y'"),
-        (["--initial", "x1=0.5"], "--initial must be NAME=LOW:HIGH"),
+        (["--initial", "x1=0:1:2"], "--initial must be NAME=LOW:HIGH or NAME=VALUE"),
         (["--avoid", "x1=0.5"], "--avoid must be NAME=LOW:HIGH"),
         (["--counts", "many"], "--counts must be whole numbers"),
         (["--parameter", "k"], "--parameter must be NAME=VALUE"),

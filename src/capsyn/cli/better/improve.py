@@ -10,6 +10,7 @@ import typer
 
 from capsyn.cli.console import print_table, show, working
 from capsyn.cli.options import (
+    INITIAL,
     Backend,
     File,
     Json,
@@ -18,7 +19,7 @@ from capsyn.cli.options import (
     flat,
     number_list,
     option,
-    region,
+    starts,
 )
 
 if TYPE_CHECKING:
@@ -42,9 +43,7 @@ class ImproveOptions:
     duration: float | None = option(
         "Time of the closed loops that judge [time unit] [default: 10 horizons of the policy]."
     )
-    initial: str | None = option(
-        "Where they start [default: the domain].", metavar="NAME=LOW:HIGH[,..]"
-    )
+    initial: str | None = option(f"Where they start: {INITIAL}", metavar="SET")
     starts: int = option("Starts that judge a round.", default=400)
     confidence: float = option("Of the intervals that judge it.", default=0.95)
     scale: float | None = option(
@@ -74,12 +73,10 @@ def improve(file: File, *, options: ImproveOptions, as_json: Json = False) -> No
     path = options.output or f"{Path(file).stem}-improved.cap"
     check_writable(path)
     policy = Policy.load(file)
-    horizons, initial = options.horizons, options.initial
+    horizons = options.horizons
     given: dict[str, Any] = vars(options) | {
         "horizons": None if horizons is None else number_list("--horizons", horizons),
-        "initial": None
-        if initial is None
-        else region("--initial", initial, policy.domain.names, None),
+        "initial": starts(options.initial, policy.domain.names),
     }
     del given["output"]
     with working("following the policy") as say:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from capsyn.cli.console import print_line
 from capsyn.cli.loop import loop_options
-from capsyn.cli.options import number, region, whole_number_list
+from capsyn.cli.options import number, starts, whole_number_list
 from capsyn.errors import ProblemError
 from capsyn.verification.sentences import vector
 
@@ -39,16 +39,13 @@ def compare_with_optimum(policy: Policy, options: Any, client: Any) -> dict[str,
     if duration is None:
         duration = HORIZONS * (policy.horizon or 1.0)
     loop = loop_options(policy, dataclasses.replace(options, duration=duration))
-    initial = None
-    if options.initial is not None:
-        initial = region("--initial", options.initial, policy.domain.names)
     best = optimum(
         policy,
         duration,
         rate=options.rate,
         counts=whole_number_list("--counts", options.counts),
         starts=options.optimum,
-        initial=initial,
+        initial=starts(options.initial, policy.domain.names),
         seed=options.seed,
         exogenous=loop.exogenous,
         control_weight=options.control_weight or 0.0,

@@ -11,7 +11,16 @@ import typer
 
 from capsyn.cli.console import print_line, print_table, show, working
 from capsyn.cli.loop import LoopTexts, loop_options
-from capsyn.cli.options import Json, assignments, flat, number, number_or_range, option, region
+from capsyn.cli.options import (
+    INITIAL,
+    Json,
+    assignments,
+    flat,
+    number,
+    number_or_range,
+    option,
+    starts,
+)
 from capsyn.errors import ProblemError, warn
 from capsyn.modelling.time_unit import NAMES
 from capsyn.validation import describe
@@ -74,7 +83,7 @@ class TuneOptions(LoopTexts):
                          before="duration")  # fmt: skip
     max_solves: int | None = option("Most solves of a policy, as in synth.", before="duration")
     initial: str | None = option(
-        "Where loops start: NAME=LOW:HIGH[,..] [default: the domain].",
+        f"Where loops start: {INITIAL}",
         metavar="SET",
         before="target",
     )
@@ -144,9 +153,7 @@ def _loops(base: Problem, options: TuneOptions) -> dict[str, Any]:
     """Return how loops run, as arguments of `capsyn.tune`."""
     loop = loop_options(base, options, one=number_or_range, each=number_or_range)
     own = {name: value for name, value in vars(loop).items() if name not in RUN_BY}
-    initial = None
-    if options.initial is not None:
-        initial = region("--initial", options.initial, base.domain.names)
+    initial = starts(options.initial, base.domain.names)
     return own | {"initial": initial, "within": options.within, "hold": options.hold or 0.0}
 
 

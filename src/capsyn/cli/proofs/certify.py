@@ -11,6 +11,7 @@ import typer
 from capsyn.cli.console import print_line, show, working
 from capsyn.cli.loop import LoopTexts, region_or_function, sampled_options
 from capsyn.cli.options import (
+    INITIAL,
     File,
     Json,
     MinDwell,
@@ -21,11 +22,12 @@ from capsyn.cli.options import (
     number,
     one_or_list,
     option,
-    region,
+    starts,
     whole_number_list,
 )
 from capsyn.cli.proofs.proved import print_certificate
 from capsyn.errors import CertificateError, ProblemError
+from capsyn.execution.interrupts import lasting
 from capsyn.verification.sentences import simulate_line
 
 if TYPE_CHECKING:
@@ -39,7 +41,7 @@ REQUIREMENTS = ("arrival", "staying")
 class CertifyOptions:
     """Options of ``capsyn certify``."""
 
-    initial: str | None = option("NAME=LOW:HIGH[,..] [default: the domain].", metavar="SET")
+    initial: str | None = option(INITIAL, metavar="SET")
     target: str | None = as_in(LoopTexts, "target")
     tolerance: float | None = as_in(LoopTexts, "tolerance")
     avoid: str | None = option(
@@ -89,7 +91,7 @@ def certify(file: File, options: CertifyOptions, as_json: Json = False) -> None:
     _check(file, options)
     policy = Policy.load(file)
     given = _arguments(policy, options)
-    with working("proving"):
+    with working("proving"), lasting():
         certificate = _with_replays(certify(policy, **given), file, policy.domain.n, options, given)
     if options.output is not None:
         save_certificate_plot(certificate, policy.name, options.output)
@@ -131,7 +133,7 @@ def _arguments(policy: Any, options: CertifyOptions) -> dict[str, Any]:
         raise ProblemError("--noise must be a bound E, or one of each state, here; see --help")
     given = sampled_options(policy, options, _value_or_range)
     if options.initial is not None:
-        given["initial"] = region("--initial", options.initial, policy.domain.names)
+        given["initial"] = starts(options.initial, policy.domain.names)
     if options.avoid is not None:
         given["avoid"] = region_or_function("--avoid", options.avoid, policy.space.names)
     if options.noise is not None:

@@ -1,0 +1,219 @@
+"""The command that makes the policy of a problem."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from capsyn.cli.console import notes, progress_bars, show
+from capsyn.cli.options import (
+    Backend,
+    Dask,
+    Json,
+    LimitOptions,
+    MinDwell,
+    Outside,
+    OutsideAtOnce,
+    Seed,
+    SwitchingOptions,
+    Threads,
+    executor,
+    flat,
+    number,
+    option,
+    whole_number_list,
+)
+from capsyn.cli.printed import print_report
+from capsyn.errors import ProblemError
+from capsyn.execution.interrupts import advise
+
+if TYPE_CHECKING:
+    from capsyn.modelling.problem import Problem
+    from capsyn.modelling.settings import SsacSettings
+    from capsyn.policies.policy import Policy
+
+
+@dataclass(frozen=True)
+class ProblemOptions:
+    """What is made of a problem where its own horizon, default or grid is not wanted."""
+
+    output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
+    horizon: float | None = option("Prediction horizon [time unit].")
+    tail: str | None = option(
+        "Cost to go: riccati[:EFFORT], which also sets a horizon, fit (to closed loops), or none."
+    )
+    default: str | None = option("Control of the prediction.", metavar="U[,U..]")
+    max_level: int | None = option("Most times that a cell is split along an axis.")
+    partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
+    refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
+    leaves: str | None = option("constant, or affine for far fewer solves.")
+    tuned: str | None = option(
+        "Settings that capsyn tune found, for what is free.", "--settings", metavar="FILE"
+    )
+    source: str = option(
+        "Whose symbols: those of sSAC, or the best for closed loops of time T [default: 10 "
+        "horizons], of at most three states.",
+        default="ssac",
+        metavar="ssac|optimum[:T]",
+    )
+
+    def grid(self) -> dict[str, Any]:
+        """Return the arguments of `capsyn.synthesize` for the grid; None: the problem's own."""
+        return {
+            "partitions": whole_number_list("--partitions", self.partitions),
+            "refinement": whole_number_list("--refinement", self.refinement),
+            "max_level": self.max_level,
+            "leaves": self.leaves,
+        }
+
+
+@dataclass(frozen=True)
+class SettingsOptions:
+    """Fields of `capsyn.SsacSettings`; None leaves the problem's own."""
+
+    rule: str | None = option("schedule or steepest.")
+    gamma: float | None = option("Wanted sensitivity over cost.")
+    alpha_d: float | None = option("Wanted sensitivity, absolute.")
+    control_weight: float | None = option("Weight R of the effort.")
+    on_no_descent: str | None = option("best or default.")
+    steps: int | None = option("Integration steps over the horizon.")
+    tolerance: float | None = option("Of the step-doubling check.")
+    precision: str | None = option("double or single.")
+
+    def of(self, settings: SsacSettings) -> SsacSettings | None:
+        """Return a problem's settings with these changes; None where there are none."""
+        changes = {name: value for name, value in vars(self).items() if value is not None}
+        if "alpha_d" in changes and "gamma" not in changes:
+            changes["gamma"] = type(settings).gamma  # the problem's own gamma gives way
+        if "gamma" in changes and "alpha_d" not in changes:
+            changes["alpha_d"] = None
+        return dataclasses.replace(settings, **changes) if changes else None
+
+
+@dataclass(frozen=True)
+class SubdivisionOptions:
+    """Arguments of `capsyn.synthesize` for the subdivision."""
+
+    test_points: str = option(
+        "vertices or center+faces, then +center, +edge_midpoints, +random:R.",
+        default="vertices+center",
+    )
+    leaf_error: float = option("Of affine leaves, accepted share.", default=0.01)
+    refine: str = option(
+        "isotropic, or adaptive: split along the axes that matter.", default="isotropic"
+    )
+    seed: Seed = 0
+    max_solves: int | None = option("Most solves; affine or adaptive cells spend them.")
+    max_seconds: float | None = option("Stop after so long [s]; the result depends on the machine.")
+    max_memory: str | None = option("Stop before so much, as 2GB.", metavar="BYTES")
+    memory_limit: str | None = option(
+        "Refuse what may take more at worst [default: what is available].", metavar="BYTES"
+    )
+    backend: Backend = "auto"
+    threads: Threads = None
+
+
+@flat
+def synth(
+    problem: Annotated[
+        str,
+        typer.Argument(
+            metavar="PROBLEM",
+            help="A built-in name, path/to/file.py[:name] or package.module:name.",
+        ),
+    ],
+    *,
+    changes: ProblemOptions,
+    settings: SettingsOptions,
+    outside: Outside = None,
+    min_dwell: MinDwell = None,
+    outside_at_once: OutsideAtOnce = None,
+    switching: SwitchingOptions,
+    limits: LimitOptions,
+    subdivision: SubdivisionOptions,
+    dask: Dask = None,
+    checkpoint: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DIR", help="Keep what is solved there; a run that was killed goes on from it."
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Make the control alphabet policy of a problem."""
+    advise(
+        "--checkpoint DIR would keep what is solved for the next run"
+        if checkpoint is None
+        else f"the same command goes on from what '{checkpoint}' keeps"
+    )
+    from capsyn.cli.better.optimum import optimal_policy
+    from capsyn.policies.report import report
+    from capsyn.verification.switching_curve import chatter_hint
+
+    chosen, path = _chosen_problem(problem, changes)
+    chosen = chosen.replace(switching=switching.of(chosen))
+    own, options = settings.of(chosen.settings), changes.grid() | vars(subdivision)
+    rules: dict[str, Any] = {
+        "outside": outside,
+        "min_dwell": min_dwell,
+        "outside_at_once": outside_at_once,
+        "delay": switching.delay,
+    }
+    hint = None
+    if changes.source == "ssac":
+        more = {"checkpoint": checkpoint, "keep_limits": limits.of()}
+        policy = _synthesized(chosen, own, options | rules | more, dask)
+        hint = chatter_hint(policy, subdivision.threads)
+    else:
+        unused = {"settings of sSAC": own, "--dask": dask, "--checkpoint": checkpoint}
+        unused["--keep-limits"] = limits.of() or None
+        policy = optimal_policy(chosen, changes.source, options, rules, unused)
+    policy.save(path)
+    data = report(policy) | {"file": path, "seconds": policy.timings}
+    if hint is not None:
+        data["hints"] = [*data["hints"], hint]
+    end = f"wrote {path} in {sum(policy.timings.values()):.2f} s"
+    show(as_json, data, lambda: print_report(data), end)
+
+
+def _synthesized(
+    problem: Problem, settings: SsacSettings | None, options: dict[str, Any], dask: str | None
+) -> Policy:
+    """Return the policy of a problem by sSAC."""
+    from capsyn.synthesis.synthesize import synthesize
+
+    with (
+        executor(dask) as client,
+        progress_bars() as progress,
+        notes("capsyn.execution.checkpoint"),
+    ):
+        return synthesize(problem, settings=settings, progress=progress, executor=client, **options)
+
+
+def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
+    """Return the problem that a text names, changed, and the path of its policy, checked."""
+    from capsyn.cli.better.tune import problem_of
+    from capsyn.execution.files import check_writable
+
+    if changes.output is not None:
+        check_writable(changes.output)
+    problem = problem_of(text, changes.tuned)
+    if changes.tail in ("none", "fit"):
+        problem = problem.replace(tail=None if changes.tail == "none" else changes.tail)
+    elif changes.tail is not None:
+        problem = problem.replace(tail=changes.tail, horizon=changes.horizon)
+    if changes.horizon is not None:
+        problem = problem.replace(horizon=changes.horizon)
+    if changes.default is not None:
+        values = [number("--default", u) for u in changes.default.split(",")]
+        problem = problem.replace(default=values)
+    if changes.output is not None:
+        return problem, changes.output
+    path = f"{problem.name}.cap"
+    if "/" in path:
+        raise ProblemError(f"the name '{problem.name}' makes no file name; give one with -o")
+    check_writable(path)
+    return problem, path
