@@ -5,6 +5,7 @@ import dataclasses
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
@@ -20,7 +21,6 @@ matplotlib.use("Agg")
 
 from capsyn import Problem, synthesize
 from capsyn.plots.trajectory import plot_trajectory, save_trajectory_plot
-from capsyn.policies.colors import symbol_colors
 
 
 def policy_of(n, symbols=2, level=2):
@@ -60,11 +60,6 @@ def test_axes_carry_names_units_bounds_and_a_legend_with_the_symbols_seen():
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("a [m]", "b")
     assert (*ax.get_xlim(), *ax.get_ylim()) == (-1, 1, -1, 1)
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["0", "1", "2"]
-
-
-def test_many_symbols_get_different_colours():
-    for count in (1, 8, 9, 63):
-        assert len({to_hex(color) for color in symbol_colors(count)}) == count
 
 
 @pytest.mark.parametrize(
@@ -181,7 +176,8 @@ def priced():
 def test_a_picture_of_a_policy_that_remembers_is_of_one_symbol_in_force(current, priced):
     policy = priced[0]
     ax = plot_policy(policy, ax=Figure().add_subplot(), current=current)
-    levels = [cells for cells in ax.collections if cells.get_hatch() is None]
+    boxes = [cells for cells in ax.collections if isinstance(cells, PolyCollection)]
+    levels = [cells for cells in boxes if cells.get_hatch() is None]
     paths = [path for cells in levels for path in cells.get_paths()]
     colours = [to_hex(c).upper() for cells in levels for c in cells.get_facecolor()]
     states = np.array([path.vertices[:4].mean(axis=0) for path in paths])
@@ -193,7 +189,7 @@ def test_a_picture_of_a_policy_that_remembers_is_of_one_symbol_in_force(current,
     wanted = np.zeros(len(states), dtype=bool)
     for symbol, there in stay.items():
         wanted |= there & (policy(states) != symbol)
-    bands = [cells for cells in ax.collections if cells.get_hatch() is not None]
+    bands = [cells for cells in boxes if cells.get_hatch() is not None]
     assert len(bands) == bool(stay)
     texts = [text.get_text() for text in ax.get_legend().get_texts()]
     name = {None: "default", -1: "default", 0: "5"}.get(current, current)
@@ -202,7 +198,7 @@ def test_a_picture_of_a_policy_that_remembers_is_of_one_symbol_in_force(current,
         hatched = np.array([p.vertices[:4].mean(axis=0) for p in bands[0].get_paths()])
         assert set(map(tuple, hatched)) == set(map(tuple, states[wanted])) != set()
         told = "the one in force" if current is None else name
-        assert texts == ["5", "-5", f"{told} stays"]
+        assert texts == ["5", "-5", f"{told} stays", "target"]
 
 
 def test_a_picture_of_affine_leaves_that_remember(priced, monkeypatch, tmp_path):
@@ -210,7 +206,8 @@ def test_a_picture_of_affine_leaves_that_remember(priced, monkeypatch, tmp_path)
     policy = priced[1]
     assert policy.cells.priced
     ax = plot_policy(policy, ax=Figure().add_subplot(), current="5")
-    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["5", "-5", "5 stays"]
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts == ["5", "-5", "5 stays", "target"]
     x, y = ((np.arange(40) + 0.5) / 40 * w for w in policy.domain.widths)
     grid = np.stack(np.meshgrid(x, y - 5), axis=-1)
     pixels = ax.images[0].get_array()
@@ -221,19 +218,6 @@ def test_a_picture_of_affine_leaves_that_remember(priced, monkeypatch, tmp_path)
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
     with pytest.raises(ProblemError, match="`current` must be a symbol"):
         plot_policy(policy, current="6")
-
-
-def test_a_legend_is_no_higher_than_the_picture(tmp_path):
-    many = capsyn.subdivide(
-        lambda x: (20 * x[:, 0]).astype(int) % 20,
-        capsyn.Box([0, 0], [1, 1]),
-        20,
-        partitions=[20, 1],
-        max_level=0,
-    )
-    ax = plot_policy(many, ax=Figure().add_subplot())
-    texts = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert len(texts) == 17 and texts[-1] == "and 4 more"
 
 
 def test_a_picture_of_an_oblique_tree_has_its_colours(tmp_path, monkeypatch):

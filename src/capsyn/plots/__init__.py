@@ -15,9 +15,10 @@ from capsyn.plots.figure import (
 )
 from capsyn.plots.policy import plot_policy, save_policy_plot
 from capsyn.plots.trajectory import plot_trajectory, save_trajectory_plot
-from capsyn.policies.colors import symbol_colors
+from capsyn.policies.colors import Look, symbol_colors, symbol_looks
 
 __all__ = [
+    "Look",
     "check_format",
     "frame",
     "literal",
@@ -37,4 +38,5 @@ __all__ = [
     "save_policy_plot",
     "save_trajectory_plot",
     "symbol_colors",
+    "symbol_looks",
 ]

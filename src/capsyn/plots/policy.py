@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from capsyn.errors import ProblemError, warn
 from capsyn.modelling.switching import DEFAULT
+from capsyn.modelling.targets import target_program
 from capsyn.plots.figure import frame, literal, outline_width, rectangles, saved_figure
+from capsyn.plots.symbols import draw_marks, draw_names, handlers, patch, written
 from capsyn.policies.checks import labels_in_force
-from capsyn.policies.colors import symbol_colors
+from capsyn.policies.colors import PALETTE, Look, symbol_looks
 from capsyn.policies.in_force import staying_rows, stays
 from capsyn.validation import describe, finite_number
 
@@ -24,11 +28,15 @@ if TYPE_CHECKING:
 PIXELS = 800
 """Along each axis of a picture of oblique splits."""
 MOST_NAMED = 17
-"""More symbols than these are not named, for a legend must be no higher than the picture."""
+"""Most rows of a legend, which must be no higher than the picture."""
+MOST_COLUMNS = 4
+"""More symbols than fit into so many columns are not named in the legend."""
 HATCH, INK = "xxxxxx", "#000000"
 """What is drawn where a symbol stays only because it is in force."""
-KEPT_WIDTH = 1.5
-"""Of the line around the states from which limits are kept [points]."""
+LINE_WIDTH = 1.5
+"""Of the lines around the target, and the states from which limits are kept [points]."""
+LEGEND_ROOM = 1.8
+"""Width of the legends that a saved picture has room for without being wider [inches]."""
 
 
 def plot_policy(
@@ -41,6 +49,10 @@ def plot_policy(
     current: int | str | None = None,
 ) -> Axes:
     """Draw the cells of a policy in the plane of two states, or of exogenous inputs.
+
+    More than eight symbols have marks over their colours, and their names in regions with room for
+    them; names that are long are numbers there, u1 the first. The legend has the symbols that are
+    drawn; of very many those with the largest areas. A dashed line is around the target.
 
     Of a policy that remembers it is what follows one symbol in force, and hatched is where a symbol
     stays only because it is in force: there the start would take another.
@@ -65,7 +77,7 @@ def plot_policy(
     """
     import matplotlib.pyplot as plt
 
-    domain, tree = policy.space, policy.cells
+    domain = policy.space
     if domain.n == 1:
         raise ProblemError("`policy` must have two states or more to be drawn; got one")
     horizontal, vertical = _plane(policy, plane)
@@ -86,89 +98,134 @@ def plot_policy(
                 raise ProblemError(f"`at {name}` must lie in {bounds}; got {point[i]:g}")
             asked, point = point[i], domain.wrap(point[None, :])[0]
             warn(f"`at {name}` of {asked:g} is {point[i]:g} in {bounds}, some periods away")
-    steps = domain.locate(point[None, :], tree.counts)[0]
     in_force = labels_in_force(current, (), policy.alphabet)
     now = None if in_force is None else int(in_force[0])
     ax = plt.gca() if ax is None else ax
-    colors = np.array([*symbol_colors(len(policy.alphabet)), "#FFFFFF"], dtype=object)
-    if policy.has_planes:
-        shown, hatched = _draw_pixels(policy, point, (horizontal, vertical), colors, ax, now)
-    else:
-        shown, hatched = _draw_boxes(
-            policy, steps, (horizontal, vertical), colors, ax, outlines, now
-        )
-    if policy.kept is not None:
-        _draw_kept(policy, point, (horizontal, vertical), ax, in_force)
+    section = _Slice(policy, point, (horizontal, vertical), now)
     frame(ax, domain, (horizontal, vertical))
+    draw = _draw_pixels if policy.has_planes else _draw_boxes
+    shown, hatched = draw(section, ax, outlines)
+    named = sorted(shown)
+    if len(policy.alphabet) > len(PALETTE):
+        draw_marks(ax, section.labels, section.looks)
+        draw_names(ax, section.labels, section.looks, section.written)
+        named = section.largest(named, MOST_NAMED * MOST_COLUMNS - hatched - 2)
+    lines = _draw_lines(section, ax)
     if legend:
-        _draw_legend(policy, shown, hatched, colors, ax, now)
+        _draw_legend(section, named, len(shown) - len(named), hatched, lines, ax)
     where = ", ".join(f"{domain.names[i]} = {point[i]:g}" for i in others)
     title = policy.title + (f" at {where}" if where else "")
     if policy.remembers:
-        title += f", {_name(policy, now)} in force"
+        title += f", {section.names[-1 if now is None else now]} in force"
     ax.set_title(literal(title), wrap=True)
     return ax
 
 
-def _name(policy: Policy, label: int | None) -> str:
-    """Return the name of a label, by default the default's."""
-    return (*policy.alphabet.names, DEFAULT)[-1 if label is None else label]
+@dataclass(frozen=True, eq=False)
+class _Slice:
+    """What is drawn: the plane of two axes of a policy through a state (n,), after a label."""
+
+    policy: Policy
+    point: np.ndarray
+    plane: tuple[int, int]
+    now: int | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all labels, the default last."""
+        return (*self.policy.alphabet.names, DEFAULT)
+
+    @property
+    def written(self) -> list[str]:
+        """Return what stands for them in their regions."""
+        return [*written(self.policy.alphabet.names), DEFAULT]
+
+    @property
+    def looks(self) -> list[Look]:
+        """Looks of all labels, the default last."""
+        return [*symbol_looks(len(self.policy.alphabet)), Look("#FFFFFF", 0)]
+
+    @property
+    def colors(self) -> np.ndarray:
+        """Their colours."""
+        return np.array([look.color for look in self.looks], dtype=object)
+
+    @functools.cached_property
+    def pixels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Coordinates (P,) along both axes of the plane, and states (P * P, n)."""
+        domain, axes = self.policy.space, list(self.plane)
+        low, high = domain.lower[axes], domain.upper[axes]
+        x, y = (np.linspace(a, b, 2 * PIXELS + 1)[1::2] for a, b in zip(low, high))
+        states = np.tile(self.point, (PIXELS * PIXELS, 1))
+        for i, values in zip(axes, np.meshgrid(x, y)):
+            states[:, i] = values.ravel()
+        return x, y, states
+
+    @functools.cached_property
+    def labels(self) -> np.ndarray:
+        """Labels (P, P) that follow at the pixels, the lowest row first; N in gaps."""
+        states, now = self.pixels[2], self.now
+        in_force = None if now is None else np.full(len(states), now, dtype=np.int32)
+        labels = self.policy.leaves(states, True, in_force=in_force)
+        labels = np.where(labels < 0, len(self.policy.alphabet), labels)
+        return labels.reshape(PIXELS, PIXELS)
+
+    def largest(self, labels: Sequence[int], most: int) -> list[int]:
+        """Return labels, ascending: of more than `most` those with the largest areas."""
+        areas = np.bincount(self.labels.ravel(), minlength=len(self.names))
+        return sorted(sorted(labels, key=lambda label: -areas[label])[:most])
 
 
 def _draw_legend(
-    policy: Policy, shown: set[int], hatched: bool, colors: np.ndarray, ax: Axes, now: int | None
+    section: _Slice, named: Sequence[int], more: int, hatched: bool, lines: list[Any], ax: Axes
 ) -> None:
-    """Name the labels that are shown, and say what is hatched."""
-    from matplotlib.lines import Line2D
+    """Name labels, and say what is hatched and what lines are around."""
     from matplotlib.patches import Patch
 
-    named = sorted(shown)
-    if len(named) > MOST_NAMED - hatched:
-        named = named[: MOST_NAMED - hatched - 1]
-    handles: list[Any] = [
-        Patch(facecolor=colors[k], edgecolor="#666666", label=literal(_name(policy, k)))
-        for k in named
-    ]
-    if len(named) < len(shown):
-        handles.append(Patch(alpha=0.0, label=f"and {len(shown) - len(named)} more"))
+    alphabet, names, now = section.policy.alphabet, section.names, section.now
+    texts = {k: names[k] for k in named}
+    if len(alphabet) > len(PALETTE):
+        short = section.written
+        texts = {
+            k: text if short[k] == text else f"{short[k]}: {text}" for k, text in texts.items()
+        }
+    handles = [patch(section.looks[k], text) for k, text in texts.items()]
+    if more:
+        handles.append(Patch(alpha=0.0, label=f"and {more} more"))
     if hatched:
-        what = "the one in force" if now is None else literal(_name(policy, now))
+        what = "the one in force" if now is None else literal(names[now])
         handles.append(
             Patch(facecolor="none", edgecolor=INK, hatch=HATCH, lw=0, label=f"{what} stays")
         )
-    if policy.kept is not None:
-        handles.append(Line2D([], [], color=INK, lw=KEPT_WIDTH, label="limits are kept inside"))
-    title = ", ".join(policy.alphabet.inputs)
-    if policy.alphabet.m == 1 and policy.alphabet.units[0]:
-        title += f" [{policy.alphabet.units[0]}]"
+    title = ", ".join(alphabet.inputs)
+    if alphabet.m == 1 and alphabet.units[0]:
+        title += f" [{alphabet.units[0]}]"
+    rows = MOST_NAMED - max(0, len(lines) - 1)
     ax.legend(
-        handles=handles,
+        handles=[*handles, *lines],
+        handler_map=handlers(),
         title=literal(title),
+        ncols=-(-(len(handles) + len(lines)) // (rows + len(lines))),
         alignment="left",
         loc="upper left",
         bbox_to_anchor=(1.01, 1),
         frameon=False,
+        fontsize="small" if len(handles) > MOST_NAMED else None,
     )
 
 
-def _draw_boxes(
-    policy: Policy,
-    steps: np.ndarray,
-    plane: tuple[int, int],
-    colors: np.ndarray,
-    ax: Axes,
-    outlines: bool,
-    now: int | None,
-) -> tuple[set[int], bool]:
-    """Draw the cells that meet the plane through a finest cell (n,).
+def _draw_boxes(section: _Slice, ax: Axes, outlines: bool) -> tuple[set[int], bool]:
+    """Draw the cells that meet the plane.
 
     Return what follows the label in force there, and whether some are hatched.
     """
     from matplotlib.collections import PolyCollection
 
+    policy, plane, now = section.policy, section.plane, section.now
     following = policy.transitions[:, -1 if now is None else now]
     staying = staying_rows(policy, now)
     boxes, counts = policy.cells.boxes(), policy.cells.counts
+    steps = policy.space.locate(section.point[None, :], counts)[0]
     met = (boxes.lower <= steps) & (steps < boxes.upper)
     met[:, plane] = True
     shown: set[int] = set()
@@ -184,7 +241,7 @@ def _draw_boxes(
         ax.add_collection(
             PolyCollection(
                 list(corners),
-                facecolors=colors[labels],
+                facecolors=section.colors[labels],
                 edgecolors="white" if outlines else "face",
                 linewidths=outline_width(level) if outlines else 0.1,
             )
@@ -195,65 +252,52 @@ def _draw_boxes(
     return shown, bool(bands)
 
 
-def _draw_pixels(
-    policy: Policy,
-    point: np.ndarray,
-    plane: tuple[int, int],
-    colors: np.ndarray,
-    ax: Axes,
-    now: int | None,
-) -> tuple[set[int], bool]:
-    """Draw what follows a label in force at a grid of states in the plane through a state (n,).
+def _draw_pixels(section: _Slice, ax: Axes, outlines: bool) -> tuple[set[int], bool]:
+    """Draw what follows the label in force at the pixels; there are no outlines.
 
     Return these labels, and whether some states are hatched.
     """
     from matplotlib.colors import to_rgb
 
-    low, high = policy.space.lower[list(plane)], policy.space.upper[list(plane)]
-    x, y, states = _pixels(policy, point, plane)
-    in_force = None if now is None else np.full(len(states), now, dtype=np.int32)
-    labels = policy.leaves(states, True, in_force=in_force)
-    labels[labels < 0] = len(colors) - 1  # in gaps, which have the colour of the default
-    table = np.array([to_rgb(color) for color in colors])
+    x, y, states = section.pixels
+    table = np.array([to_rgb(color) for color in section.colors])
     ax.imshow(
-        table[labels].reshape(PIXELS, PIXELS, 3),
-        extent=(low[0], high[0], low[1], high[1]),
+        table[section.labels],
+        extent=(*ax.get_xlim(), *ax.get_ylim()),
         origin="lower",
         aspect="auto",
         interpolation="nearest",
     )
-    band = stays(policy, states, now).reshape(PIXELS, PIXELS)
+    band = stays(section.policy, states, section.now).reshape(PIXELS, PIXELS)
     if band.any():
         ax.contourf(x, y, band, levels=[0.5, 1.5], colors="none", hatches=[HATCH])
-    return set(np.unique(labels).tolist()), bool(band.any())
+    return set(np.unique(section.labels).tolist()), bool(band.any())
 
 
-def _pixels(
-    policy: Policy, point: np.ndarray, plane: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return coordinates (P,) along both axes of a plane through a state (n,), and states."""
-    low, high = policy.space.lower[list(plane)], policy.space.upper[list(plane)]
-    x, y = (np.linspace(a, b, 2 * PIXELS + 1)[1::2] for a, b in zip(low, high))
-    states = np.tile(point, (PIXELS * PIXELS, 1))
-    for i, values in zip(plane, np.meshgrid(x, y)):
-        states[:, i] = values.ravel()
-    return x, y, states
+def _draw_lines(section: _Slice, ax: Axes) -> list[Any]:
+    """Draw lines around the states from which limits are kept, and around the target.
 
+    Return their handles in a legend.
+    """
+    from matplotlib.lines import Line2D
 
-def _draw_kept(
-    policy: Policy,
-    point: np.ndarray,
-    plane: tuple[int, int],
-    ax: Axes,
-    in_force: np.ndarray | None,
-) -> None:
-    """Draw the edge of the states from which limits are kept."""
-    x, y, states = _pixels(policy, point, plane)
-    kept = policy.keeps_limits(states, current=None if in_force is None else in_force[0])
-    kept = np.pad(kept.reshape(PIXELS, PIXELS).astype(float), 1)  # closed at the domain's edge
-    x, y = (np.concatenate([[v[0]], v, [v[-1]]]) for v in (x, y))
-    if kept.any():
-        ax.contour(x, y, kept, levels=[0.5], colors=INK, linewidths=KEPT_WIDTH)
+    policy, sets = section.policy, []
+    if policy.kept is not None:
+        kept = policy.keeps_limits(section.pixels[2], current=section.now)
+        sets.append(("limits are kept inside", "-", kept))
+    if policy.target is not None:
+        inside = target_program(policy.target, policy.space).evaluate(section.pixels[2].T)[0][0]
+        sets.append(("target", "--", inside))
+    handles = []
+    for text, style, inside in sets:
+        padded = np.pad(inside.reshape(PIXELS, PIXELS).astype(float), 1)  # closed at the edge
+        x, y = (np.concatenate([[v[0]], v, [v[-1]]]) for v in section.pixels[:2])
+        if padded.any():
+            line: dict[str, Any] = {"linewidths": LINE_WIDTH, "linestyles": style, "zorder": 3.5}
+            ax.contour(x, y, padded, levels=[0.5], colors=INK, **line)
+        if padded.any() or style == "-":
+            handles.append(Line2D([], [], color=INK, lw=LINE_WIDTH, ls=style, label=text))
+    return handles
 
 
 def _plane(policy: Policy, plane: Sequence[int | str]) -> tuple[int, int]:
@@ -291,4 +335,7 @@ def save_policy_plot(
 ) -> None:
     """Write a picture of a policy as PNG, PDF or SVG; see `plot_policy` and `save_figure`."""
     with saved_figure(path, 7, 4.5) as figure:
-        plot_policy(policy, plane, at, figure.add_subplot(), outlines, current=current)
+        ax = plot_policy(policy, plane, at, figure.add_subplot(), outlines, current=current)
+        legend: Any = ax.get_legend()
+        wide = legend.get_window_extent().width / figure.dpi
+        figure.set_figwidth(7 + max(0.0, wide - LEGEND_ROOM))
