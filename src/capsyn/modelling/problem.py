@@ -1,4 +1,4 @@
-"""The user's words: a system, a goal, an alphabet, validated."""
+"""A control problem as its user states it: a system, a goal and an alphabet, all checked."""
 
 from __future__ import annotations
 
@@ -29,74 +29,74 @@ from capsyn.validation import describe, finite_number, keep, one_line, one_of, t
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A system, a goal and an alphabet: all that a synthesis needs.
+    """A control problem: a system, a goal and an alphabet, which is all that a synthesis needs.
 
     Parameters
     ----------
     name : str
         Name of the problem.
     dynamics : callable ``(x, u) -> n components``, or ``(x, u, w)``
-        Eq. (1) of the paper [state unit / time unit]. `x`, `u` and `w`, the exogenous inputs where
-        there are some, are CasADi column vectors; CasADi functions and NumPy ufuncs both work on
-        them.
+        The rates of the states, eq. (1) of the paper [state unit / time unit]. `x`, `u` and `w`
+        (the exogenous inputs, if any) are CasADi column vectors. CasADi functions and NumPy ufuncs
+        both work on them.
     domain : Box
-        States to label.
+        The states that get a symbol.
     alphabet : Alphabet, or (N, m) or (N,) numbers
         The symbols [input units].
     default : (m,) or float, or callable ``x -> u`` or ``(x, w) -> u``
-        Control of the prediction [input units]; it need not be a symbol. A law is followed at every
-        instant of the prediction, and the adjoint is that of ``f(x, default(x, w), w)``.
+        The control that predictions use [input units]. It need not be a symbol. A prediction
+        follows a law at every instant, and its adjoint belongs to ``f(x, default(x, w), w)``.
     horizon : float
-        Prediction horizon T > 0 [time unit]; None for that which a Riccati tail proposes.
+        Prediction horizon T > 0 [time unit]. None takes the horizon that a Riccati tail proposes.
     running_cost, terminal_cost : callables ``x -> scalar``, or ``(x, w)``, optional
-        Eq. (3) [cost / time unit] and [cost]; at least one. No factor 1/2 is implied.
+        The costs of eq. (3) [cost / time unit] and [cost], without a factor 1/2. Give at least one.
     target : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
-        What "arrived" means; carried in the policy.
+        The states that count as arrived. The policy carries the target.
     outside : "error", "nearest" or symbol
-        What a state outside the domain gets; carried in the policy.
+        What a state outside the domain gets. The policy carries this rule.
     min_dwell : float
-        Least time between switches [time unit]: the short form of one ``hold`` for all symbols, of
-        a policy that does not depend on the symbol in force; carried in the policy.
+        Least time between switches [time unit], which the policy carries. It is short for one
+        ``hold`` for all symbols, in a policy that does not depend on the symbol in force.
     settings : SsacSettings
         Options of the controller.
     partitions, refinement : int or (n,), or (n + k,) with k exogenous inputs
-        Cells of the root grid, and children of a split cell, per axis.
+        Cells of the root grid along each axis, and children of a split cell along each axis.
     max_level : int
-        Most times that a cell is split along an axis.
+        How often a cell may be split along an axis.
     description : str
         One line for ``capsyn list``.
     time_unit : "ns", "us", "ms", "s", "min", "h" or "d"
-        What the model counts time in, wherever a time is given or said; carried in the policy.
+        The unit of every time of the model, given or returned. The policy carries it.
     outside_at_once : bool
-        Whether the symbol of a state outside the domain does not wait for `min_dwell`, as that of a
-        state that is not finite never does; carried in the policy.
+        Whether the symbol of a state outside the domain is taken at once, without waiting for
+        `min_dwell`. The symbol of a state that is not finite never waits. The policy carries this.
     switching : Switching, optional
-        Prices on switching, least times and forbidden transitions. Then the policy depends on the
-        symbol in force, which stays where it ties; carried in the policy.
+        Prices on switching, least times and forbidden transitions. The policy carries them, and
+        then depends on the symbol in force. This symbol stays if it ties with the best.
     delay : float
-        Known time from a sample until its control acts [time unit]. The policy compensates it: its
-        decision at a state is that for the state which the symbol in force leads to meanwhile.
+        Known time from a sample until its control acts [time unit]. The policy compensates the
+        delay: it decides for the state to which the symbol in force leads during the delay.
     exogenous : Box, optional
-        Values of what the controller is told at every sample beside the state, with names and
-        units: setpoints, references, measured disturbances. They are constant over the horizon, and
-        the policy is one of states and exogenous inputs, ``policy(x, w)``. What the controller is
-        not told is a parameter of the plant; see ``parameters`` of `capsyn.simulate`.
+        Bounds, names and units of what the controller is told at every sample beside the state:
+        setpoints, references, measured disturbances. Predictions keep these values constant. The
+        policy is then a function of both, ``policy(x, w)``. What the controller is not told is a
+        parameter of the plant, see ``parameters`` of `capsyn.simulate`.
     leaves : "constant" or "affine"
-        One symbol for each cell, or rows that are affine in the state for cells on a switching
-        surface: far fewer solves and cells in three dimensions and more; see `subdivide`.
-        `partitions` and `max_level` are those for such leaves.
+        "constant" gives each cell one symbol. "affine" gives cells on a switching surface rows that
+        are affine in the state. Affine leaves take far fewer solves and cells from three dimensions
+        on, see `subdivide`. `partitions` and `max_level` belong to the leaves chosen here.
     tail : "riccati", "riccati:EFFORT", "fit" or callable ``x -> scalar``, or ``(x, w)``, optional
-        A terminal cost that stands for the cost to go, in the place of `terminal_cost`: that of
-        `riccati_tail`, or a function; "fit" is that of `fitted_tail`, which `synthesize` finds.
-        The horizon to give with it is short.
+        A terminal cost that stands for the cost after the horizon, in place of `terminal_cost`. It
+        is made by `riccati_tail`, or is a function. For "fit", `synthesize` finds it with
+        `fitted_tail`. Give a short horizon with a tail.
     limits : callable ``x -> components``, or ``(x, w)``, optional
-        What states must keep to: each component is <= 0 where they are allowed. They are kept by
-        construction where `synthesize` is told ``keep_limits``; carried in the policy's model.
+        Functions that must stay <= 0, each component of them. The policy keeps the limits by
+        construction if `synthesize` is told ``keep_limits``. The policy's model carries them.
 
     Raises
     ------
     ProblemError
-        Anything that cannot be used, in one line that names it.
+        A field that cannot be used. The error names the field in one line.
     """
 
     name: str
@@ -189,7 +189,7 @@ class Problem:
 
     @functools.cached_property
     def space(self) -> Box:
-        """What the cells divide: the domain, and after its axes those of the exogenous inputs."""
+        """The box that cells divide: the axes of the domain, then those of the exogenous inputs."""
         return joined(self.domain, self.exogenous)
 
     @functools.cached_property
@@ -207,19 +207,19 @@ class Problem:
 
     @property
     def has_law(self) -> bool:
-        """Whether the default control is a law, not a constant."""
+        """Whether the default control is a law and not a constant."""
         return callable(self.default)
 
     @functools.cached_property
     def default_control(self) -> np.ndarray:
-        """The default control (m,) as a constant; of a law that at the middle of the space.
+        """The default control (m,) as a constant: for a law, its value in the middle of the space.
 
-        It is what a policy calls its default: before the first decision, and where none is found.
+        A policy uses this control before its first decision, and where no decision is found.
 
         Raises
         ------
         ProblemError
-            A law that is not finite there.
+            A law that is not finite in the middle of the space.
         """
         if not self.has_law:
             return np.asarray(self.default)
@@ -232,11 +232,12 @@ class Problem:
         return self.alphabet.control("default", value)
 
     def functions(self) -> dict[str, ca.Function]:
-        """Return CasADi functions of the reading z = (x, w), the state itself without exogenous w.
+        """Return the problem's CasADi functions of the reading z = (x, w), by name.
 
-        They are ``dynamics(z, u)``, with rates 0 of w, ``running_cost(z)``, ``terminal_cost(z)``,
-        which is the tail where there is one, and ``default(z)`` of a law and ``limits(z)`` where
-        there are some. A cost that is None is the constant 0.
+        Without exogenous inputs, z is the state. The functions are ``dynamics(z, u)`` (with rates 0
+        for w), ``running_cost(z)`` and ``terminal_cost(z)``, which is the tail if there is one.
+        There may also be ``default(z)`` for a law, and ``limits(z)``. A cost that is None is the
+        constant 0.
         """
         z = ca.SX.sym("z", self.space.n)
         name = "terminal_cost" if self.tail is None else "tail"
@@ -245,7 +246,7 @@ class Problem:
         return {**self.system(), "terminal_cost": casadi_function("terminal_cost", [z], terminal)}
 
     def system(self) -> dict[str, ca.Function]:
-        """Return the `functions` without the terminal cost."""
+        """Return the same functions as `functions`, without the terminal cost."""
         z, u = ca.SX.sym("z", self.space.n), ca.SX.sym("u", self.alphabet.m)
         n, told = self.domain.n, self.space.n - self.domain.n
         arguments = split_reading(z, {}, n)
@@ -262,9 +263,10 @@ class Problem:
         return {"dynamics": casadi_function("dynamics", [z, u], rates), **functions}
 
     def replace(self, **changes: Any) -> Problem:
-        """Return the problem with some fields replaced: ``replace(horizon=2.0)``.
+        """Return the problem with some fields replaced, as in ``replace(horizon=2.0)``.
 
-        `changes` are fields by name; the result is checked like a new problem. A grid that has the
+        `changes` gives the new fields by name. The result is checked like a new problem. A grid
+        that has the
         same numbers along all axes has them along those of another space, too.
 
         Raises
