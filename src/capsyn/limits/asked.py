@@ -1,4 +1,4 @@
-"""What is asked for where limits are to be kept: the sampled loop, and cells to look at."""
+"""How limits are to be kept: the sampled loop, and the cells in which capsyn looks."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ SAMPLES = 2048
 
 @dataclass(frozen=True)
 class KeepLimits:
-    """How limits are kept; see ``keep_limits`` of `synthesize`.
+    """How a policy keeps limits; see ``keep_limits`` of `synthesize`.
 
     Parameters
     ----------
     cells : int or (n,), optional
-        Cells along each axis, of states and exogenous inputs. Default: those of the policy's own
-        grid, as fine as `MOST_PAIRS` allows and what states move in a sample asks for.
+        Cells along each axis of states and exogenous inputs. Default: the policy's own grid, made
+        as fine as the motion of states in a sample asks for and `MOST_PAIRS` allows.
     model : callable ``(x, u, p) -> n rates``, or ``(x, u, w, p)``, optional
-        The plant, if it is another than the problem's, with parameters p.
+        The plant with parameters p, if the plant differs from the problem's model.
     parameters : mapping of names to pairs, optional
-        Ranges (low, high) of the components of p, in order. Limits are kept whatever is in them, as
-        long as it is constant.
+        Ranges (low, high) of the components of p, in order. Limits are kept for all constant
+        parameters within these ranges.
 
     Raises
     ------
     ProblemError
-        Something that cannot be used.
+        An argument that cannot be used.
     """
 
     cells: Any = None
@@ -76,7 +76,7 @@ class KeepLimits:
         keep(self, parameters=ranges)
 
     def dynamics(self, policy: Policy) -> Program:
-        """Return the dynamics of the plant of a policy, with or without parameters."""
+        """Return the dynamics of the plant of a `policy`, with or without parameters."""
         assert policy.model is not None
         own, names = policy.model.dynamics, self.parameters
         if self.model is None:

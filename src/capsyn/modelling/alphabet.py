@@ -21,7 +21,7 @@ class Alphabet:
     Parameters
     ----------
     values : (N, m), or (N,) for one input
-        Control vectors [input units], N <= 4,096; two may be equal only where `names` tell
+        Control vectors [input units], at most 4,096. Two of them may be equal only if `names` tell
         them apart.
     names : N strings, optional
         Names of the symbols. Default: their values as text.
@@ -78,19 +78,19 @@ class Alphabet:
         return self.values.shape[1]
 
     def control(self, name: str, value: Any) -> np.ndarray:
-        """Return a control vector (m,) [input units], checked.
+        """Return a value as a control vector (m,) [input units], after checking it.
 
         Parameters
         ----------
         name : str
-            What an error calls the argument.
+            The name of the argument in error messages.
         value : (m,) numbers, or one where m is 1
             The control [input units].
 
         Raises
         ------
         ProblemError
-            Another shape, or numbers that are not finite.
+            The value has another shape, or numbers that are not finite.
         """
         control = finite_array(name, value, 1 if numbers(name, value).ndim else 0).reshape(-1)
         if control.shape != (self.m,):

@@ -26,25 +26,26 @@ LARGEST = 1e290
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box of states with names, units and periodic axes.
+    """A box of states, with names, units and periodic axes.
 
     Parameters
     ----------
     lower, upper : (n,)
-        Bounds [state units], ``lower <= upper``: where they are equal, the state is fixed; a domain
-        has none.
+        Bounds [state units], ``lower <= upper``. A state with equal bounds is fixed; a domain has
+        no fixed state.
     names, units : n strings, optional
-        Default: ``x1 .. xn`` and no units.
+        Names and units of the states. Default: ``x1 .. xn`` and no units.
     periodic : n booleans, optional
-        True where ``upper`` is the same point as ``lower`` (an angle). Default: nowhere.
+        True for an axis on which ``upper`` is the same point as ``lower`` (an angle). Default: no
+        axis.
 
     Notes
     -----
-    The box carries an integer lattice: axis `i` is cut into ``counts[i]`` equal steps, and the
-    face with integer coordinate ``k`` lies at ``lower + (upper - lower) * (k / count)``, rounded
-    as written (``upper`` itself for ``k == count``). A state belongs to step ``k`` exactly when
-    ``face(k) <= state < face(k + 1)`` in floating point; on an ordinary axis the upper face of
-    the box belongs to the last step. Every backend and export follows this rule.
+    The box has an integer lattice. Axis `i` is cut into ``counts[i]`` equal steps. The face with
+    integer coordinate ``k`` lies at ``lower + (upper - lower) * (k / count)``, rounded as written,
+    and the face ``k == count`` lies at ``upper``. A state belongs to step ``k`` exactly when
+    ``face(k) <= state < face(k + 1)`` in floating point. On an ordinary axis, the upper face of the
+    box belongs to the last step. Every backend and export follows this rule.
 
     Raises
     ------
@@ -87,7 +88,7 @@ class Box:
 
     @staticmethod
     def unnamed(n: int) -> tuple[str, ...]:
-        """Return the names of `n` states where none are given."""
+        """Return the names of `n` states that have no names of their own."""
         return tuple(f"x{i + 1}" for i in range(n))
 
     @property
@@ -97,12 +98,12 @@ class Box:
 
     @property
     def widths(self) -> np.ndarray:
-        """``upper - lower`` [state units], (n,)."""
+        """Widths of the axes, ``upper - lower`` (n,) [state units]."""
         return self.upper - self.lower
 
     @property
     def periods(self) -> np.ndarray:
-        """Widths of the periodic axes, (n,) [state units], 0 of the others."""
+        """Periods of the axes (n,) [state units]; 0 for axes that are not periodic."""
         return np.where(self.periodic, self.widths, 0.0)
 
     def check_wide(self, what: str) -> None:
@@ -127,8 +128,8 @@ class Box:
     def faces(self, axis: int, k: np.ndarray, count: int) -> np.ndarray:
         """Return the positions (K,) [state unit] of the faces `k` (K,) of `count` steps on an axis.
 
-        Face ``k`` is at ``lower + (upper - lower) * (k / count)``, rounded as written, and face
-        `count` at ``upper``.
+        Face ``k`` lies at ``lower + (upper - lower) * (k / count)``, rounded as written. Face
+        `count` lies at ``upper``.
         """
         low, high = self.lower[axis], self.upper[axis]
         positions = np.divide(k, count)
@@ -138,12 +139,12 @@ class Box:
         return positions
 
     def check_resolution(self, counts: Sequence[int]) -> None:
-        """Check that `counts` (n,) steps are apart from each other in floating point.
+        """Check that floating point tells the faces of `counts` (n,) steps apart.
 
         Raises
         ------
         ProblemError
-            Neighbouring faces of an axis would fall together.
+            Two neighbouring faces of an axis would be the same number.
         """
         for i, count in enumerate(counts):
             low, high = float(self.lower[i]), float(self.upper[i])
@@ -156,7 +157,7 @@ class Box:
                 )
 
     def points(self, coordinates: np.ndarray, counts: Sequence[int]) -> np.ndarray:
-        """Return the states (B, n) at lattice `coordinates` (B, n), of `counts` (n,) steps."""
+        """Return the states (B, n) at lattice `coordinates` (B, n), with `counts` (n,) steps."""
         return np.stack(
             [self.faces(i, coordinates[:, i], counts[i]) for i in range(self.n)], axis=1
         )
@@ -181,17 +182,18 @@ class Box:
     def contains(self, states: np.ndarray) -> np.ndarray:
         """Return which `states` (B, n) are in the box, (B,) booleans.
 
-        They are finite, and within the bounds of the axes that are not periodic.
+        A state is in the box if it is finite, and within the bounds of all axes that are not
+        periodic.
         """
         with np.errstate(invalid="ignore"):
             inside = (states >= self.lower) & (states <= self.upper)
         return np.all((inside | self.periodic) & np.isfinite(states), axis=1)
 
     def locate(self, states: np.ndarray, counts: Sequence[int]) -> np.ndarray:
-        """Return the lattice steps (B, n), of `counts` (n,) an axis, that hold the states (B, n).
+        """Return the lattice steps (B, n) that hold the states (B, n).
 
-        States beyond an ordinary axis take its nearest step. The states must be finite or
-        infinite, not NaN; on periodic axes finite.
+        Each axis has `counts` (n,) steps. A state beyond the bounds of an ordinary axis takes the
+        nearest step. Coordinates must not be NaN, and coordinates of periodic axes must be finite.
         """
         states = self.wrap(states)
         steps = np.empty(states.shape, dtype=np.int64)
@@ -205,7 +207,7 @@ class Box:
         return steps
 
     def sample(self, count: int, seed: int | Sequence[int] | np.random.Generator = 0) -> np.ndarray:
-        """Return `count` states (count, n), drawn uniformly from the box, the same for a `seed`."""
+        """Return `count` random states (count, n), uniform in the box. A `seed` repeats them."""
         unit = np.random.default_rng(seed).random((count, self.n))
         return self.lower + unit * self.widths
 
@@ -221,7 +223,7 @@ class Ball:
     radius : float
         Radius > 0 [state units].
     names : n strings, optional
-        The states that it is about. Default: all, in order.
+        The states that the ball restricts. Default: all states, in order.
     """
 
     center: Any
@@ -240,7 +242,7 @@ class Ball:
 
     @property
     def n(self) -> int:
-        """Number of states that it is about."""
+        """Number of states that the ball restricts."""
         return len(self.center)
 
     def __eq__(self, other: object) -> bool:

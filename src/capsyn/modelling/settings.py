@@ -32,28 +32,32 @@ class SsacSettings:
     gamma : float
         Wanted sensitivity relative to the cost: ``alpha_d = gamma * J0``, eq. (8); <= 0.
     alpha_d : float, optional
-        Absolute wanted sensitivity [cost / time unit], <= 0, instead of `gamma`.
+        Wanted sensitivity as an absolute value [cost / time unit], <= 0. It replaces `gamma`.
     control_weight : float or (m, m)
         Weight R of the control effort ``u^T R u``, symmetric positive semidefinite.
     rule : "schedule" or "steepest"
-        ``argmin (dJ_dlam - alpha_d)^2 + |u|_R^2``, eq. (8), or ``argmin dJ_dlam + |u|_R^2``.
+        What the chosen symbol minimises: ``(dJ_dlam - alpha_d)^2 + |u|_R^2``, eq. (8), for
+        "schedule", and ``dJ_dlam + |u|_R^2`` for "steepest".
     on_no_descent : "best" or "default"
-        What a state gets whose chosen symbol has ``dJ_dlam >= 0``.
+        What a state gets if its chosen symbol has ``dJ_dlam >= 0``: this symbol, or the default
+        control.
     steps : int, optional
-        Runge-Kutta steps over the horizon. None: chosen so that a step-doubling check on sampled
-        states meets `tolerance`.
+        Runge-Kutta steps over the horizon. For None, capsyn chooses steps that meet `tolerance` in
+        a step-doubling check on sampled states.
     tolerance : float
-        99th percentile of the error of ``dJ_dlam`` relative to its largest possible size.
+        Bound on the 99th percentile of the error of ``dJ_dlam``, relative to its largest possible
+        size.
     precision : "double" or "single"
-        Arithmetic of the solves that make policies.
+        Floating-point arithmetic of the solves that make policies.
     application_time : "now" or "search"
-        When the online controller acts: at once, or when waiting and efficacy balance best. The
-        solves that make policies act at once.
+        When the online controller acts: at once ("now"), or when waiting and effect balance best
+        ("search"). The solves that make policies always act at once.
     initial_duration, shrink, max_backtracks, descent
         Line search of the online controller: the first duration of an action [time unit], the
-        factor that shortens it, how often, and the share of the cost that it must take off.
+        factor that shortens it, how often it is shortened, and the share of the cost that the
+        action must save.
     sample_time : float
-        Sample time of closed loops for which none is given [time unit].
+        Sample time of closed loops that are given no other [time unit].
 
     Raises
     ------
@@ -137,7 +141,7 @@ class SsacSettings:
         return np.einsum("si,ij,sj->s", values, weight, values)
 
     def wanted_sensitivity(self, costs: np.ndarray) -> np.ndarray:
-        """Return ``alpha_d`` (B,) [cost / time unit], eq. (8), where `costs` (B,) are J0."""
+        """Return ``alpha_d`` (B,) [cost / time unit] of eq. (8) for predicted `costs` J0 (B,)."""
         if self.alpha_d is not None:
             return np.full(costs.shape, self.alpha_d)
         return self.gamma * costs

@@ -1,8 +1,8 @@
-"""What a change of the setting costs, how long a setting is held, and which changes are forbidden.
+"""What a change of symbol costs, how long a symbol is held, and which changes are forbidden.
 
-With them a policy is the paper's transition function ``T : U x L -> U`` (Definition 2): the next
-symbol depends on the symbol in force, too. Arrays over symbols in force or symbols have N + 1
-entries, those of the default control last. It is in force before the first decision.
+A policy with a `Switching` is the paper's transition function ``T : U x L -> U`` (Definition 2):
+its next symbol also depends on the symbol in force. Arrays over symbols have N + 1 entries. The
+last entry belongs to the default control, which is in force before the first decision.
 """
 
 from __future__ import annotations
@@ -29,29 +29,31 @@ class Switching:
     Parameters
     ----------
     price : number, share, (N, N) matrix or mapping
-        What going from a symbol to another costs [cost / time unit], added to what the other
-        scores: one number for all; text such as ``"1%"``, that share of the median, over random
-        states of the domain, of the difference between the worst and the best score; or a matrix by
-        symbol in force and next symbol; or, by names of inputs, numbers or shares for each unit of
-        change of that input. Leaving the default control costs nothing.
+        What a change of symbol costs [cost / time unit]. The price is added to the score of the
+        next symbol. One number holds for all changes. Text such as ``"1%"`` is a share of the
+        median, over random states of the domain, of the worst score less the best. A matrix has a
+        price for each symbol in force (rows) and next symbol. A mapping has, by names of inputs,
+        numbers or shares for each unit of change of the input. Leaving the default control costs
+        nothing.
     hold : number, N numbers or mapping
-        Least times [time unit]: one for all symbols, one for each, or by names of symbols, of the
-        default control as ``"default"``, or of inputs. A symbol is held so long once it is entered,
-        an input so long once it has changed; other inputs may change meanwhile. Unlike with
-        ``min_dwell``, the short form of one time for all, the policy depends on the symbol in
-        force, which stays where it ties.
+        Least times [time unit]: one for all symbols, one for each symbol, or a mapping. A mapping
+        has times by names of symbols, ``"default"`` for the default control, and names of inputs. A
+        symbol is held for its time once it is entered. An input is held for its time once it has
+        changed, and other inputs may change meanwhile. The policy then depends on the symbol in
+        force, which stays if it ties with the best. This differs from ``min_dwell``, the short form
+        of one time for all.
     forbidden : pairs of names
-        Transitions that must not be taken, from and to, of symbols or ``"default"``, which stands
-        for the start.
+        Transitions that must not be taken, as pairs (from, to) of names of symbols. The name
+        ``"default"`` stands for the start.
 
     Raises
     ------
     ProblemError
-        A price or a time that is negative or not finite, or pairs that are none.
+        A price or a time that is negative or not finite, or a transition that is no pair.
 
     Notes
     -----
-    Names are checked where an alphabet is known: by `Problem`.
+    `Problem` checks the names, because it knows the alphabet.
     """
 
     price: Any = 0.0
@@ -65,14 +67,14 @@ class Switching:
 
     @property
     def has_share(self) -> bool:
-        """Whether the price is a share that is yet to become a number; see `with_spread`."""
+        """Whether the price is a share, which `with_spread` turns into a number."""
         prices = self.price.values() if isinstance(self.price, dict) else (self.price,)
         return any(isinstance(price, str) for price in prices)
 
     def with_spread(self, spread: float) -> Switching:
-        """Return it with shares as numbers, `spread` being what 100 % are [cost / time unit].
+        """Return the switching with shares as numbers; `spread` is 100 % [cost / time unit].
 
-        They are rounded to nine digits, so that backends agree on them.
+        The numbers are rounded to nine digits, so that all backends agree on them.
         """
 
         def number(price: Any) -> Any:
@@ -85,7 +87,7 @@ class Switching:
         return dataclasses.replace(self, price=number(self.price))
 
     def check(self, alphabet: Alphabet, outside: Outside = "error") -> None:
-        """Raise `ProblemError` unless it fits an alphabet and the rule outside the domain."""
+        """Raise `ProblemError` unless the switching fits an `alphabet` and the rule `outside`."""
         count = len(alphabet)
         if isinstance(self.price, tuple) and len(self.price) != count:
             size = len(self.price)
@@ -135,7 +137,7 @@ class Switching:
             )
 
     def forbids(self, alphabet: Alphabet) -> np.ndarray:
-        """Return which transitions of an `alphabet` are forbidden, (N + 1, N + 1), from to."""
+        """Return the forbidden transitions (N + 1, N + 1) of an `alphabet`, from row to column."""
         places = {name: k for k, name in enumerate((*alphabet.names, DEFAULT))}
         table = np.zeros((len(places), len(places)), dtype=bool)
         for before, after in self.forbidden:
@@ -143,11 +145,11 @@ class Switching:
         return table
 
     def prices(self, alphabet: Alphabet, default: np.ndarray) -> np.ndarray:
-        """Return the prices (N + 1, N + 1) from each symbol of an `alphabet` to each.
+        """Return the prices (N + 1, N + 1) [cost / time unit] of transitions in an `alphabet`.
 
-        They are in [cost / time unit], those of forbidden transitions infinite. `default` (m,) is
-        the default control; going to it costs what going to the first symbol of the same control
-        does. The price is no share.
+        Forbidden transitions have infinite prices. `default` (m,) is the default control. A change
+        to it costs as much as a change to the first symbol of the same control. The price of the
+        switching must not be a share.
         """
         assert not self.has_share
         count = len(alphabet)
@@ -172,8 +174,8 @@ class Switching:
     def holds(self, alphabet: Alphabet, default: np.ndarray) -> np.ndarray:
         """Return how long symbols of an `alphabet` are held once entered, (N + 1,) [time unit].
 
-        The `default` control is held as the first symbol of the same control, where it has no time
-        of its own.
+        If the `default` control has no time of its own, it is held as long as the first symbol of
+        the same control.
         """
         count = len(alphabet)
         times = np.zeros(count + 1)
@@ -203,7 +205,7 @@ class Switching:
         return hash((str(self.price), str(self.hold), self.forbidden))
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as plain data."""
+        """Return the switching as plain data."""
         lists = {
             "price": [list(row) for row in self.price] if isinstance(self.price, tuple) else None,
             "hold": list(self.hold) if isinstance(self.hold, tuple) else None,

@@ -1,4 +1,4 @@
-"""The control alphabet policy: one symbol for every state, and symbol in force if it remembers."""
+"""The control alphabet policy: one symbol for every state, and for every symbol in force."""
 
 from __future__ import annotations
 
@@ -33,59 +33,59 @@ from capsyn.validation import describe
 class Policy(Derived):
     """A control alphabet policy ``<U, L, T>`` (Definition 2 of the paper).
 
-    Calling the policy with states (..., n), and with exogenous inputs (..., k) where it is told
-    some, returns symbol indices (...,) into ``policy.alphabet.values``; -1 stands for the default
-    control.
+    A call of the policy with states (..., n) returns symbol indices (...,) into
+    ``policy.alphabet.values``. -1 stands for the default control. If the policy is told exogenous
+    inputs (..., k), the call takes them after the states.
 
     Parameters
     ----------
     name : str
         Name of the problem.
     domain : Box
-        States that have cells; see `space`.
+        The states that have cells; see `space`.
     alphabet : Alphabet
         The symbols U.
     default : (m,)
         Default control [input units].
     cells : CellTree or SplitTree
-        The partitions L; a `SplitTree` of a `DecisionTree`.
+        The partitions L. A `DecisionTree` has a `SplitTree`.
     outside : "error", "nearest" or symbol index
         What a state outside the domain gets: an error, the symbol of the nearest cell, or a safe
-        symbol. A state that is not finite gets an error, or the safe symbol.
+        symbol. A state that is not finite gets an error or the safe symbol.
     min_dwell : float
-        Least time between switches [time unit], for whoever runs the policy.
+        Least time between switches [time unit], which closed loops and exports keep.
     target : Ball, Box or Program, optional
-        What "arrived" means; of a program, the states where it is not 0.
+        The states that count as arrived. For a program, these are the states where it is not 0.
     horizon : float, optional
         Prediction horizon T [time unit] of the controller that the policy came from.
     settings : SsacSettings, optional
-        Its settings; without a horizon, those of the problem, which say the sample time.
+        Settings of that controller. Without a horizon, only their sample time counts.
     model : Model, optional
-        Its model, as programs.
+        Model of that controller, as programs.
     statistics : dict
         Counts and shares of the synthesis, as plain data.
     timings : dict
-        Seconds of the synthesis by part; not part of the policy's file.
+        Seconds of the synthesis by part. The policy's file does not have them.
     evidence : dict
-        What `capsyn.verification` found, by kind, as plain data, and under ``"sha256"`` the content
-        that it is about; see `with_evidence`.
+        What `capsyn.verification` found, by kind, as plain data. ``"sha256"`` names the content
+        that the evidence is about; see `with_evidence`.
     gaps : bool
-        Whether cells of the default control are gaps: states there are outside, although in the
-        domain, and have no symbol of a nearest cell either.
+        Whether cells of the default control are gaps. A state in a gap counts as outside, although
+        it is in the domain, and does not get the symbol of a nearest cell.
     time_unit, outside_at_once
         See `Problem`.
     transitions : (R, N + 1) ints, optional
-        The transition function T: which label follows each label in force, the default's last; a
-        row for each leaf number of `cells` but those of affine leaves. The first N + 1 rows are
-        constant. Default: no more than these, so that the symbol in force does not matter.
+        The transition function T: the label that follows each label in force, the default's last.
+        Each leaf number of `cells` has a row, except affine leaves. The first N + 1 rows are
+        constant. Default: only these rows, and the symbol in force does not matter.
     switching : Switching, optional
-        The prices that `transitions` keeps, as numbers; least times, and forbidden transitions.
+        Prices as numbers, least times and forbidden transitions, which `transitions` keeps.
     delay : float
         Input delay that the policy compensates [time unit].
     exogenous : Box, optional
-        Values of the exogenous inputs, what the policy is told beside the state; see `Problem`.
+        Box of the exogenous inputs, which the policy is told beside the state; see `Problem`.
     kept : Kept, optional
-        From where its limits are kept; see `keeps_limits`.
+        The states from which the policy keeps limits; see `keeps_limits`.
     """
 
     name: str
@@ -124,30 +124,30 @@ class Policy(Derived):
         backend: str = "auto",
         current: Any = None,
     ) -> Any:
-        """Return the symbol indices (...,) of states (..., n); -1 is the default control.
+        """Return the symbol indices (...,) for states (..., n); -1 is the default control.
 
         Parameters
         ----------
         states : (..., n)
             States [state units].
         exogenous : (..., k), or mapping of name to numbers (...), optional
-            Exogenous inputs, of a policy that is told some, broadcast against the states. Left out,
-            `states` are readings (..., n + k), these last.
+            Exogenous inputs, broadcast against the states, if the policy is told some. If left out,
+            `states` are readings (..., n + k), with the exogenous inputs last.
         outside : "error", "nearest" or symbol index, optional
-            Overrides the policy's own rule.
+            Rule for states outside, in place of the policy's own rule.
         backend : "auto", "c" or "numpy"
-            Which lookup to use; all give the same symbols. Features are for NumPy in any case.
+            Which lookup to use. All give the same symbols. Features always take NumPy.
         current : symbol indices (...,), or the name of one, optional
-            The symbols in force, -1 for the default control, which is in force before the first
-            decision. Default: that. A policy that does not remember is the same for all.
+            The symbols in force; -1, the default control, is in force before the first decision.
+            Default: -1. The symbol of a policy that does not remember is the same for all of them.
 
         Raises
         ------
         OutsideDomainError
-            A state outside the domain under rule ``"error"``, or one in a gap, or one that is not
-            finite, under ``"error"`` or ``"nearest"``.
+            A state is outside the domain under rule ``"error"``. Or a state is in a gap, or not
+            finite, under rule ``"error"`` or ``"nearest"``.
         ProblemError
-            States of another shape, or symbols in force that are none.
+            States of another shape, or symbols in force that are not in the alphabet.
         """
         states = self.readings(states, exogenous)
         rule = check_outside(self.outside if outside is None else outside, self.alphabet)
@@ -166,7 +166,7 @@ class Policy(Derived):
         return labels.reshape(states.shape[:-1])[()]
 
     def readings(self, states: Any, exogenous: Any = None) -> np.ndarray:
-        """Return readings (..., n + k) of states and exogenous inputs; see a call of the policy.
+        """Return readings (..., n + k): states, then exogenous inputs; see a call of the policy.
 
         Raises
         ------
@@ -182,11 +182,11 @@ class Policy(Derived):
         backend: str = "auto",
         in_force: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return the next labels (B,) of readings `states`: symbols, N the default, or negative.
+        """Return the next labels (B,) of readings `states`: symbols, or N for the default.
 
-        It is negative where there is none. With `nearest` a finite state outside the domain has
-        that of the nearest cell; `backend` is that of a call; `in_force` (B,) are the labels in
-        force, by default the default's.
+        A label is negative where a state has none. With `nearest`, a finite state outside the
+        domain has the label of the nearest cell. `in_force` (B,) are the labels in force, by
+        default the default control's. `backend` is that of a call.
         """
         labels = row_numbers(states, self.space, self.cells, nearest, backend, in_force)
         if len(self.transitions) > len(self.alphabet) + 1:
@@ -198,11 +198,11 @@ class Policy(Derived):
         return labels
 
     def rows(self, states: Any, exogenous: Any = None) -> Any:
-        """Return which rows of `transitions` hold at states (..., n), numbers (...,).
+        """Return which rows of `transitions` hold at states (..., n), as numbers (...,).
 
-        `exogenous` is that of a call of the policy. They are negative outside the domain and where
-        a state is not finite. Numbers from R on are those of affine leaves, whose row varies with
-        the state; see ``cells.affine``.
+        A number is negative for a state that is outside the domain or not finite. Numbers from R on
+        belong to affine leaves, whose row varies with the state; see ``cells.affine``. `exogenous`
+        is that of a call of the policy.
 
         Raises
         ------
@@ -220,7 +220,7 @@ class Policy(Derived):
     def covers(self, states: Any, exogenous: Any = None) -> Any:
         """Return whether states (..., n) are in the domain and in no gap, booleans (...).
 
-        `exogenous`, whose values must be in their box, is that of a call of the policy.
+        `exogenous` is that of a call of the policy. Its values must be in their box, too.
 
         Raises
         ------
@@ -238,38 +238,38 @@ class Policy(Derived):
         outside: Outside | None = None,
         current: Any = None,
     ) -> np.ndarray:
-        """Return the control vectors (..., m) [input units] of states (..., n).
+        """Return the control vectors (..., m) [input units] for states (..., n).
 
-        `exogenous`, `outside`, `current` and errors are those of a call of the policy.
+        `exogenous`, `outside`, `current` and the errors are those of a call of the policy.
         """
         return self.controls[self(states, exogenous, outside, current=current)]
 
     def at(self, exogenous: Any) -> Policy:
-        """Return the policy of the states alone that this one is while exogenous inputs stay.
+        """Return the policy of the states alone, for exogenous inputs that stay fixed.
 
-        Its symbols are those of this policy at `exogenous` (k,), or a mapping of names, exactly:
-        its cells are the cut through these cells, and its model the same with the inputs fixed.
+        Its symbols are exactly those of this policy at `exogenous` (k,), or a mapping of names. Its
+        cells are the cut through these cells, and its model has the inputs fixed.
 
         Raises
         ------
         ProblemError
-            Inputs that are no k finite numbers within their box, or a policy that is told nothing.
+            `exogenous` is not k finite numbers within their box, or the policy is told nothing.
         """
         from capsyn.policies.cut import at
 
         return at(self, exogenous)
 
     def structure(self) -> dict[str, Any]:
-        """Return what the file says of the cells beside their arrays, as plain data."""
+        """Return what the file says about the cells besides their arrays, as plain data."""
         return self.cells.structure()
 
     @functools.cached_property
     def mixed_share(self) -> float:
-        """Share of the volume of finest cells whose test points did not agree."""
+        """Share of the volume that is in finest cells whose test points did not agree."""
         return mixed_share(cell_tree(self))
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the policy to a file at `path`, whole or not at all.
+        """Write the policy to a file at `path`, completely or not at all.
 
         Raises
         ------
@@ -282,27 +282,27 @@ class Policy(Derived):
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> Policy:
-        """Return the policy in the file at `path`, a `DecisionTree` where it holds one.
+        """Return the policy in the file at `path`, which may be a `DecisionTree`.
 
         Raises
         ------
         PolicyFormatError
-            The file is no policy, damaged, tampered with, or of a newer format.
+            The file is no policy, is damaged or tampered with, or has a newer format.
         """
         from capsyn.policies.file import load
 
         return load(path, lambda known: (DecisionTree if "guarantee" in known else Policy)(**known))
 
     def with_evidence(self, **kinds: dict[str, Any]) -> Policy:
-        """Return the policy with evidence added, which its file will carry.
+        """Return the policy with evidence added. Its file then carries the evidence.
 
-        `kinds` are what ``to_json()`` of a result of `capsyn.verification` gives, by name:
-        ``monte_carlo``, ``lyapunov`` or ``agreement``. That of another content is dropped.
+        `kinds` are results of `capsyn.verification` by name, ``monte_carlo``, ``lyapunov`` or
+        ``agreement``, as their ``to_json()`` gives them. Evidence of another content is dropped.
 
         Raises
         ------
         ProblemError
-            Another kind, or something that is not such plain data.
+            Another kind of evidence, or data that are no such evidence.
         """
         from capsyn.policies.file import add_evidence
 
@@ -322,14 +322,13 @@ class DecisionTree(Policy):
     Parameters
     ----------
     cells : SplitTree
-        Splits, and labels of leaves.
+        The splits of the tree, and the labels of its leaves.
     guarantee : Guarantee
-        What it has in common with the policy that it was made from.
+        How the tree compares with the policy that it was made from.
 
     Notes
     -----
-    Splits compare lattice integers, so that every backend and export
-    gives the same symbol.
+    Splits compare integers of a lattice, so every backend and export gives the same symbol.
     """
 
     cells: SplitTree
@@ -344,7 +343,7 @@ class DecisionTree(Policy):
 
     @staticmethod
     def of(policy: Policy, cells: SplitTree, guarantee: Guarantee) -> DecisionTree:
-        """Return `policy` with a tree for `cells`, and its `guarantee`; without its evidence."""
+        """Return `policy` with a tree for `cells` and its `guarantee`, without the old evidence."""
         kept = {f.name: getattr(policy, f.name) for f in fields(Policy)}
         return DecisionTree(
             guarantee=guarantee, **kept | {"cells": cells, "evidence": {}, "timings": {}}
@@ -352,7 +351,7 @@ class DecisionTree(Policy):
 
     @property
     def node_count(self) -> int:
-        """Inner nodes and leaves."""
+        """Number of nodes: inner nodes and leaves."""
         return self.cells.node_count
 
     @property
@@ -362,16 +361,16 @@ class DecisionTree(Policy):
 
     @property
     def title(self) -> str:
-        """The name and the mode."""
+        """The name of the policy and the mode of the tree."""
         return f"{self.name}, {self.guarantee.mode} tree"
 
     def structure(self) -> dict[str, Any]:
-        """Return what the file says of the tree beside its arrays, and its guarantee."""
+        """Return what the file says about the tree besides its arrays, with its guarantee."""
         return super().structure() | {"guarantee": self.guarantee.to_json()}
 
     @property
     def mixed_share(self) -> float:
-        """0: a tree has no cells whose test points did not agree."""
+        """Always 0, as a tree has no cells whose test points did not agree."""
         return 0.0
 
     def __repr__(self) -> str:

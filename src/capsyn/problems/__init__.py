@@ -41,14 +41,15 @@ def names() -> list[str]:
 
 
 def plain(name: str) -> Problem:
-    """Return a built-in problem without its `Switching` and its tail, as the paper would have it.
+    """Return a built-in problem without its `Switching` and its tail, as in the paper.
 
-    Its policy does not depend on the symbol in force. Without a tail the horizon is longer.
+    The policy of this problem does not depend on the symbol in force. Its horizon is longer,
+    because it has no tail.
 
     Raises
     ------
     ProblemError
-        There is none of this name; the message suggests the nearest.
+        No built-in problem has this name. The message suggests the nearest name.
     """
     problem, (module, _) = get(name), _MAKERS[name]
     before = getattr(_module(module), "GREEDY", _GREEDY.get(name, {}))
@@ -56,12 +57,12 @@ def plain(name: str) -> Problem:
 
 
 def get(name: str) -> Problem:
-    """Return a built-in problem, with the price on switching that its actuators would want.
+    """Return a built-in problem, with a price on switching that suits its actuators.
 
     Raises
     ------
     ProblemError
-        There is none of this name; the message suggests the nearest.
+        No built-in problem has this name. The message suggests the nearest name.
     """
     if name not in _MAKERS:
         near = difflib.get_close_matches(name, _MAKERS, n=1, cutoff=0.4)

@@ -1,4 +1,4 @@
-"""Closed-loop trajectories: any controller, any plant, at a sample rate."""
+"""Closed-loop trajectories of any controller with any plant, at a sample rate."""
 
 from __future__ import annotations
 
@@ -27,43 +27,44 @@ from capsyn.validation import describe, finite_number, numbers
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What happened in a closed loop, at every sample; the shapes (...) are those of `x0`.
+    """What happened in closed loops, at every sample. The shapes (...) are those of `x0`.
 
     Parameters
     ----------
     times : (K + 1,)
         Sample times [time unit].
     states : (..., K + 1, n)
-        States [state units]; NaN after the end.
+        States [state units]; NaN after a trajectory has ended.
     exogenous : (..., K + 1, k)
-        Exogenous inputs, k of them [their units]; NaN after the end.
+        The k exogenous inputs [their units]; NaN after a trajectory has ended.
     symbols : (..., K)
-        Symbol that held over each sample; -1 the default control, -2 none (after the end, or of
-        controls that are no symbols).
+        Symbol that held over each sample. -1 is the default control. -2 is no symbol: after the
+        end, or for a control that is no symbol.
     controls : (..., K, m)
-        Control at the start of each sample, as the controller gave it [input units].
+        Control that the controller gave at the start of each sample [input units].
     costs : (..., K + 1)
-        Running cost gathered so far.
+        Running cost gathered until each sample time [cost].
     terminal_cost : (...)
-        Terminal cost of the last state, 0 where there is none.
+        Terminal cost of the last state; 0 if there is no terminal cost.
     switches : (...)
-        Changes of the control.
+        Number of changes of the control.
     outside : (...)
-        Samples whose measured state was outside the policy's domain.
+        Number of samples whose measured state was outside the policy's domain.
     ended : (...) strings
-        ``"time"``, ``"target"``, ``"left the domain"`` or ``"not finite"``.
+        Why each trajectory ended: ``"time"``, ``"target"``, ``"left the domain"`` or ``"not
+        finite"``.
     last : (...)
-        The sample at which it ended.
+        The sample at which each trajectory ended.
     arrived : (...)
-        When the target was reached first [time unit]; NaN where it was not.
+        When each trajectory first reached the target [time unit]; NaN if it did not.
     names, units : tuples of str
         Names and units of the states, then of the inputs.
     exogenous_names, exogenous_units : tuples of str
-        Those of the exogenous inputs.
+        Names and units of the exogenous inputs.
     periods : tuple of n floats
-        Widths of the axes of periodic states [state units], 0 of others.
+        Widths of the axes of periodic states [state units]; 0 for other states.
     time_unit : str
-        That of the plant, see `Problem`.
+        Unit of time of the plant, see `Problem`.
     """
 
     times: np.ndarray
@@ -87,7 +88,7 @@ class Trajectory:
 
     @property
     def cost(self) -> Any:
-        """Cost of eq. (3) over each trajectory, until it ended."""
+        """Cost (...) of eq. (3) of each trajectory, until it ended."""
         last = np.asarray(self.last)[..., None]
         return np.take_along_axis(self.costs, last, axis=-1)[..., 0] + self.terminal_cost
 
@@ -100,16 +101,16 @@ class Trajectory:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the trajectory as plain data; what is not a number is null.
+        """Return the trajectory as plain data, with null for NaN.
 
-        A time unit of s, and exogenous inputs where there are none, are left out.
+        The data have a time unit only if it is not s, and exogenous inputs only if there are some.
         """
         left_out = {"time_unit", *(() if self.exogenous_names else _EXOGENOUS)}
         plain = {name: _plain(value) for name, value in vars(self).items() if name not in left_out}
         return plain | self._unit
 
     def summary(self) -> list[dict[str, Any]]:
-        """Return how each trajectory went, as plain data; a time unit of s is left out."""
+        """Return how each trajectory went, as plain data, with the time unit if it is not s."""
         size, n = self.states.shape[-2:]
         states, last = self.states.reshape(-1, size, n), np.ravel(self.last)
         ends = np.arange(len(last))
@@ -131,15 +132,15 @@ class Trajectory:
         return {} if self.time_unit == "s" else {"time_unit": self.time_unit}
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a .csv or .json file, by the ending of `path`, whole or not at all.
+        """Write a .csv or .json file, by the ending of `path`, completely or not at all.
 
-        A row of CSV is a sample: trial (where there are many), time, states, exogenous inputs,
-        cost, symbol, controls.
+        Each row of CSV is a sample: trial (if there are many), time, states, exogenous inputs,
+        cost, symbol and controls.
 
         Raises
         ------
         ProblemError
-            Another ending, or a place that cannot be written.
+            `path` has another ending, or cannot be written.
         """
         kind = check_trajectory_format(path)
 
@@ -218,51 +219,53 @@ def simulate(
     Parameters
     ----------
     controller : Policy, OnlineController or callable ``(time, states (B, n)) -> controls (B, m)``
-        What acts at every sample, on the measured states [time unit, state units]. Where the plant
-        has exogenous inputs, the function takes them (B, k) after the states.
+        The controller, which acts at every sample on the measured states [time unit, state units].
+        If the plant has exogenous inputs, a function takes them (B, k) after the states.
     x0 : (..., n)
         Initial states [state units].
     duration : float
-        Time to simulate [time unit of the plant, as all times here], rounded to whole samples.
+        Time to simulate, rounded to whole samples [time unit of the plant, as all times here].
     rate : float, optional
-        Samples per time unit; the control is held between them. Default: 1 over the
+        Samples per time unit. The control is held between samples. Default: 1 over the
         ``sample_time`` of the controller's settings.
     model : Problem, Policy or callable ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``, optional
-        Another plant than the controller's own model. With exogenous inputs it is a function of
-        ``(x, u, w)`` or ``(x, u, w, p)``.
+        A plant that differs from the controller's own model. With exogenous inputs, it is a
+        function of ``(x, u, w)`` or ``(x, u, w, p)``.
     parameters : mapping of name to float, optional
-        The components of `p`, in order: what the plant has and the controller is not told.
+        The components of `p`, in order. The plant has these parameters, and the controller is not
+        told them.
     disturbance : (n,) or callable ``time -> (n,)``, optional
-        Added to the rates of the states [state units / time unit]; a callable is held over each
-        sample.
+        A term added to the rates of the states [state units / time unit]. The value of a callable
+        is held over each sample.
     noise : float or (n,) or (n + k,), optional
-        Standard deviation of Gaussian noise on the measured states [state units], and on the
-        exogenous inputs as they are told where n + k are given.
+        Standard deviation of Gaussian noise on the measured states [state units]. With n + k
+        numbers, also on the exogenous inputs that the controller is told.
     delay : float, optional
-        Time from a sample until its control acts [time unit]. Default: that of the plant, which the
-        policy compensates.
+        Time from a sample until its control acts [time unit]. Default: the delay of the plant,
+        which the policy compensates.
     min_dwell : float, optional
-        One least time for all symbols [time unit]. Default: those of the policy.
+        One least time for all symbols [time unit]. Default: the least times of the policy.
     outside : "error", "nearest" or symbol, optional
         What a state outside the domain gets. Default: the policy's own rule.
     outside_at_once : bool, optional
-        Whether its symbol does not wait for `min_dwell`. Default: as the policy says.
+        Whether the symbol of a state outside is taken at once, without waiting for `min_dwell`.
+        Default: as the policy says.
     target : Ball, Box or callable ``x -> true or false``, optional
-        Whose reaching is noted. Default: the policy's own.
+        The states that count as arrived. Default: the policy's own target.
     stop_at_target : bool
-        Whether a trajectory ends there.
+        Whether a trajectory ends when it reaches the target.
     substeps : int, optional
-        Runge-Kutta steps per sample. Default: as many as step doubling asks for.
+        Runge-Kutta steps per sample. Default: as many as a step-doubling check asks for.
     seed : int
-        Of the noise; each trajectory has a stream of its own.
+        Seed of the noise. Each trajectory has a random stream of its own.
     backend : "auto", "c" or "numpy"
-        How policies are simulated; other controllers always take NumPy.
+        How policies are simulated. Other controllers always take NumPy.
     threads : int, optional
-        Default: one per processor. The result does not depend on it.
+        Number of threads. Default: one per processor. The result does not depend on it.
     exogenous : (..., k), callable ``time -> (k,)``, or mapping of name to value
         Exogenous inputs of a model that has them, held over each sample. A value by name is a
-        number or numbers (...) as `x0` has, a function of time, or steps: ``{0: 20, 60: 22}`` or
-        pairs (time, value), from the first of which on the last that has come holds.
+        number, numbers (...) shaped as `x0`, a function of time, or steps. Steps are ``{0: 20, 60:
+        22}`` or pairs (time, value); each value holds from its time until the next.
 
     Raises
     ------

@@ -20,27 +20,26 @@ MOVING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """How closely a state follows its reference; the shapes (...) are those of the trajectories.
+    """How closely a state follows its reference. The shapes (...) are those of the trajectories.
 
-    The error is state minus reference, of a periodic state by the shorter way round. A reference
-    that steps cuts a trajectory into segments, each of which begins at a change; the first begins
-    with the trajectory and its initial state. Changes at successive samples are one move, and
-    nothing answers a change at the last sample, which is left out. All figures are NaN where the
-    error is not finite.
+    The error is state minus reference, and for a periodic state the shorter way round. Each step of
+    the reference begins a segment of the trajectory. The first segment begins with the trajectory
+    and its initial state. Changes at successive samples are one move. A change at the last sample
+    is left out, because nothing answers it. All figures are NaN if the error is not finite.
 
     Parameters
     ----------
     rms : (...)
-        Root of the mean square of the error over all samples [state unit].
+        Root mean square of the error over all samples [state unit].
     bias : (...)
-        Mean of the error over the second half of each segment, of the segment where it is largest,
-        with its sign [state unit].
+        Mean error over the second half of a segment, with its sign [state unit]. The segment is the
+        one with the largest such mean.
     overshoot : (...)
-        Largest excursion beyond the reference, on the far side of where a segment began [state
-        unit]; 0 where there is none.
+        Largest excursion beyond the reference, on the side opposite to the beginning of a segment
+        [state unit]; 0 if there is none.
     settling : (...)
         Longest time from the beginning of a segment until the error stays within the band [time
-        unit]; NaN where it does not within some segment.
+        unit]; NaN if the error does not settle in some segment.
     """
 
     rms: np.ndarray
@@ -49,7 +48,7 @@ class Tracking:
     settling: np.ndarray
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures as plain data; what is not finite is null."""
+        """Return the figures as plain data, with null for numbers that are not finite."""
         return {
             f.name: [float(v) if np.isfinite(v) else None for v in np.ravel(getattr(self, f.name))]
             for f in fields(self)
@@ -82,16 +81,16 @@ def check_followed(track: Mapping[str, Any], states: Sequence[str], told: Sequen
 def tracking(
     trajectory: Trajectory, state: str, reference: str | float, band: float | None = None
 ) -> Tracking:
-    """Return how closely a state of trajectories follows an exogenous input, or a number.
+    """Return how closely a state of trajectories follows an exogenous input or a constant.
 
     Parameters
     ----------
     trajectory : Trajectory
-        One, or many, as `capsyn.simulate` returns it.
+        One or many trajectories, as `capsyn.simulate` returns them.
     state : str
         Name of the state.
     reference : str or float
-        Name of the exogenous input that it should follow, or a constant [state unit].
+        Name of the exogenous input that the state should follow, or a constant [state unit].
     band : float, optional
         Largest error of a state that has settled [state unit]. Default: 2 % of the largest error at
         the beginning of a segment.

@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper: adaptive cell subdivision, over any labelling function.
 
-Test points lie on an integer lattice eight times finer than the finest cells, so that vertices,
-centres, edge midpoints and the points of the quarter rule are whole numbers, and a point that
+Test points lie on an integer lattice that is eight times finer than the finest cells. Vertices,
+centres, edge midpoints and the points of the quarter rule are therefore whole numbers. A point that
 cells or levels share is solved once.
 """
 
@@ -76,67 +76,71 @@ def subdivide(
     Parameters
     ----------
     label : callable
-        States (B, n) to what `returns` says.
+        A function of states (B, n) that returns what `returns` says.
     domain : Box
-        States to label.
+        The states that get a label.
     symbols : int or Alphabet
         Number of symbols N, or the alphabet itself.
     partitions, refinement : int or (n,)
-        Cells of the root grid, and children of a split cell, per axis.
+        Cells of the root grid along each axis, and children of a split cell along each axis.
     max_level : int
-        Most times that a cell is split along an axis.
+        How often a cell may be split along an axis.
     leaves : "constant" or "affine"
-        One symbol for each cell, or for cells on a switching surface rows that are affine in the
-        state: the symbol of the largest. Rows are fitted to the scores at the cell's test points,
-        or, without scores, to its labels, and kept as integers.
+        "constant" gives each cell one symbol. "affine" gives cells on a switching surface rows that
+        are affine in the state, and the symbol of the largest row. Rows are fitted to the scores at
+        the cell's test points, or to the labels if there are no scores. Rows are kept as integers.
     leaf_error : float
-        Largest estimated share of a cell, 0 to 1, where its rows may be wrong; see the notes.
+        Largest estimated share of an affine leaf, 0 to 1, in which its rows may be wrong; see the
+        notes.
     refine : "isotropic" or "adaptive"
-        Split cells along all axes, or along those only along which their labels, or the errors of
-        their rows, vary: fewer solves, most of all with affine leaves in three dimensions and more.
-        Of at most 16 axes.
+        "isotropic" splits cells along all axes. "adaptive" splits a cell only along the axes along
+        which its labels, or the errors of its rows, vary. This saves solves, most of all with
+        affine leaves from three dimensions on. It takes at most 16 axes.
     test_points : str
-        ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` (their centres) and
-        ``+random:R`` added as wanted; or ``"center+faces"``, without the 2^n vertices.
+        The points of a cell that are labelled: ``"vertices+center"``, or ``"center+faces"`` without
+        the 2^n vertices. Add ``+edge_midpoints``, ``+faces`` (centres of faces) or ``+random:R`` as
+        wanted.
     seed : int
         Seed of the random test points.
     returns : "symbols", "masks", "scores" or "masks+scores"
-        What `label` returns: symbol indices (B,), -1 for the default; masks of the symbols that
-        could be best, unsigned (B,), bit N for the default, 0 where there is no finite answer, or
-        beyond 63 symbols uint64 (B, W), bit ``i % 64`` of word ``i // 64`` for symbol i;
-        scores (B, N), the largest is best, or (B, N + 1) with that of the default, NaN where there
-        is no finite answer; or a pair of masks and scores.
+        What `label` returns. "symbols" are indices (B,), -1 for the default control. "masks" are
+        the symbols that could be best: unsigned integers (B,), with bit N for the default, and 0 if
+        there is no finite answer. Beyond 63 symbols, masks are uint64 (B, W), with bit ``i % 64``
+        of word ``i // 64`` for symbol i. "scores" are numbers (B, N), the largest is best, or (B, N
+        + 1) with the score of the default; NaN means no finite answer. "masks+scores" is a pair of
+        both.
     preference : sequence of int, optional
-        Symbols (N for the default), most preferred first, to break ties. Default: by index.
+        Symbols (N for the default), most preferred first, which decide ties. Default: by index.
     in_force : bool
-        Whether `label` returns symbols (B, N + 1), or masks (B, N + 1) or (B, N + 1, W): one for
-        each symbol in force, and last for the default control, which is in force before the first
-        decision. Then the policy depends on the symbol in force, which stays where it ties.
+        Whether `label` answers for each symbol in force: with symbols (B, N + 1), or masks (B, N +
+        1) or (B, N + 1, W). The last column is for the default control, which is in force before
+        the first decision. The policy then depends on the symbol in force, which stays if it ties
+        with the best.
     outside : "error", "nearest" or symbol
-        Rule of the policy for states outside the domain.
+        The policy's rule for states outside the domain.
     name : str
         Name of the policy.
     time_unit : "ns", "us", "ms", "s", "min", "h" or "d"
-        What the policy counts time in.
+        The unit of time of the policy.
     max_solves : int, optional
-        Of constant leaves, split along all axes: stop before a level that would exceed so many
-        solves, with a valid coarser policy. Else: spend them on the cells where the estimated error
-        is largest, until they are used up or no cell can be split.
+        Most solves. Constant leaves that are split along all axes stop before a level that would
+        exceed the number, with a valid coarser policy. Other leaves spend the solves on the cells
+        of largest estimated error, until the solves are used up or no cell can be split.
     max_seconds : float, optional
-        Stop after a block of cells, or a round of splits, that ends later [s], with a valid
-        policy that is coarser in what was not reached. The only setting by which results depend
-        on the machine. The root grid is always labelled.
+        Stop after the block of cells, or the round of splits, in which this time [s] runs out. The
+        policy is valid, and coarser where the run did not come. Only this option makes results
+        depend on the machine. The root grid is always labelled.
     max_memory : int or str, optional
-        Stop likewise before a block that may exceed so much memory [bytes, or text as ``"2GB"``].
+        Stop in the same way before a block that may take more memory [bytes, or text as ``"2GB"``].
     memory_limit : int or str, optional
-        Refuse, before any work, what may take more memory at worst [bytes, or text]; default: what
-        is available. A budget of solves or memory bounds the worst case. Levels of
-        constant cells, split along all axes, that would take more than a quarter are labelled in
-        blocks, with the same result.
+        Refuse a run that may take more memory at worst, before any work [bytes, or text]. Default:
+        the memory that is available. A budget of solves or memory bounds the worst case. Constant
+        cells that are split along all axes are labelled in blocks, if a level would take more than
+        a quarter of the memory. The result is the same.
     threads : int
-        Threads that call `label`; the result does not depend on it.
+        Number of threads that call `label`. The result does not depend on it.
     progress : callable, optional
-        Called with a `Progress` now and then.
+        A function that is called with a `Progress` now and then.
 
     Raises
     ------
@@ -147,24 +151,27 @@ def subdivide(
 
     Notes
     -----
-    A cell is uniform when one symbol could be best at all its test points, and it takes the most
-    preferred of those. A tie must not hide a switching surface: above the finest level, a test
-    point (not a random one) of a uniform cell where several symbols tie is moved a quarter of the
-    way to the cell's centre and must agree there too. A mixed cell of the finest level takes the
-    symbol that most of its points could have, among those that some point determines alone.
+    A cell is uniform if one symbol could be best at all its test points. It takes the most
+    preferred of such symbols. A tie must not hide a switching surface, so there is a quarter rule.
+    Above the finest level, it moves a test point (not a random one) where several symbols of a
+    uniform cell tie. The point moves a quarter of the way to the cell's centre, and must agree
+    there, too. A mixed cell of the finest level takes the symbol that most of its points could
+    have, among the symbols that some point determines alone.
 
-    With affine leaves, a cell that is not uniform is accepted when its rows give all its test
-    points a symbol that could be best there, and their estimated error is at most `leaf_error`:
-    the mean over the test points of ``min(1, rho / margin)^2``, with `margin` the difference of the
-    two largest rows and `rho` the root mean square of what it differs by from that of the scores
-    (Chebyshev's inequality). Else it is split. So refinement follows the curvature of surfaces.
-    Of centre and other fixed points, which rows are fitted to, the centre has half the weight.
+    With affine leaves, a cell that is not uniform is accepted under two conditions. Its rows give
+    all its test points a symbol that could be best there. And its estimated error is at most
+    `leaf_error`: the mean over the test points of ``min(1, rho / margin)^2`` (Chebyshev's
+    inequality). `margin` is the difference of the two largest rows. `rho` is the root mean square
+    of how much this difference misses the difference of the scores. Other cells are split, so
+    refinement follows the curvature of surfaces. Rows are fitted to the centre and other fixed
+    points, and the centre has half the weight.
 
     An adaptive split of constant leaves is along the axes along which two neighbouring test points
-    have no symbol in common. With affine leaves it is along those along which the error of the rows
-    varies at least 0.8 times as much as along any: its differences between opposite test points
-    show products of coordinates, and those from points half-way show squares; where none of the
-    latter are tested and squares, seen at the centre, prevail, all axes are split.
+    have no symbol in common. An adaptive split of affine leaves is along the axes along which the
+    error of the rows varies at least 0.8 times as much as along any axis. Differences of the error
+    between opposite test points show products of coordinates. Differences from points half-way show
+    squares. If no points half-way are tested, and the centre shows that squares prevail, all axes
+    are split.
     """
     if not callable(label):
         raise ProblemError(f"`label` must be a function; got {describe(label)}")

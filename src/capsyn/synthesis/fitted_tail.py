@@ -37,55 +37,55 @@ def fitted_tail(
 ) -> Tail:
     """Return a terminal cost for the cost to go around a goal, fitted to closed loops.
 
-    Closed loops of a policy are simulated, and a quadratic V around the goal is fitted to what they
-    cost: the running cost that they gather and, under the rule "steepest", the effort. With V as
-    its terminal cost there is a next policy, whose loops tell the next V. The first ones may be
-    bad: the V is returned whose policy's loops cost least, from starts that no fit saw; a warning
-    says where those that the fits began with cost less. No linearisation has to be stabilisable,
-    and any number of states will do.
+    The function simulates closed loops of a policy and fits a quadratic V around the goal to the
+    costs of the loops. A loop costs its running cost and, under the rule "steepest", its effort. A
+    policy with V as its terminal cost is the next policy, and its loops give the next V. Early
+    policies may be bad. The function returns the V whose policy has the cheapest loops, from starts
+    that no fit saw. A warning says if the first loops of all cost less. No linearisation has to be
+    stabilisable, and any number of states will do.
 
     The fit is by least squares on the errors relative to ``cost + delta median``, at states that
-    the loops visit. They start at random states that are scaled towards the goal by 0.05 to 1,
-    log-uniformly. A rate beside V stands for what it costs to stay at the goal, and the part of V
-    that is not positive semidefinite is left out.
+    the loops visit. Loops start at random states that are scaled towards the goal by 0.05 to 1,
+    log-uniformly. A rate beside V stands for the cost of staying at the goal. The part of V that is
+    not positive semidefinite is left out.
 
     Parameters
     ----------
     source : Problem or Policy
-        Of a problem, whose `tail` is not looked at, the fits begin with the policy whose loops cost
-        least among those without a tail, of 1, 2, 4 and 8 times its horizon; the policies with
-        tails have its horizon. Of a policy, with its model and horizon, they begin with that.
+        What the fits begin with. A policy with a model and a horizon is taken as it is. A problem,
+        without its `tail`, is solved with 1, 2, 4 and 8 times its horizon, and the fits begin with
+        the policy whose loops cost least. The policies with tails have the problem's own horizon.
     rounds : int
-        Fits, one after the other.
+        Number of fits, one after the other.
     goal : (n,), or callable ``w -> n components``, optional
-        The goal; see `riccati_tail`.
+        The goal [state units]; see `riccati_tail`.
     initial : Ball or Box, optional
-        Where loops start before they are scaled. Default: the domain.
+        Where loops start before their starts are scaled. Default: the domain.
     loops : int, optional
-        Loops of each fit. Default: 100 for each number that is fitted.
+        Number of loops of each fit. Default: 100 for each number that is fitted.
     rate : float, optional
-        Samples per time unit of the loops. Default: 1 over the sample time of the settings.
+        Samples of the loops per time unit. Default: 1 over the sample time of the settings.
     duration : float, optional
-        Time of each loop [time unit]: enough to arrive, and little more. Default: 30 horizons of a
-        problem, 10 of a policy.
+        Time of each loop [time unit]. It should suffice to arrive, and be little more. Default: 30
+        horizons of a problem, 10 of a policy.
     delta : float
-        See above, > 0.
+        The number ``delta`` of the least squares above, > 0.
     max_solves : int, optional
-        Of each policy; see `subdivide`.
+        Most solves of each policy; see `subdivide`.
     seed : int
-        Of the starts.
+        Seed of the random starts.
     backend : "auto", "c" or "numpy"
-        How to solve and simulate.
+        How to solve and simulate: compiled if possible ("auto"), or as told.
     threads : int, optional
-        Default: one per processor. The result does not depend on it.
+        Number of threads. Default: one per processor. The result does not depend on it.
     progress : callable, optional
-        Called with a text now and then.
+        A function that is called with a text now and then.
 
     Raises
     ------
     ProblemError
-        No running cost, a goal where no mixture of the symbols holds the system, loops that cost
-        nothing or all end, or an argument that cannot be used.
+        There is no running cost. Or no mixture of the symbols holds the system at the goal. Or the
+        loops cost nothing, or all of them end early. Or an argument cannot be used.
     """
     rounds = whole_number("rounds", rounds, least=1)
     seed = whole_number("seed", seed, least=0)

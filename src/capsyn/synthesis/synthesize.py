@@ -1,4 +1,4 @@
-"""From a problem to a policy."""
+"""Synthesis: from a problem to its policy."""
 
 from __future__ import annotations
 
@@ -71,66 +71,70 @@ def synthesize(
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Policy:
-    """Return the control alphabet policy of a problem: sSAC at every test point, Algorithm 1.
+    """Return the control alphabet policy of a problem, by sSAC and Algorithm 1.
 
     Parameters
     ----------
     problem : Problem
-        System, goal and alphabet, with their own settings. A tail "fit" is found first: that of
-        `fitted_tail`, whose policies all have these options.
+        The problem with its settings. For a tail "fit", `fitted_tail` first finds the tail, and all
+        its policies have these options.
     partitions, refinement, max_level, leaves : optional
-        Override the problem's own.
+        Override the problem's own grid and leaves.
     settings, outside, min_dwell, outside_at_once : optional
-        Likewise.
+        Override the problem's own settings and rules.
     switching, delay : optional
-        Likewise, of a policy that depends on the symbol in force. Affine leaves have no delay.
+        Override the problem's own switching and delay; the policy then depends on the symbol in
+        force. Affine leaves cannot have a delay.
     keep_limits : bool or KeepLimits
-        Keep the limits of the problem by construction: for ever, at its sample time, wherever that
-        can be done. The set of states from which it is is the largest of cells that enclosures
-        prove; see `KeepLimits` for how fine they are, and for parameters that are not known. In it
-        the policy has the best symbol of those that stay in it; elsewhere that whose worst limit
-        in the next period is least. ``policy.keeps_limits(states)`` says which is which.
+        Whether the policy keeps the problem's limits by construction, for ever, at its sample time.
+        Enclosures prove the largest set of cells from which limits can be kept. In this set, the
+        policy takes the best symbol that stays in the set. Elsewhere it takes the symbol whose
+        worst limit in the next period is least. ``policy.keeps_limits(states)`` tells which states
+        are in the set. A `KeepLimits` says how fine the cells are, and which parameters are
+        unknown.
     leaf_error : float
-        Largest estimated share of a cell where its rows may be wrong; see `subdivide`.
+        Largest estimated share of an affine leaf in which its rows may be wrong; see `subdivide`.
     refine : "isotropic" or "adaptive"
-        Split cells along all axes, or along those only along which their labels, or the errors of
-        their rows, vary: fewer solves in three dimensions and more; see `subdivide`.
+        "isotropic" splits cells along all axes. "adaptive" splits a cell only along the axes along
+        which its labels, or the errors of its rows, vary. This takes fewer solves from three
+        dimensions on; see `subdivide`.
     test_points : str
-        ``"vertices+center"``, with ``+edge_midpoints``, ``+faces`` and ``+random:R`` added as
-        wanted; or ``"center+faces"`` and more, without the 2^n vertices.
+        The points of a cell that are solved: ``"vertices+center"``, or ``"center+faces"`` without
+        the 2^n vertices. Add ``+edge_midpoints``, ``+faces`` or ``+random:R`` as wanted.
     seed : int
-        Seed of everything that is random.
+        Seed of all random numbers.
     max_solves : int, optional
-        Of constant leaves, split along all axes: stop before a level that would exceed so many
-        solves, with a valid coarser policy. Else: spend them where the estimated error is largest.
+        Most solves. Constant leaves that are split along all axes stop before a level that would
+        exceed the number, with a valid coarser policy. Other leaves spend the solves where the
+        estimated error is largest.
     max_seconds : float, optional
-        Stop after so long [s], with a valid policy that is coarser in what was not reached: the
-        only setting by which results depend on the machine; see `subdivide`.
+        Stop after this time [s], with a valid policy that is coarser where the run did not come.
+        Only this option makes results depend on the machine; see `subdivide`.
     max_memory : int or str, optional
-        Stop likewise before so much memory is taken [bytes, or text as ``"2GB"``].
+        Stop in the same way before this much memory is taken [bytes, or text as ``"2GB"``].
     memory_limit : int or str, optional
-        Refuse, before any work, what may take more memory at worst [bytes, or text]; default: what
-        is available. The result does not depend on it.
+        Refuse a run that may take more memory at worst, before any work [bytes, or text]. Default:
+        the memory that is available. The result does not depend on it.
     backend : "auto", "c" or "numpy"
-        How to solve: compiled where there is a compiler, or as told.
+        How to solve: compiled if there is a compiler ("auto"), or as told.
     threads : int, optional
-        Threads that solve; default: one per processor. The policy does not depend on it.
+        Number of threads that solve. Default: one per processor. The policy does not depend on it.
     executor : dask.distributed.Client, optional
-        A cluster whose workers solve, with the same results; workers that would give others are
-        refused.
+        A cluster whose workers solve, with the same results. Workers that would give other results
+        are refused.
     checkpoint : path, optional
         A directory that keeps what is solved. A run that was killed goes on from there when it is
-        started again, to the same policy; one of another problem or other settings is refused.
-        Threads, executor, budgets and `memory_limit` may change.
+        started again, and makes the same policy. A run of another problem or with other settings is
+        refused. Threads, executor, budgets and `memory_limit` may change.
     progress : callable, optional
-        Called with a `Progress` now and then.
+        A function that is called with a `Progress` now and then.
 
     Returns
     -------
     Policy
-        Its file carries the model, too. The same problem and settings give the same policy,
-        whatever the threads; backends round differently in the last bits, far below the width
-        of a tie.
+        The policy, whose file also carries the model. The same problem and settings give the same
+        policy, whatever the threads. Backends round differently in the last bits, far below the
+        width of a tie.
 
     Raises
     ------

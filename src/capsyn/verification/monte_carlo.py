@@ -76,54 +76,57 @@ def monte_carlo(
 ) -> MonteCarlo:
     """Return how often a controller reaches the target from random initial states.
 
-    A trial succeeds when it is in the target at some sample, where it ends; with `hold`, when it
-    gets there within the time `within`, and is there at every sample of the last time `hold`.
+    Without `hold`, a trial succeeds when it is in the target at some sample, and ends there. With
+    `hold`, a trial succeeds if it reaches the target within the time `within`, and is in the target
+    at every sample of the last time `hold`.
 
     Parameters
     ----------
     controller, model, min_dwell, outside, outside_at_once, substeps, backend, threads
-        As in `capsyn.simulate`.
+        The arguments of the same names of `capsyn.simulate`.
     trials : int
         Number of trials T.
     duration, rate : float
-        Time limit [time unit of the plant, as all times here], and samples per time unit.
+        Time limit of a trial [time unit of the plant, as all times here], and samples per time
+        unit.
     initial : Ball or Box, optional
-        Where initial states are drawn from; of states that it does not name, from the domain.
-        Default: the domain.
+        The set from which initial states are drawn. States that the set does not name are drawn
+        from the domain. Default: the domain.
     target : Ball, Box or callable ``x -> true or false``, optional
-        The target. Default: the policy's own.
+        The states that count as arrived. Default: the policy's own target.
     tolerance : float, optional
         Another radius for a target that is a ball [state units].
     within, hold : float, optional
-        Time in which to arrive, and time at the end to stay [time unit].
+        Time within which a trial must arrive, and time at the end for which it must stay [time
+        unit].
     parameters : mapping of name to float or Uniform, optional
-        The components of `p` of the model, in order.
+        The components of the model's `p`, in order.
     disturbance : float, (n,) or Uniform, or callable ``time -> (n,)``, optional
-        Added to the rates of the states [state units / time unit].
+        A term added to the rates of the states [state units / time unit].
     noise : float, (n,), (n + k,) or Uniform, optional
-        Standard deviation of Gaussian noise on the measured states [state units], and on k
-        exogenous inputs [their units].
+        Standard deviation of Gaussian noise on the measured states [state units]. With n + k
+        numbers, also on the k exogenous inputs [their units].
     delay : float or Uniform, optional
-        Time from a sample until its control acts [time unit]. Default: that of the plant, which the
-        policy compensates.
+        Time from a sample until its control acts [time unit]. Default: the delay of the plant,
+        which the policy compensates.
     seed : int
-        Of everything that is drawn. The first trials do not depend on how many there are.
+        Seed of all random numbers. The first trials do not depend on the number of trials.
     confidence : float
-        Of the interval of the success rate.
+        Confidence of the interval of the success rate.
     executor : dask.distributed.Client, optional
         A cluster whose workers run the trials of a policy, with the same results.
     exogenous : as in `capsyn.simulate`, a value by name also a Uniform, optional
-        Exogenous inputs of a model that has them. What is not given by name is drawn anew from its
-        box for each trial, and constant along it.
+        Exogenous inputs of a model that has them. An input that is not given by name is drawn anew
+        from its box for each trial, and is constant along the trial.
     track : mapping of state to name of an exogenous input, or number, optional
-        What states should follow: `MonteCarlo.tracking` says how closely they do, see
-        `capsyn.tracking`, until a trial ends: where it arrives, but for a time to `hold`. Not with
-        an `executor`.
+        What states should follow. `MonteCarlo.tracking` then says how closely they follow it (see
+        `capsyn.tracking`), until the trial ends. Without `hold`, a trial ends when it arrives.
+        `track` cannot be used with an `executor`.
 
     Raises
     ------
     ProblemError
-        An argument that cannot be used, such as no target.
+        An argument that cannot be used, or no target.
     """
     loop = LoopOptions(
         duration=duration,

@@ -29,25 +29,26 @@ class MonteCarlo:
     success : (T,) booleans
         Whether each trial succeeded.
     initial, final : (T, n)
-        Its first and last states [state units].
+        First and last states of each trial [state units].
     ended : (T,)
-        Why it ended, as numbers into `capsyn.controllers.command.ENDINGS`.
+        Why each trial ended, as numbers into `capsyn.controllers.command.ENDINGS`.
     times : (T,)
-        How long it ran [time unit].
+        How long each trial ran [time unit].
     arrived : (T,)
-        When it first was in the target [time unit]; NaN where never.
+        When each trial first was in the target [time unit]; NaN if it never was.
     switches, outside : (T,)
-        Changes of the control, and samples measured outside the domain.
+        Numbers of changes of the control, and of samples measured outside the domain.
     initial_cost, final_cost : (T,)
-        Cost of the default prediction from its first and last states, eq. (3); NaN without a
-        model of the cost.
+        Cost of the default prediction from the first and last states of each trial, eq. (3); NaN if
+        the cost has no model.
     parameters : mapping of name to (T,)
-        What was drawn of the plant's parameters.
+        Values of the plant's parameters that each trial drew.
     delays : (T,)
-        What was drawn of the input delay [time unit].
+        Input delay that each trial drew [time unit].
     disturbances, noises : (T, n)
-        What was drawn of the constant disturbance [state units / time unit], and of the standard
-        deviation of the measurement noise [state units], (T, n + k) with that of exogenous inputs.
+        Constant disturbance [state units / time unit] and standard deviation of the measurement
+        noise [state units] that each trial drew. Noises are (T, n + k) if exogenous inputs have
+        noise.
     exogenous : (T, k)
         Exogenous inputs at the start of each trial [their units].
     tracking : mapping of name to Tracking
@@ -87,7 +88,7 @@ class MonteCarlo:
         return self.initial[~self.success]
 
     def trial(self, index: int) -> dict[str, Any]:
-        """Return what was drawn for trial `index` as plain data; of the noise, its deviation."""
+        """Return what trial `index` drew, as plain data; of the noise, the standard deviation."""
         return {
             "trial": index,
             "initial": self.initial[index].tolist(),
@@ -114,9 +115,9 @@ class MonteCarlo:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures as plain data, with the first `TOLD` failing trials.
+        """Return the figures as plain data, with the first `TOLD` trials that failed.
 
-        Times and rates are in the time unit of the plant, which ``conditions`` name unless it is s.
+        Times and rates are in the plant's time unit. ``conditions`` name it if it is not s.
         """
         unit = NAMES[self.conditions.get("time_unit", "s")]
         moved = self.times > 0

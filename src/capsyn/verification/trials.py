@@ -25,12 +25,12 @@ MOST_TRIALS = 10**8
 
 @dataclass(frozen=True)
 class Uniform:
-    """A quantity that every trial draws anew, evenly between two bounds.
+    """A quantity that every trial draws anew, uniformly between two bounds.
 
     Parameters
     ----------
     low, high : float or (n,)
-        Bounds, ``low <= high``.
+        Bounds of the quantity [its unit], ``low <= high``.
     """
 
     low: Any

@@ -34,34 +34,35 @@ SAMPLES = 16
 
 
 def riccati_tail(problem: System, effort: float = 1.0, goal: Any = None) -> Tail:
-    """Return a terminal cost for the cost to go near a goal, by a Riccati equation.
+    """Return a terminal cost that stands for the cost to go near a goal, by a Riccati equation.
 
-    With ``A``, the mean of df/dx over the mixture of symbols that holds the goal, half of the
-    running cost's second derivatives Q, and ``S``, the mean over the symbols of ``f_i f_i^T``, the
-    rates at the goal, P solves ``A^T P + P A - P S P / r + Q = 0``. That is the cost to go
-    ``(x - goal)^T P (x - goal)`` of the linear system whose inputs are the shares of the symbols:
-    for inputs that are each at one of two values, s from their mean, the one with the effort
-    ``r du_i^2 / s^2``. P depends neither on the units of the inputs nor, but for its own unit, on
-    that of the cost.
+    The cost to go is the cost of the rest of a run. P solves ``A^T P + P A - P S P / r + Q = 0``.
+    ``A`` is the mean of df/dx over the mixture of symbols that holds the goal. Q is half of the
+    running cost's second derivatives. ``S`` is the mean over the symbols of ``f_i f_i^T``, with the
+    rates ``f_i`` at the goal. The terminal cost is ``(x - goal)^T P (x - goal)``, the cost to go of
+    a linear system whose inputs are the shares of the symbols. For inputs that are each at one of
+    two values, s from their mean, these inputs have the effort ``r du_i^2 / s^2``. P does not
+    depend on the units of the inputs. It depends on the unit of the cost only by its own unit.
 
     Parameters
     ----------
     problem : Problem
-        System, running cost and alphabet.
+        The system, its running cost and its alphabet.
     effort : float
-        Weight of the inputs, > 0: ``r = effort trace(Q W^2) / 10`` with W the diagonal of half the
-        domain's widths, a tenth of what the states cost far out. Little makes a tail that hurries.
+        Weight of the inputs, > 0. ``r = effort trace(Q W^2) / 10``, where the diagonal W has half
+        the domain's widths. For effort 1, r is a tenth of what the states cost far out. A small
+        effort makes a tail that hurries.
     goal : (n,), or callable ``w -> n components``, optional
-        The goal [state units]. Default: the centre of the problem's target where that is a ball or
-        box; of states that it does not name, and without one, where the running cost is least among
-        the states where the system can rest, as an affine function of the exogenous inputs.
+        The goal [state units]. Default: the centre of the problem's target, if the target is a ball
+        or box. States without a target take the state of least running cost among the states where
+        the system can rest, as an affine function of the exogenous inputs.
 
     Raises
     ------
     ProblemError
-        No running cost; a goal where no mixture of the symbols holds the system; second derivatives
-        that are not positive semidefinite; a linearisation that no input stabilises, or with
-        motion that does not decay and costs nothing.
+        There is no running cost. Or no mixture of the symbols holds the system at the goal. Or the
+        second derivatives are not positive semidefinite. Or no input stabilises the linearisation.
+        Or the linearisation has motion that does not decay and costs nothing.
     """
     effort = finite_number("effort", effort, above=0.0)
     if problem.running_cost is None:

@@ -11,27 +11,27 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """A terminal cost ``V = d^T P d`` for the cost to go near a goal.
+    """A terminal cost ``V = d^T P d`` that stands for the cost to go near a goal.
 
-    It is what `riccati_tail` and `fitted_tail` return. Here d is the distance from the goal. On a
-    periodic axis of period L, with the angle ``a = 2 pi d / L`` and ``s = L / (2 pi)``, it is
-    ``s sin a``, and ``P[i, i] s^2 (1 - cos a)^2`` is added: smooth everywhere, of the same second
-    derivatives at the goal, 0 there alone.
+    `riccati_tail` and `fitted_tail` return it. Here d is the distance from the goal. A periodic
+    axis of period L has the angle ``a = 2 pi d / L`` and ``s = L / (2 pi)``. On this axis d is ``s
+    sin a``, and ``P[i, i] s^2 (1 - cos a)^2`` is added to V. V is therefore smooth everywhere, is 0
+    only at the goal, and has the same second derivatives there.
 
     Parameters
     ----------
     matrix : (n, n)
         P [cost / state unit^2], positive semidefinite.
     goal : (n,), or callable ``w -> n components``
-        The goal [state units]; of a callable, where the exogenous inputs put it.
+        The goal [state units], or a function that gives the goal for exogenous inputs w.
     control : (m,)
-        The mean control that holds the goal, a mixture of symbols [input units].
+        The mean control of the mixture of symbols that holds the goal [input units].
     effort : float or None
-        What the symbols' use was weighed with; None of a fitted tail.
+        The weight of the inputs; None for a fitted tail.
     horizon : float
         Proposed prediction horizon [time unit].
     periods : (n,)
-        Periods of the axes [state units]; 0 where they have none.
+        Periods of the axes [state units]; 0 for an axis that is not periodic.
     """
 
     matrix: np.ndarray
@@ -49,7 +49,7 @@ class Tail:
         return f"{kind}: goal {goal}, held by {_list(self.control)}, horizon {self.horizon:.3g}"
 
     def __call__(self, x: Any, w: Any = None) -> Any:
-        """Return V at a state x (n,), with exogenous inputs w (k,): CasADi columns or arrays."""
+        """Return V at a state x (n,) with exogenous inputs w (k,), as CasADi columns or arrays."""
         goal = self.goal(w) if callable(self.goal) else self.goal
         offsets, value = [], 0.0
         for i, period in enumerate(self.periods):
