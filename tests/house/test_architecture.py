@@ -24,7 +24,7 @@ programs: operations program texts builder patterns ends intervals interval_text
 native: build compiled source bounds
 modelling: domain alphabet exogenous settings targets grid time_unit switching
 modelling.tails: tail equilibrium riccati
-modelling: problem transcription
+modelling: interpolants problem transcription
 execution: files interrupts processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter inverter building docking quadrotor
@@ -99,7 +99,7 @@ IMPORT_BY_NAME = {
     "cli.doctor",  # what capsyn needs
 }
 
-CASADI = {"modelling.problem", "modelling.transcription"}
+CASADI = {"modelling.interpolants", "modelling.problem", "modelling.transcription"}
 """The border, with the built-in problems behind it: the only places that know CasADi."""
 
 MAX_LINES, MAX_CODE, MAX_FILES, MAX_PARAMETERS, MAX_TEST_LINES = 400, 60, 14, 8, 800

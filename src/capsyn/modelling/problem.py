@@ -18,6 +18,7 @@ from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.exogenous import check_exogenous, joined, of_states
 from capsyn.modelling.grid import LEAVES, Grid
+from capsyn.modelling.interpolants import without_calls
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching, check_switching
 from capsyn.modelling.tails.riccati import FIT, NO_RUNNING_COST, riccati_tail, tail_effort
@@ -309,6 +310,11 @@ _MEANINGS = (
     ("Out of bounds", "an index is out of range"),
     ("out of bounds", "an index is out of range"),
     ("SX_get", "CasADi vectors are indexed by numbers: use x[0]"),
+    (
+        "'eval_sx' not defined",
+        "it calls a CasADi function that has no symbolic form: make interpolants by "
+        "casadi.interpolant, without `inline`",
+    ),
 )
 """What beginners' mistakes make CasADi and Python say, and what it means."""
 
@@ -374,7 +380,7 @@ def expression(
         column = column.T
     if column.shape != (size, 1) or not size:
         raise ProblemError(f"`{name}` must return {wanted}; got shape {column.shape}")
-    return ca.densify(column)
+    return without_calls(name, ca.densify(column), list(arguments.values()))
 
 
 def casadi_function(name: str, arguments: Sequence[ca.SX], value: ca.SX) -> ca.Function:

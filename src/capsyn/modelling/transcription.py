@@ -59,11 +59,21 @@ def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs
 
     An operation that programs do not have, or a NaN constant, is a `ProblemError`.
     """
-    function = function.expand() if not function.is_a("SXFunction") else function
-    own = "default" if name == "law" else name
     builder = ProgramBuilder()
     slots = [[builder.input() for _ in range(size)] for _, size in inputs]
-    starts = np.cumsum([0] + [size for _, size in outputs])
+    results = _instructions("default" if name == "law" else name, function, builder, slots)
+    return builder.build(name, inputs, outputs, results)
+
+
+def _instructions(
+    own: str, function: ca.Function, builder: ProgramBuilder, slots: Sequence[Sequence[int]]
+) -> list[int]:
+    """Return the nonzeros of all outputs of a function, built of those of its inputs.
+
+    `own` is what the user calls it.
+    """
+    function = function.expand() if not function.is_a("SXFunction") else function
+    starts = np.cumsum([0] + [function.nnz_out(i) for i in range(function.n_out())])
     results: list[int] = [-1] * int(starts[-1])
     work: dict[int, int] = {}
     for k in range(function.n_instructions()):
@@ -86,10 +96,15 @@ def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs
             work[into[0]] = _REWRITES[code](builder, work[operands[0]])
         elif code in _OPERATIONS:
             work[into[0]] = builder.apply(_OPERATIONS[code], *(work[i] for i in operands))
+        elif code == ca.OP_CALL:
+            called = function.instructions_sx()[k].which_function()
+            ends = np.cumsum([0] + [called.nnz_in(i) for i in range(called.n_in())])
+            given = [[work[i] for i in operands[a:b]] for a, b in zip(ends, ends[1:])]
+            work.update(zip(into, _instructions(own, called, builder, given)))
         else:
             operation = _CASADI_NAMES.get(code, str(code))
             raise ProblemError(f"`{own}` uses the operation '{operation}', which has no C form")
-    return builder.build(name, inputs, outputs, results)
+    return results
 
 
 def casadi_from_program(program: Program) -> ca.Function:
