@@ -42,7 +42,10 @@ simulation: plant options exogenous kernel closed_loop policy_loop trial_job exp
 improvement: charged_loop judged quadratic_fit refits rollouts rounds improve
 limits: tubes invariant asked shield telling
 synthesis: remote_labels labelling synthesize fitted_tail
-sources: delayed sequence_costs finite_control_set callables table text scots grid_files
+sources: delayed sequence_costs finite_control_set callables table text
+sources.tables: numbers lines columns axes points symbols csv_file json_text storm prism regressors
+    stratego
+sources: scots grid_files
 optima: grid task sweeps loops iteration comparison optimum
 verification: bisection loop_derivative lyapunov tally agreement trials outcome
     conditions monte_carlo switching_curve sentences

@@ -74,7 +74,7 @@ def test_of_many_inputs_those_in_use_are_symbols(file):
 @pytest.mark.parametrize(
     "old, new, line, words",
     [
-        ("v0.2", "v0.1", 1, "expected #SCOTS:v0.2; got '#SCOTS:v0.1'"),
+        ("v0.2", "v0.3", 1, "expected #SCOTS:v0.2; got '#SCOTS:v0.3'"),
         ("STATICCONTROLLER", "SETS", 2, "expected #TYPE:STATICCONTROLLER"),
         ("#MEMBER:DIM\n2", "#MEMBER:DIM\ntwo", 6, "expected a dimension, 1 to 16; got 'two'"),
         ("#MEMBER:DIM\n2", "#MEMBER:DIM\n17", 6, "expected a dimension, 1 to 16; got '17'"),
@@ -184,3 +184,47 @@ def test_a_table_without_rows_is_refused(file):
     _, text = good()
     with pytest.raises(ProblemError, match="must have rows of states and inputs; it has none"):
         read_scots(file(head_of(text) + "#END\n"))
+
+
+def same_as(found, table):
+    np.testing.assert_array_equal(found.masks, table.masks)
+    np.testing.assert_allclose(found.first, FIRST, atol=1e-5)
+    np.testing.assert_allclose(found.step, STEP, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: "\ufeff" + text,
+        lambda text: ("\ufeff" + text).encode("utf-16-be"),
+        lambda text: text.replace("v0.2", "v0.1"),
+        lambda text: text.replace("#SCOTS:i (", "#SCOTS: i  ("),
+        lambda text: text.replace("#SCOTS:i (state) j_0 ... j_n (valid inputs)\n", ""),
+        lambda text: text.replace("#TYPE:W", "\n# written today\n## twice\n#TYPE:W"),
+        lambda text: text.replace("#VECTOR:ETA", "# of the grid\n\n#Vector: eta"),
+        lambda text: text.replace("0.25\n#END", "# by hand\n0.25 \n#END"),
+        lambda text: text.replace("#BEGIN:35 1\n", "#BEGIN: 35\n# rows\n\n") + "\n# the end",
+        lambda text: re.sub(r"\n(\d+) (\d)", r"\n  \1\t\2", text).replace("\n", "\r\n"),
+    ],
+)
+def test_files_may_be_written_in_other_ways(change, file):
+    table, text = good()
+    changed = change(text)
+    assert changed != text
+    same_as(read_scots(file(changed)), table)
+
+
+@pytest.mark.parametrize("digits", [4, 6])
+@pytest.mark.parametrize("turns", [1, 3])
+def test_steps_may_be_rounded(digits, turns, file):
+    """Steps of a part of a turn have no end in decimals."""
+    table = random_table((35, 21), seed=5)
+    step, first = [turns * 2 * np.pi / 35, 0.2], [-turns * np.pi * 34 / 35, -2.0]
+    text = scots_text(table, first, step)
+    rounded = re.sub(r"-?\d+\.\d+", lambda match: f"{float(match[0]):.{digits}g}", text)
+    assert rounded != text
+    found = read_scots(file(rounded))
+    np.testing.assert_array_equal(found.masks, table.masks)
+    np.testing.assert_allclose(found.step, step, rtol=10.0 ** (1 - digits))
+    last = found.first + found.step * 34  # steps come from the corners
+    np.testing.assert_allclose(last[0], -first[0], rtol=10.0 ** (1 - digits))

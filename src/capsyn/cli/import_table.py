@@ -5,18 +5,27 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from capsyn.cli.console import show, working
-from capsyn.cli.options import Json, check_states, flat, number_list, option
+from capsyn.cli.options import (
+    Json,
+    assignments,
+    check_states,
+    flat,
+    number,
+    number_list,
+    option,
+)
 from capsyn.cli.printed import print_report
 from capsyn.errors import ProblemError
 
 if TYPE_CHECKING:
     from capsyn.modelling.alphabet import Alphabet
     from capsyn.sources.table import Table
+    from capsyn.sources.tables.stratego import Strategy
 
 
 @dataclass(frozen=True)
@@ -33,20 +42,47 @@ class ImportOptions:
         metavar="[NAME=]U[,U..][;..]",
     )
     default: str | None = option("Default control, that of no symbol [0].", metavar="U[,U..]")
-    outside: str = option("error, nearest, or a symbol's name or index.", default="error")
+    outside: str | None = option(
+        "error, nearest, or a symbol's name or index [default: error; of a strategy with "
+        "continuous variables nearest]."
+    )
     outside_at_once: bool = option(
         "The symbol of a state outside does not wait for a least time between switches.",
         "--outside-at-once",
         default=False,
     )
     time_unit: str = option("What its times count: ns, us, ms, s, min, h or d.", default="s")
-    missing: str = option("Points without a row in a .csv: error or outside.", default="error")
+    missing: str = option(
+        "Points without a row in a .csv: error, outside, or auto: outside, but an error where an "
+        "axis has a value in no row.",
+        default="auto",
+    )
+    inputs: str | None = option(
+        "Columns of a .csv that are inputs [default: the last, and those with its name but for a "
+        "number].",
+        metavar="NAME[,NAME..]",
+    )
+    format: str | None = option(
+        "csv, npz, scots, stratego, storm or prism [default: what its content looks like]."
+    )
+    exported_states: str | None = option(
+        "What PRISM wrote with -exportstates [default: FILE.sta].", metavar="FILE"
+    )
+    domain: str | None = option(
+        "Bounds of continuous variables of a strategy [default: an eighth wider than its own].",
+        metavar="NAME=LOW:HIGH[,..]",
+    )
 
 
 @flat
 def import_table(
     file: Annotated[
-        str, typer.Argument(metavar="FILE", help="A table: .scs of SCOTS, .csv or .npz.")
+        str,
+        typer.Argument(
+            metavar="FILE",
+            help="A table: .csv, .npz, .scs of SCOTS; a strategy of UPPAAL Stratego, Storm or "
+            "PRISM.",
+        ),
     ],
     options: ImportOptions,
     as_json: Json = False,
@@ -64,10 +100,11 @@ def import_table(
     with working("reading the table"):
         table, default = _table(file, symbols, options), options.default
         controls = None if default is None else number_list("--default", default)
+        rule: dict[str, Any] = {} if options.outside is None else {"outside": options.outside}
         policy = table.policy(
             name,
             default=controls,
-            outside=options.outside,
+            **rule,
             time_unit=options.time_unit,
             outside_at_once=options.outside_at_once,
         )
@@ -76,19 +113,30 @@ def import_table(
     show(as_json, data, lambda: print_report(data), f"wrote {path}")
 
 
-def _table(file: str, symbols: Alphabet | None, options: ImportOptions) -> Table:
+def _table(file: str, symbols: Alphabet | None, options: ImportOptions) -> Table | Strategy:
     """Return the table in a file, with the states that options name."""
     from capsyn.sources.grid_files import read_table
+    from capsyn.sources.table import Table
 
-    table = read_table(file, symbols, options.missing)
+    domain = options.domain
+    table = read_table(
+        file,
+        symbols,
+        options.missing,
+        None if options.inputs is None else options.inputs.split(","),
+        options.format,
+        states=options.exported_states,
+        domain=None if domain is None else _ranges("--domain", domain),
+    )
+    known = table.box().names
     if options.states is not None:
         names = options.states.split(",")
-        if len(names) != len(table.counts):
-            raise ProblemError(
-                f"--states must name {len(table.counts)} states; got '{options.states}'"
-            )
+        if len(names) != len(known):
+            raise ProblemError(f"--states must name {len(known)} states; got '{options.states}'")
         table = dataclasses.replace(table, names=names)
     if options.periodic is not None:
+        if not isinstance(table, Table):
+            raise ProblemError("--periodic is for tables; the file has a strategy")
         known = table.box().names
         turns = options.periodic.split(",")
         check_states("--periodic", turns, known)
@@ -106,3 +154,14 @@ def _symbols(text: str) -> Alphabet:
         raise ProblemError(f"--alphabet must have names for all symbols or none; got '{text}'")
     names = [name.strip() for name, _, _ in rows] if any(named) else None
     return Alphabet([number_list("--alphabet", values) for _, _, values in rows], names)
+
+
+def _ranges(name: str, text: str) -> dict[str, tuple[float, float]]:
+    """Return the bounds of ``NAME=LOW:HIGH,..``."""
+    found = {}
+    for key, value in assignments(name, text.split(",")).items():
+        low, colon, high = value.partition(":")
+        if not colon:
+            raise ProblemError(f"{name} must be NAME=LOW:HIGH; got '{key}={value}'")
+        found[key] = number(f"{name} {key}", low), number(f"{name} {key}", high)
+    return found

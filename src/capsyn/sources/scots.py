@@ -1,14 +1,16 @@
-"""Static controllers of SCOTS 0.2, the text format ``.scs``.
+"""Static controllers of SCOTS, the text format ``.scs`` of its versions 0.1 and 0.2.
 
 A file has a header with the grids of states and inputs, each with its dimension, distances ``eta``,
 and lower left and upper right points, then a matrix with a row for each state of the winning
 domain: the state's index, then those of its valid inputs. Indices run with the first axis fastest.
+Lines that are blank, or begin with ``#`` and no word of the format, are comments.
 """
 
 from __future__ import annotations
 
 import math
 import os
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +18,26 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.sources.table import MOST_AXES, MOST_SYMBOLS, Table, check_points
-from capsyn.sources.text import check_alphabet, fail, first_repeat, naming, path_text, read_bytes
+from capsyn.sources.text import (
+    MARKS,
+    check_alphabet,
+    decoded,
+    fail,
+    first_repeat,
+    naming,
+    path_text,
+    read_bytes,
+)
 
 MOST_INPUTS = 1 << 53
 """Most points of an input grid; an index of more does not fit a float exactly."""
+_GRIDS = ("#SCOTS:V0", "#SCOTS:STATE_SPACE", "#SCOTS:INPUT_SPACE")
+WORDS = (*_GRIDS, "#TYPE:", "#MEMBER:", "#VECTOR:", "#MATRIX:", "#BEGIN:", "#END")
+"""What lines of the format begin with, without blanks and in capitals; others are comments."""
+COMMENT = re.compile(rb"#(?:[#\s]|SCOTS:)[^\n]*")
+"""A comment among the rows."""
+ROUNDED = 0.1
+"""How far corners may be from whole steps, in steps: writers round to 6 digits."""
 MOST_DIGITS = 15
 """Digits of an index; more of them do not fit a float exactly."""
 
@@ -50,20 +68,22 @@ class _Lines:
         self.number, self.place = 0, 0
 
     def next(self, wanted: str) -> str:
-        """Return the next line."""
-        self.number += 1
-        if self.place >= len(self.text):
-            fail(self.path, self.number, wanted, None)
-        end = self.text.find(b"\n", self.place)
-        end = len(self.text) if end < 0 else end
-        line = self.text[self.place : end].decode("ascii", "replace").strip()
-        self.place = min(end + 1, len(self.text))
-        return line
+        """Return the next line that is not blank and no comment."""
+        while True:
+            self.number += 1
+            if self.place >= len(self.text):
+                fail(self.path, self.number, wanted, None)
+            end = self.text.find(b"\n", self.place)
+            end = len(self.text) if end < 0 else end
+            line = self.text[self.place : end].decode("ascii", "replace").strip()
+            self.place = min(end + 1, len(self.text))
+            if line and (not line.startswith("#") or _word(line).startswith(WORDS)):
+                return line
 
     def expect(self, *wanted: str) -> str:
-        """Return the next line, which must be one of some."""
+        """Return the next line, which must be one of some but for blanks and capitals."""
         line = self.next(wanted[0])
-        if line not in wanted:
+        if _word(line) not in map(_word, wanted):
             fail(self.path, self.number, wanted[0], line)
         return line
 
@@ -105,13 +125,21 @@ class _Lines:
             )
         with np.errstate(all="ignore"):
             counts = np.rint((last - first) / step) + 1
-            near = np.abs(first + (counts - 1) * step - last) <= 1e-6 * step
+            off = np.abs(first + (counts - 1) * step - last) / step
+            near = off <= ROUNDED
         if not near.all() or counts.max() > 2**31:
             raise ProblemError(
                 f"'{self.path}': the grid above line {self.number + 1} must have corners that are "
                 f"whole steps apart; got {first.tolist()} and {last.tolist()}, {step.tolist()} each"
             )
+        exact = (last - first) / np.maximum(counts - 1, 1)
+        step = np.where(off > 1e-6, exact, step)
         return _Grid(first, step, tuple(int(k) for k in counts))
+
+
+def _word(line: str) -> str:
+    """Return a line of the header without blanks, in capitals."""
+    return "".join(line.split()).upper()
 
 
 def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -> Table:
@@ -132,9 +160,9 @@ def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
     """
     path = path_text(path)
     check_alphabet(alphabet)
-    text = read_bytes(path)
+    text = _plain(path)
     lines = _Lines(path, text)
-    lines.expect("#SCOTS:v0.2")
+    lines.expect("#SCOTS:v0.2", "#SCOTS:v0.1")
     lines.expect("#TYPE:STATICCONTROLLER")
     states, inputs = lines.grid("STATE_SPACE"), lines.grid("INPUT_SPACE")
     with naming(path):
@@ -145,10 +173,9 @@ def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
             f"'{path}' must have an input grid of at most {MOST_INPUTS:,} points; got {counts}"
         )
     lines.expect("#TYPE:WINNINGDOMAIN")
-    lines.expect("#SCOTS:i (state) j_0 ... j_n (valid inputs)")
     lines.expect("#MATRIX:DATA")
     head = lines.next(f"#BEGIN:{states.size} and columns")
-    if head.split(" ")[0] != f"#BEGIN:{states.size}":
+    if not re.fullmatch(rf"#BEGIN:\s*{states.size}(\s+\d*)?", head, re.IGNORECASE):
         fail(path, lines.number, f"#BEGIN:{states.size}, the points of the state grid", head)
     row, column = _pairs(path, text, lines.place, lines.number + 1, states.size, inputs.size)
     used = np.unique(column)
@@ -172,11 +199,23 @@ def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
         return Table(states.first, states.step, grid, alphabet)
 
 
+def _plain(path: str) -> bytes:
+    """Return the bytes of a file in ASCII, without a byte order mark."""
+    text = read_bytes(path)
+    if any(text.startswith(mark) for mark in MARKS):
+        return decoded(path, text).encode("ascii", "replace")
+    return text
+
+
 def _pairs(
     path: str, text: bytes, place: int, line: int, states: int, inputs: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs (P,), (P,) of state and input in the rows from a place on, at a line."""
     end = text.find(b"#", place)
+    if end >= 0 and COMMENT.match(text, end):
+        blank = COMMENT.sub(lambda comment: b" " * len(comment[0]), text[place:])
+        text = text[:place] + blank
+        end = text.find(b"#", place)
     body = np.frombuffer(text, dtype=np.uint8, offset=place)
     body = body if end < 0 else body[: end - place]
     breaks = np.flatnonzero(body == 10)

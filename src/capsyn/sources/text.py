@@ -1,9 +1,11 @@
-"""What readers of files share: bytes within bounds, and errors that name the file and line."""
+"""What readers of files share: bytes within bounds, text, and errors that name file and line."""
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import os
+import re
 from collections.abc import Iterator
 from typing import Any, NoReturn
 
@@ -15,6 +17,14 @@ from capsyn.validation import describe
 
 MOST_BYTES = 1 << 30
 """Largest file that is read."""
+MARKS = {
+    codecs.BOM_UTF8: "utf-8",
+    codecs.BOM_UTF32_LE: "utf-32-le",  # before UTF-16, whose mark it begins with
+    codecs.BOM_UTF32_BE: "utf-32-be",
+    codecs.BOM_UTF16_LE: "utf-16-le",
+    codecs.BOM_UTF16_BE: "utf-16-be",
+}
+"""Byte order marks, and the encodings that they tell."""
 
 
 def path_text(path: Any) -> str:
@@ -47,9 +57,37 @@ def read_bytes(path: str) -> bytes:
         raise ProblemError(f"cannot read '{path}': {reason}") from None
 
 
-def fail(path: str, line: int, wanted: str, got: str | None) -> NoReturn:
-    """Raise the error of a line that is not what was expected; None where the file ends."""
-    instead = "the file ends" if got is None else f"got {describe(got)}"
+def decoded(path: str, data: bytes) -> str:
+    """Return the text of a file's bytes; `ProblemError` where they are none.
+
+    A byte order mark says the encoding. Without one it is UTF-16 where every other byte at the
+    beginning is 0, else UTF-8, and where that fails Windows-1252 or Latin-1.
+    """
+    mark = next((mark for mark in MARKS if data.startswith(mark)), b"")
+    body, head = data[len(mark) :], data[:64]
+    zeros = [2 * head[k::2].count(0) > len(head) // 2 for k in (0, 1)]
+    if mark:
+        encodings = [MARKS[mark]]
+    elif zeros[0] != zeros[1]:
+        encodings = ["utf-16-be" if zeros[0] else "utf-16-le"]
+    else:
+        encodings = ["utf-8", "cp1252", "latin-1"]
+    text = None
+    for encoding in encodings:
+        with contextlib.suppress(UnicodeDecodeError):
+            text = body.decode(encoding)
+            break
+    if text is None or re.search(r"[\x00-\x08\x0e-\x1f\x7f]", text):
+        raise ProblemError(f"'{path}' is no text in {' or '.join(encodings[:2])}")
+    return text
+
+
+def fail(path: str, line: Any, wanted: str, got: str | None, quote: bool = True) -> NoReturn:
+    """Raise the error of a line that is not what was expected; None where the file ends.
+
+    What it has instead is shortened and quoted, or taken as it is.
+    """
+    instead = "the file ends" if got is None else f"got {describe(got) if quote else got}"
     raise ProblemError(f"'{path}', line {line}: expected {wanted}; {instead}")
 
 
