@@ -1,4 +1,4 @@
-"""What is proved of the sampled loop from a set of starts, and what is not."""
+"""Certificates: what is proved about the sampled loop from a set of starts, and what is not."""
 
 from __future__ import annotations
 
@@ -18,24 +18,26 @@ from capsyn.statistics import TOLD
 
 @dataclass(frozen=True, eq=False)
 class ProvedCells:
-    """The grid of cells that a proof went through, in C order of their places.
+    """The grid of cells of a proof, in C order.
 
     Parameters
     ----------
     domain : Box
-        What the cells cut: the policy's states.
+        The box that the cells divide: the policy's states.
     counts : n ints
-        Cells along each axis; K in all.
+        Cells along each axis, K cells in all.
     starts : (K,)
-        Share of each cell's volume that is in the initial set.
+        Share of each cell's volume that lies in the initial set.
     arrives : (K,)
-        Share of each cell's starts that is proved to arrive.
+        Share of each cell's starts that are proved to arrive.
     within : (K,)
-        Time by which they have [time unit]; infinite where a cell is not wholly proved.
+        Time by which all starts of a cell have arrived [time unit]; infinite if the cell is not
+        wholly proved.
     stays : (K,) booleans
-        Cells in which a loop may be once it has arrived; it is in no other then, for ever.
+        Whether a loop may be in the cell once it has arrived. The loop then stays in such cells for
+        ever.
     refuted : (K,) booleans
-        Cells with a start from which a simulated loop fails.
+        Whether the cell has a start from which a simulated loop fails.
     """
 
     domain: Box
@@ -49,7 +51,7 @@ class ProvedCells:
     def statuses(self) -> np.ndarray:
         """Return what is known of each cell, (K,) uint8: `NO_START`, `PROVED`, `OPEN`, `REFUTED`.
 
-        A cell is proved where all of its starts are.
+        A cell is proved if all of its starts are proved.
         """
         known = np.where(self.arrives >= 1, PROVED, OPEN)
         known = np.where(self.starts > 0, known, NO_START)
@@ -65,46 +67,48 @@ class Proof(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is proved of a sampled loop; shares are of the initial set's volume.
+    """What is proved about a sampled loop. Shares are shares of the initial set's volume.
 
     Parameters
     ----------
     conditions : dict
-        What the proof is about, as plain data: sets, rate, delay, noise, parameters.
+        The conditions of the proof, as plain data: sets, rate, delay, noise and parameters.
     method : str
-        How it was found: ``"pieces"`` (polygons cut at labels) or ``"boxes"``.
+        The method of the proof: ``"pieces"`` (polygons cut at labels) or ``"boxes"``.
     cells : ProvedCells
-        The grid, with what is proved of each cell.
+        The grid, with what is proved about each cell.
     arrival : float
-        Share of the starts that is proved to arrive in the target, and not to be in `avoid` or
+        Share of the starts that are proved to arrive in the target, without being in `avoid` or
         outside the domain before.
     staying : float
-        Share that is proved to arrive and to stay for ever in a set around the target, see
-        `ripple`.
+        Share of the starts that are proved to arrive, and to stay for ever in a set around the
+        target; see `ripple`.
     avoiding : float
-        Share that is proved never to be in `avoid`, before it arrives and, where it stays, after.
+        Share of the starts that are proved never to be in `avoid`: before they arrive, and
+        afterwards if they stay.
     within : float
         Time by which every proved start has arrived [time unit].
     switch_rate : float
-        Most changes of the symbol in a time unit, on average in the long run; NaN where nothing
+        Bound on the changes of the symbol per time unit, on average in the long run; NaN if nothing
         stays.
     ripple : (n, 2)
-        Least and greatest value of each state once it stays [state units]; NaN where nothing does.
+        Least and greatest value of each state once the loop stays [state units]; NaN if nothing
+        stays.
     refuted : (R, n)
         Starts from which a simulated loop fails.
     failures : R strings
-        How each does: ``"stands still"``, ``"goes round"``, ``"leaves the domain"``, ``"enters
-        avoid"``, ``"begins in avoid"`` or ``"does not arrive"``.
+        How each such loop fails: ``"stands still"``, ``"goes round"``, ``"leaves the domain"``,
+        ``"enters avoid"``, ``"begins in avoid"`` or ``"does not arrive"``.
     open : float
-        Share that is neither proved nor in a cell with a refuted start.
+        Share of the starts that are neither proved nor in a cell with a refuted start.
     replays : R strings
-        The command that simulates each refuted start, where the command line has made it.
+        The command that simulates each refuted start, if the command line made the certificate.
     seconds : float
-        How long it took.
+        Time that the proof took [s].
     stopped : bool
-        Whether it was stopped before its end; what is proved stands.
+        Whether the proof was stopped before its end. What is proved stays proved.
     proof : optional
-        What `save` writes.
+        The proof that `save` writes.
     """
 
     conditions: dict[str, Any]
@@ -125,7 +129,7 @@ class Certificate:
     proof: Proof | None = None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the proof of arrival to a file at `path`, which ``capsyn check`` goes through.
+        """Write the proof of arrival to a file at `path`, which ``capsyn check`` then checks.
 
         Raises
         ------
@@ -173,9 +177,9 @@ class Certificate:
         }
 
     def evidence(self) -> dict[str, Any]:
-        """Return what a policy's file keeps: the figures, and a map of the cells.
+        """Return the evidence for a policy's file: the figures, and a map of the cells.
 
-        For ``policy.with_evidence(certificate=..)``; of the map see `cell_map`.
+        Pass it to ``policy.with_evidence(certificate=..)``. `cell_map` describes the map.
         """
         cells = self.cells
         return self.to_json() | {"map": cell_map(cells.counts, cells.statuses(), cells.stays)}

@@ -1,4 +1,4 @@
-"""`certify`: what is proved of the sampled loop from a drawn set of starts."""
+"""Proofs about the sampled loop of a policy from a set of starts: `certify`."""
 
 from __future__ import annotations
 
@@ -52,48 +52,53 @@ def certify(
     seed: int = 0,
     threads: int | None = None,
 ) -> Certificate:
-    """Return what is proved of the sampled loop of a policy from a set of starts.
+    """Return what is proved about the sampled loop of a policy from a set of starts.
 
-    Every loop that begins at a sample in a state of `initial`, the default control in force, is
-    enclosed until it arrives, and from the target on for ever: rounding, sensor error and unknown
-    parameters included. See the guide "What is proved, and what is not".
+    The proof encloses every loop that begins at a sample in a state of `initial`, with the default
+    control in force. It encloses the loop until it arrives, and from the target on for ever.
+    Rounding, sensor error and unknown parameters are included. See the guide "What is proved, and
+    what is not".
 
     Parameters
     ----------
     policy : Policy
-        Cells, or a `DecisionTree`; the proof is of its own symbols. Its model is the plant.
+        A policy of cells, or a `DecisionTree`. The proof is about its own symbols. Its model is the
+        plant.
     initial : Ball or Box, optional
         The set of starts [state units]. Default: the domain.
     target, tolerance : as in `capsyn.monte_carlo`
-        Where loops are to arrive. Default: the policy's own.
+        The states at which loops must arrive. Default: the policy's own target.
     avoid : Ball, Box or callable ``x -> true or false``, optional
-        Where no loop may ever be, between samples too.
+        States that no loop may ever reach, also between samples.
     rate : float, optional
-        Samples per time unit. Default: that of the policy's settings.
+        Samples per time unit. Default: 1 over the sample time of the policy's settings.
     delay : float, optional
-        Time from a sample until its control acts [time unit], at most a sample. Default: the
-        problem's own.
+        Time from a sample until its control acts [time unit], at most one sample. Default: the
+        problem's own delay.
     noise : float or (n,), optional
-        Largest error of a measured state at any sample [state units]; it may vary as it likes.
+        Largest error of a measured state [state units]. The error may differ from sample to sample.
     parameters : mapping of name to float or (low, high), optional
-        The components of `p` of the model, in order: constant or not, anywhere in these ranges.
+        The components of the model's `p`, in order. They may take any values in these ranges,
+        constant or not.
     exogenous : mapping of name to float or (low, high), or (k,), optional
-        Exogenous inputs, constant along a loop. What is not given may be anywhere in its box.
+        Exogenous inputs, constant along a loop. An input that is not given may be anywhere in its
+        box.
     model, min_dwell : as in `capsyn.simulate`
     counts : int or n ints, optional
         Cells of the proof along each axis. Default: 72 of two axes, 24 of three, 12 of four.
     seconds : float, optional
-        When to stop [s]; what is proved by then stands, as it does after Ctrl-C. Default: 60.
+        Time after which the proof stops [s]. What is proved by then stays proved, also after
+        Ctrl-C. Default: 60.
     seed : int
-        Of what is simulated.
+        Seed of the simulated loops.
     threads : int, optional
-        Processors to use. Default: all.
+        Number of threads. Default: one per processor.
 
     Raises
     ------
     ProblemError
-        An argument that cannot be used; a policy without a model or target; a target that no cell
-        fits into; a grid beyond memory.
+        An argument that cannot be used. Or the policy has no model or no target. Or no cell fits
+        into the target. Or the grid does not fit the memory.
     KernelBuildError
         There is no C compiler.
     """

@@ -1,4 +1,4 @@
-"""From a policy to a better one: rollouts, Algorithm 1 over their labels, and a judge."""
+"""From a policy to a better one: rollouts, Algorithm 1 over their labels, and a final test."""
 
 from __future__ import annotations
 
@@ -49,18 +49,18 @@ class Improvement:
     Parameters
     ----------
     policy : Policy
-        The best policy: that of the last round that was kept, or the given one. Its
-        ``statistics["improve"]`` tells the rounds that made it.
+        The best policy: the policy of the last round that was kept, or the given one. Its
+        ``statistics["improve"]`` lists the rounds that made it.
     rounds : tuple of Round
         What each round did.
     result : Comparison
-        What starts that no choice saw cost under the given policy, and under this one.
+        Costs of starts that no choice saw, under the given policy and under the best one.
     starts : int
-        Starts that judged each.
+        Number of starts that judged each round.
     rate, duration : float
-        Of the closed loops that judged [1 / time unit, time unit].
+        Rate and time of the closed loops that judged [1 / time unit, time unit].
     scale : float
-        What effort and prices were charged times.
+        Factor by which effort and prices were charged.
     """
 
     policy: Policy
@@ -73,7 +73,7 @@ class Improvement:
 
     @property
     def improved(self) -> bool:
-        """Whether the policy is another one than the given."""
+        """Whether the best policy is another one than the given one."""
         return any(one.kept for one in self.rounds)
 
     def to_json(self) -> dict[str, Any]:
@@ -112,60 +112,65 @@ def improve(
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Improvement:
-    """Return a better policy by rollouts, as long as its closed loop surely costs less.
+    """Return a better policy by rollouts, if its closed loops surely cost less.
 
-    A symbol's cost at a state is that of holding it for one sample and then following the present
-    policy for a horizon. The new policy takes the least, by Algorithm 1 on the policy's own grid.
-    Beyond 4 states, where labels of rollouts are too rough, the new policy is that of a fitted
-    tail instead; see `fitted_tail`. A ladder of horizons is tried, and by some starts the best
-    policy is chosen. Fresh starts judge it: it is kept if these surely cost less, and then the
-    next round begins with it.
+    A rollout holds a symbol for one sample and then follows the present policy for a horizon. The
+    cost of the rollout is the symbol's cost at the state. The new policy takes the symbol of least
+    cost, by Algorithm 1 on the policy's own grid. Beyond 4 states, labels of rollouts are too
+    rough, and the new policy is that of a fitted tail instead; see `fitted_tail`. A round tries a
+    ladder of horizons, and chooses the best policy by some starts. Other starts then judge this
+    policy. The round is kept if these starts surely cost less, and the next round begins with its
+    policy.
 
-    What a closed loop costs is the running cost (of a policy that has none, the terminal cost, as
-    one); the effort of its settings beyond that of the cheapest symbol; and for each switch its
-    price times a sample. Effort and prices were weighed against costs over the policy's horizon,
-    with its terminal cost. They are charged times the `scale` that makes them weigh as much against
-    what symbols differ by in closed loop.
+    A closed loop costs its running cost, or its terminal cost as a rate if there is no running
+    cost. It also costs its effort beyond the effort of the cheapest symbol, and for each switch the
+    price times a sample. The settings weigh effort and prices against costs over the policy's
+    horizon, with its terminal cost. They are therefore charged times `scale`, so that they weigh as
+    much against the differences between symbols in closed loop.
 
     Parameters
     ----------
     policy : Policy
-        A policy with its model. Of cells, no decision tree.
+        A policy of cells with its model. It must not be a decision tree.
     rounds : int
-        Most rounds.
+        Largest number of rounds.
     horizons : number or sequence, optional
         Horizons of the rollouts, ascending [time unit], of two samples or more. Default: 0.4 to 2
-        times that of the policy. With tails, those of the policies: 0.25 and 0.5 times.
+        times the policy's horizon. With tails, these are horizons of the policies, by default 0.25
+        and 0.5 times.
     rate : float, optional
-        Samples per time unit of the loops: a symbol is held for exactly one sample. Default: 1 over
-        the sample time of the policy's settings. The new policy has this one in its settings.
+        Samples of the loops per time unit. A rollout holds a symbol for exactly one sample.
+        Default: 1 over the sample time of the policy's settings. The settings of the new policy
+        have this sample time.
     duration : float, optional
         Time of the closed loops that judge [time unit]. Default: 10 horizons of the policy.
     initial : Ball or Box, optional
-        Where they start. Default: the domain. Exogenous inputs are drawn from their box, and stay.
+        Where the loops start. Default: the domain. Exogenous inputs are drawn from their box, and
+        are constant along a loop.
     starts : int
-        How many choose a horizon, and how many others judge a round.
+        Number of starts that choose a horizon, and number of other starts that judge a round.
     confidence : float
-        Of the intervals by which a round is judged.
+        Confidence of the intervals by which a round is judged.
     scale : float, optional
-        Of effort and prices. Default: see above; 1 where the policy does not carry its controller,
-        and with tails.
+        Factor of effort and prices. Default: the factor above, or 1 with tails and if the policy
+        does not carry its controller.
     max_level, max_solves : int, optional
-        See `subdivide`. Default: those of the policy, and 4 times as many solves as it took; with
-        tails, as many.
+        Options of `subdivide`. Default: the policy's own level, and 4 times as many solves as the
+        policy took, or as many with tails.
     seed : int
-        Of the starts.
+        Seed of the starts.
     backend : "auto", "c" or "numpy"
         How loops are simulated.
     threads : int, optional
-        Default: one per processor. The result does not depend on it.
+        Number of threads. Default: one per processor. The result does not depend on it.
     progress : callable, optional
-        Called with a text now and then.
+        A function that is called with a text now and then.
 
     Returns
     -------
     Improvement
-        With the best policy: the given one where no round surely lowered the cost.
+        The best policy and what each round did. If no round surely lowered the cost, the best
+        policy is the given one.
 
     Raises
     ------

@@ -15,22 +15,22 @@ WORST = 2.0
 
 @dataclass(frozen=True)
 class Comparison:
-    """What starts cost before and after, of those that end regularly under both.
+    """Costs of the same starts under two policies, of starts whose loops end regularly under both.
 
     Parameters
     ----------
     before, after : float
-        Mean cost; infinite where no start ends regularly under both.
+        Mean costs; infinite if no start ends regularly under both policies.
     low, high : float
-        Bounds of the mean of what a start costs more after than before.
+        Interval of the mean difference, cost after less cost before.
     worst_before, worst : float
-        Cost of the worst start.
+        Cost of the worst start, before and after.
     lost_before, lost : int
-        Starts that left the domain under a rule that ends them, or that are not finite.
+        Number of lost starts: their loops left the domain and ended, or became not finite.
     fewer_lost : bool
-        Whether surely fewer are lost after.
+        Whether surely fewer starts are lost after than before.
     more_lost : bool
-        Whether more are, surely or not.
+        Whether more starts are lost after than before, surely or not.
     """
 
     before: float
@@ -46,9 +46,9 @@ class Comparison:
 
     @staticmethod
     def of(before: np.ndarray, after: np.ndarray, confidence: float) -> Comparison:
-        """Return the comparison of costs (B,) of the same starts, infinite where lost.
+        """Return the comparison of the costs `before` (B,) and `after` (B,) of the same starts.
 
-        They are those `before` and `after`; `confidence` is that of the bounds.
+        Lost starts have an infinite cost. `confidence` is that of the interval.
         """
         from scipy.special import stdtrit  # scipy.stats has the same, but takes long to import
 
@@ -76,10 +76,10 @@ class Comparison:
 
     @property
     def better(self) -> bool:
-        """Whether it surely loses fewer starts after, or surely costs less.
+        """Whether surely fewer starts are lost after, or the starts surely cost less.
 
-        In the second case no more starts may be lost, and the worst may not cost more than `WORST`
-        times as much. A lost start counts more than any cost.
+        If they surely cost less, no more starts may be lost, and the worst start may cost at most
+        `WORST` times as much. A lost start counts more than any cost.
         """
         spared = not self.more_lost and self.worst <= WORST * self.worst_before
         return self.fewer_lost or (spared and self.high < 0)

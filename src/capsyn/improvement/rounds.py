@@ -32,24 +32,26 @@ CHOICE, JUDGE, FITS = 1, 2, 3
 
 @dataclass(frozen=True)
 class Round:
-    """What a round of `improve` did.
+    """What one round of `improve` did.
 
     Parameters
     ----------
     round : int
-        Its number, from 1.
+        Number of the round, from 1.
     horizon : float
         Horizon of the rollouts [time unit].
     terminal : bool
-        Whether they end with the policy's terminal cost.
+        Whether the rollouts end with the policy's terminal cost.
     fitted : bool
-        Whether it went by fitted tails, not by rollouts; the horizon is that of the policy then.
+        Whether the round used fitted tails in place of rollouts. `horizon` is then the policy's
+        horizon.
     result : Comparison
-        The policy that it began with, and that it made, by starts that no choice saw.
+        Comparison of the policy before the round with the policy of the round, by starts that no
+        choice saw.
     cells, solves : int
-        Of the policy that it made.
+        Cells and solves of the policy that the round made.
     seconds : float
-        What it took.
+        Time that the round took [s].
     """
 
     round: int
@@ -63,11 +65,11 @@ class Round:
 
     @property
     def kept(self) -> bool:
-        """Whether the policy that it made is surely better."""
+        """Whether the policy that the round made is surely better."""
         return self.result.better
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as plain data, in one level."""
+        """Return the round as plain data, in one level."""
         plain = dataclasses.asdict(self)
         return plain | plain.pop("result") | {"kept": self.kept}
 

@@ -1,4 +1,4 @@
-"""How far a controller is from the optimum, in closed loops from the same starts."""
+"""Comparison of a controller with the optimum, in closed loops from the same starts."""
 
 from __future__ import annotations
 
@@ -16,27 +16,29 @@ from capsyn.statistics import check_confidence
 
 @dataclass(frozen=True, eq=False)
 class OptimumComparison:
-    """Costs of closed loops beside the least ones.
+    """Costs of a controller's closed loops, beside the costs of the optimum's loops.
 
     Parameters
     ----------
     starts : (B, n)
         Initial states [state units].
     costs, optimal : (B,)
-        What loops from there cost, and those of the optimum's own policy; infinite where a loop
-        ended early, outside the domain or with a state that is not finite.
+        Costs of the controller's loops, and of loops of the optimum's own policy. A cost is
+        infinite if the loop ended early, outside the domain or with a state that is not finite.
     ratio, low, high : float
-        Mean cost over the least mean cost, of the starts that did not end early, and its interval.
+        Mean cost divided by the least mean cost, over the starts that did not end early, with its
+        interval.
     confidence : float
-        Of the interval.
+        Confidence of the interval.
     lost : int
-        Loops that ended early.
+        Number of loops that ended early.
     worst : int
-        The start that costs most beyond the least; one that is lost if any is.
+        Index of the start that costs most beyond the least. If loops are lost, it is one of their
+        starts.
     bound : bool
-        Whether the optimum is a bound; see `Optimum`. It is none where `beaten`.
+        Whether the optimum is a bound; see `Optimum`. It is no bound if `beaten` is true.
     names : n strings
-        Of the states.
+        Names of the states.
     """
 
     starts: np.ndarray
@@ -53,17 +55,17 @@ class OptimumComparison:
 
     @property
     def beaten(self) -> bool:
-        """Whether loops surely cost less than those of the optimum: then its grid is too coarse."""
+        """Whether loops surely cost less than the optimum's: its grid is then too coarse."""
         return bool(self.high < 1)
 
     @property
     def optimality(self) -> float:
-        """Least mean cost over the mean cost, at most 1; 0 where all loops are lost."""
+        """Least mean cost divided by the mean cost, at most 1; 0 if all loops are lost."""
         return min(1.0, 1 / self.ratio) if self.ratio > 0 else 1.0
 
     @property
     def excess(self) -> np.ndarray:
-        """Costs (B,) beyond the least, over the mean of the least."""
+        """Costs (B,) beyond the least costs, divided by the mean of the least costs."""
         mean = self.optimal[np.isfinite(self.optimal)].mean()
         return (self.costs - self.optimal) / mean
 

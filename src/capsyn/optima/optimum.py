@@ -50,35 +50,35 @@ class Optimum:
     Parameters
     ----------
     name : str
-        Of the problem.
+        Name of the problem.
     box : Box
-        States of the grid.
+        The box of the grid.
     counts : n ints
         Intervals along each axis.
     values : (R, nodes along each axis)
-        Least cost to go from each node over the duration, less a sample; a row for each symbol in
-        force where that matters, and one more for each sample that it is held on.
+        Least cost to go from each node over the duration, less a sample. If the symbol in force
+        matters, there is a row for each symbol in force, and for each further sample of its hold.
     objective : str
-        What the cost is, in words.
+        The cost in words.
     duration, period : float
-        Of loops, and the time of a sample [time unit].
+        Time of a loop, and time of a sample [time unit].
     sweeps : int
-        Passes over the grid: fewer than samples where more would change nothing, or where one
-        takes several samples.
+        Passes over the grid. There are fewer passes than samples if more passes would change
+        nothing, or if one pass takes several samples.
     starts : (B, n)
         Initial states [state units].
     costs : (B,)
-        What loops of its own policy cost from there.
+        Costs of the loops of the optimum's own policy from these states.
     switches : (B,)
-        Their changes of the symbol.
+        Changes of the symbol in these loops.
     left : int
-        Loops that left the box, however often it was widened.
+        Number of loops that left the box, however often it was widened.
     memory : int
-        What it took [bytes].
+        Memory that the optimum took [bytes].
     seconds : float
-        And how long.
+        Time that the optimum took [s].
     lookahead : Lookahead
-        What finds the best symbol of a state.
+        The function that finds the best symbol of a state.
     """
 
     name: str
@@ -99,9 +99,9 @@ class Optimum:
 
     @property
     def bound(self) -> bool:
-        """Whether the grid holds all that its loops reach, and its error is less than a tenth.
+        """Whether the grid holds all states that its loops reach, with an error below a tenth.
 
-        Else their cost is no bound.
+        Otherwise the cost of the loops is no bound.
         """
         return self.left == 0 and abs(self.grid_error) < COARSE
 
@@ -112,11 +112,11 @@ class Optimum:
 
     @property
     def grid_error(self) -> float:
-        """What the values say of the starts, over what the loops cost, less 1: the grid's error."""
+        """The grid's error: the values at the starts over the costs of the loops, less 1."""
         return float(self.cost(self.starts).mean() / self.mean - 1) if self.mean else 0.0
 
     def cost(self, states: Any, current: Any = -1) -> Any:
-        """Return the least cost (...) of loops from states (..., n), by the values of the grid.
+        """Return the least cost (...) of loops from states (..., n), from the values of the grid.
 
         `current` are the symbols in force, one or (...); -1 is the default control.
 
@@ -132,7 +132,8 @@ class Optimum:
     def symbols(self, states: Any, current: Any = -1) -> Any:
         """Return the best symbols (...) at states (..., n): the optimum's own policy.
 
-        `current` is that of `cost`; of ties the symbol in force stays, else the lowest is taken.
+        `current` is that of `cost`. If symbols tie, the symbol in force stays, or else the lowest
+        wins.
 
         Raises
         ------
@@ -143,14 +144,14 @@ class Optimum:
         return self.lookahead.choose(flat, now).reshape(shape)[()]
 
     def control(self, time: float, states: Any) -> np.ndarray:
-        """Return the controls (B, m) at states (B, n), a controller for `capsyn.simulate`.
+        """Return the controls (B, m) at states (B, n), as a controller for `capsyn.simulate`.
 
-        The `time` does not matter.
+        The `time` does not change the result.
 
         Raises
         ------
         ProblemError
-            Prices or least times, so that the symbol in force matters; or another shape.
+            States of another shape. Or prices or least times make the symbol in force matter.
         """
         if self.lookahead.task.remembers:
             raise ProblemError(
@@ -160,19 +161,20 @@ class Optimum:
         return self.lookahead.task.alphabet.values[self.symbols(states)]
 
     def policy(self, problem: Any, **options: Any) -> Policy:
-        """Return the policy of cells whose symbols are the best ones; see `problem_policy`.
+        """Return a policy of cells with the best symbols of the optimum; see `problem_policy`.
 
         Parameters
         ----------
         problem : Problem
-            What the optimum is of.
+            The problem of the optimum.
         options
-            Those of `capsyn.subdivide`.
+            Options of `capsyn.subdivide`.
 
         Raises
         ------
         ProblemError
-            Exogenous inputs, which are fixed here, or what `problem_policy` refuses.
+            The problem has exogenous inputs, which an optimum fixes. Or `problem_policy` refuses
+            it.
         """
         task = self.lookahead.task
         if getattr(problem, "exogenous", None) is not None:
@@ -191,25 +193,25 @@ class Optimum:
         return problem_policy(label, problem, in_force=True, **options)
 
     def compare(self, controller: Any, **options: Any) -> OptimumComparison:
-        """Return what closed loops of a controller cost over the least, from the same starts.
+        """Return the costs of a controller's closed loops beside the optimum's, from equal starts.
 
         Parameters
         ----------
         controller : Policy or callable ``(time, states (B, n)) -> controls (B, m)``
-            What is compared; it is told the same exogenous inputs as the optimum.
+            The controller to compare. It is told the same exogenous inputs as the optimum.
         options
-            Of `capsyn.simulate`: ``outside``, ``backend``, ``threads``; and ``confidence`` of the
-            interval, 0.95 unless told.
+            Options ``outside``, ``backend`` and ``threads`` of `capsyn.simulate`, and the
+            ``confidence`` of the interval (0.95 by default).
 
         Raises
         ------
         ProblemError
-            A controller that does not fit.
+            The controller does not fit the system.
         """
         return compared(self, controller, **options)
 
     def to_json(self) -> dict[str, Any]:
-        """Return what it is, without values, as plain data."""
+        """Return the optimum as plain data, without its values."""
         return {
             "name": self.name,
             "objective": self.objective,
@@ -263,55 +265,55 @@ def optimum(
 ) -> Optimum:
     """Return the least cost of closed loops with the symbols, by dynamic programming on a grid.
 
-    At every sample, the symbol is chosen that costs least in all, and it is held for the sample:
-    what the best of all controllers at that rate would do that know the state. A loop costs the
-    running cost that it gathers, the terminal cost over time where there is no running cost; with
-    prices on switching, each change costs its price times a sample. Least times and forbidden
-    transitions are kept. Values between nodes are interpolated, linearly but for the curvature
-    along each axis, so that they are approximate; what is compared with is therefore what loops of
-    the optimum's own policy cost.
+    At every sample, the optimum takes the symbol of least total cost, and holds it for the sample.
+    This is what the best controller would do that knows the state at this rate. A loop costs its
+    running cost, or its terminal cost over time if there is no running cost. Each change of symbol
+    costs its price times a sample. Least times and forbidden transitions are kept. Values between
+    nodes are interpolated linearly, with a correction for the curvature along each axis. The values
+    are therefore approximate, so comparisons use the costs of loops of the optimum's own policy.
 
     Parameters
     ----------
     problem : Problem, or Policy with a model
-        System, costs and symbols, of at most four states.
+        The system, its costs and its symbols, with at most four states.
     duration : float
-        Of a loop [time unit].
+        Time of a loop [time unit].
     rate : float, optional
         Samples per time unit. Default: 1 over the ``sample_time`` of the settings.
     counts : int or n ints, optional
         Intervals of the grid along each axis. Default: 2000, 400, 100 or 40 for 1 to 4 states.
     box : Box, optional
-        States of the grid to begin with. Default: the domain.
+        The box of the grid at the beginning. Default: the domain.
     starts : int or (B, n)
-        Initial states, or how many are drawn.
+        Initial states, or the number of initial states to draw.
     initial : Box or Ball, optional
-        What they are drawn from, or those of their states that it names. Default: the domain.
+        The set from which initial states, or the states that it names, are drawn. Default: the
+        domain.
     seed : int
-        Of the draw.
+        Seed of the initial states.
     exogenous : (k,), or mapping of name to number, optional
-        Exogenous inputs, which stay; to be given where there are some.
+        Exogenous inputs, constant along all loops. They must be given if the problem has some.
     control_weight : float or (m, m)
-        Weight R of an effort ``u^T R u`` that counts, too.
+        Weight R of an effort ``u^T R u`` that is added to the cost.
     stop_at_target : bool
-        Whether a loop ends in the target, at no more cost.
+        Whether a loop ends in the target and costs no more from then on.
     widen : int
-        Most times that the box is widened where loops leave it; the intervals keep their size
-        until it takes four times the memory.
+        How often the box may be widened if loops leave it. The intervals keep their size until the
+        grid takes four times the memory.
     memory : int or text, optional
-        Most that may be taken, as ``"2GB"``. Default: half of what is available.
+        Most memory that the grid may take, as ``"2GB"``. Default: half of the available memory.
     backend : "auto", "c" or "numpy"
-        Compiled where there is a compiler, or as told.
+        How to compute: compiled if there is a compiler ("auto"), or as told.
     threads : int, optional
-        Default: one per processor. The result does not depend on it.
+        Number of threads. Default: one per processor. The result does not depend on it.
     progress : callable, optional
-        Told in words, before the work, what it is and what memory it takes.
+        A function that is called before the work with a text about the work and its memory.
 
     Raises
     ------
     ProblemError
-        An argument that cannot be used, or a grid that does not fit the memory; it names one that
-        does.
+        An argument that cannot be used, or a grid that does not fit the memory. The message then
+        names a grid that fits.
     KernelBuildError
         ``backend="c"`` without a working compiler.
     """

@@ -1,11 +1,12 @@
 """Agreement: where a policy gives another symbol than the controller that it came from.
 
-Algorithm 1 looks at test points only. Random states show what lies between them: how well the
-cells along a switching surface follow it, and the islands that all test points of a cell missed.
+Algorithm 1 looks only at test points. Random states show what lies between test points. They show
+how well cells follow a switching surface. They also show islands, which all test points of a cell
+missed.
 
-Where the symbol in force matters each state is compared with each of them in force, J = N + 1 with
-the default control. Else J is 1. Of a policy that is told exogenous inputs, states here are
-readings: states and exogenous inputs, drawn independently.
+If the symbol in force matters, each state is compared with each symbol in force. Then J = N + 1,
+with the default control, and otherwise J is 1. If a policy is told exogenous inputs, states in this
+module are readings: states and exogenous inputs, drawn independently.
 """
 
 from __future__ import annotations
@@ -41,48 +42,52 @@ Controller = Callable[[np.ndarray], Any]
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """How often a policy of N symbols equals its controller at random states.
+    """How often a policy of N symbols gives the symbol of its controller at random states.
 
-    Where the symbol in force matters, `states` and `agreeing` are those of the mean symbol in
-    force; all other counts are of pairs of a state and a symbol in force.
+    If the symbol in force matters, `states` and `agreeing` are means over the symbols in force. All
+    other counts are then of pairs of a state and a symbol in force.
 
     Parameters
     ----------
     symbols : N + 1 strings
         Names of the symbols, "default" last.
     seed : int
-        Seed of the states: they are ``policy.space.sample(states, seed)``.
+        Seed of the states, which are ``policy.space.sample(states, seed)``.
     states, agreeing : int
-        Random states, and those at which the policy agrees, rounded down.
+        Number of random states, and number of states at which the policy agrees, rounded down.
     confidence, low, high : float
-        Clopper-Pearson interval of the share that agrees; of the mean over symbols in force it is
-        on the safe side, for it counts each state once.
+        Clopper-Pearson interval of the share that agrees. For a mean over symbols in force, the
+        interval is on the safe side, because it counts each state once.
     ties : int
-        States where several symbols could be best; any of them agrees.
+        Number of states at which several symbols could be best. Each of these symbols agrees.
     not_finite : int
-        States where the controller has no finite result; there only the default agrees.
+        Number of states at which the controller has no finite result. Only the default control
+        agrees there.
     level_states, level_agreeing : (depth + 1,)
-        States in cells of each level, and those that agree. A decision tree has one level.
+        Number of states in cells of each level, and how many of them agree. A decision tree has one
+        level.
     mixed_states, mixed_agreeing : int
-        States in cells whose test points did not agree, and those that agree. The other states
-        lie in uniform cells. The leaves of a decision tree count as mixed.
+        Number of states in cells whose test points did not agree, and how many of these states
+        agree. The other states lie in uniform cells. The leaves of a decision tree count as mixed.
     pairs : (N + 1, N + 1)
-        States by the policy's symbol (row) and the controller's (column), the default last.
+        Number of states by the policy's symbol (row) and the controller's symbol (column), the
+        default last.
     disagreeing_states : (D, n)
         The first states that disagree [state units], at most `KEPT`.
     disagreeing_symbols : (D, 2)
-        The policy's and the controller's symbol at each of them; -1 is the default control.
+        The policy's and the controller's symbol at each of these states; -1 is the default control.
     island_cells, island_states : int
-        Uniform cells with disagreeing states, and those states.
+        Number of uniform cells with disagreeing states, and number of these states.
     islands : tuple of Island
-        These cells, most disagreeing states first, at most `KEPT`.
+        The uniform cells with disagreeing states, at most `KEPT`, the cell with most such states
+        first.
     in_force_agreeing : (J,), optional
-        States that agree for each symbol in force, the default last.
+        Number of states that agree for each symbol in force, the default last.
     disagreeing_in_force : (D,), optional
         The symbols in force at the first pairs that disagree; -1 is the default control.
     exogenous : str
-        Exogenous inputs and their bounds in words, drawn with the states; empty where there are
-        none.
+        Exogenous inputs that were drawn with the states, with their bounds, in words; empty if
+        there are none.
     """
 
     symbols: tuple[str, ...]
@@ -110,9 +115,9 @@ class Agreement:
 
     @property
     def share(self) -> float:
-        """Share of the states, an estimate of that of the volume, where the policy agrees.
+        """Share of the states at which the policy agrees, which estimates the share of the volume.
 
-        Where the symbol in force matters it is the mean over them.
+        If the symbol in force matters, this is the mean over the symbols in force.
         """
         if self.in_force_agreeing is None:
             return self.agreeing / self.states
@@ -162,18 +167,19 @@ def agreement(
     backend: str = "auto",
     threads: int | None = None,
 ) -> Agreement:
-    """Return how often a policy equals a controller at random states of its domain, and where not.
+    """Return how often, and where, a policy gives the symbol of a controller at random states.
 
     Parameters
     ----------
     policy : Policy
         The policy.
     states : int
-        Number of states, drawn uniformly from the domain; or readings, from the policy's space.
+        Number of states, drawn uniformly from the policy's space (its domain and exogenous inputs).
     controller : callable, optional
-        States (B, n), or readings, to symbol indices (B,), -1 for the default, whatever is in
-        force; or another policy, or a `FiniteControlSet`. Default: sSAC with the policy's own
-        model, horizon, settings, prices and delay.
+        What the policy is compared with. A function takes states (B, n), or readings, and returns
+        symbol indices (B,), -1 for the default, whatever symbol is in force. It may also be another
+        policy, or a `FiniteControlSet`. Default: sSAC with the policy's own model, horizon,
+        settings, prices and delay.
     seed : int
         Seed of the states.
     confidence : float
@@ -187,15 +193,14 @@ def agreement(
     Raises
     ------
     ProblemError
-        An argument that cannot be used, a policy that carries no model where no `controller` is
-        given, or a controller whose output is no symbols.
+        An argument that cannot be used. Or the policy carries no model, and no `controller` is
+        given. Or the controller returns something else than symbols.
     KernelBuildError
         ``backend="c"`` without a working compiler.
 
     Notes
     -----
-    Where several symbols tie, the policy agrees if it gives one of them, see
-    `BatchController.masks`.
+    If several symbols tie, the policy agrees if it gives one of them; see `BatchController.masks`.
     """
     if not isinstance(policy, Policy):
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")

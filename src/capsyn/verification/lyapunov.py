@@ -1,9 +1,10 @@
 """Lyapunov evidence: the sign of dV/dt along the closed loop, on a grid and proved cell by cell.
 
-Of a policy that remembers several symbols may be in force at a state: all that its row there gives,
-whatever may have been in force before. dV/dt then is the largest of theirs.
+Under a policy that remembers, several symbols may be in force at a state: all symbols of its row
+there. dV/dt is then the largest of their values.
 
-With exogenous inputs, which are constant along a loop, states here are readings, these last.
+Exogenous inputs are constant along a loop. States in this module are readings, with exogenous
+inputs last.
 """
 
 from __future__ import annotations
@@ -33,26 +34,25 @@ CHUNK = 100_000
 
 @dataclass(frozen=True, eq=False)
 class LyapunovCells:
-    """Cells of a policy that are not proved, in the order of the cell table.
+    """The cells of a policy that are not proved, in the order of the cell table.
 
     Parameters
     ----------
     entries : (K,) ints
-        Their places in ``policy.cells``.
+        Places of the cells in ``policy.cells``.
     levels, symbols : (K,) ints
-        Level of subdivision, and symbol; -1 is the default control. Of several that may be in force
-        it is that under which the value is.
+        Level of subdivision, and the symbol of the value; -1 is the default control.
     boundary : (K,) booleans
-        Finest cells, or leaves of a decision tree, on a switching surface: their test points did
-        not agree, or a cell across a face has another symbol or row.
+        Whether a finest cell, or a leaf of a tree, is on a switching surface: its test points did
+        not agree, or a neighbour has another symbol or row.
     lower, upper : (K, n)
-        Bounds [state units].
+        Bounds of the cells [state units].
     states : (K, n)
-        Of a violated cell the worst state found [state units]; of an undecided one the middle of
-        the part with the largest upper bound.
+        For a violated cell, the worst state found [state units]. For an undecided cell, the middle
+        of the part with the largest upper bound.
     values : (K,)
-        Of a violated cell dV/dt at that state [V / time unit]; of an undecided one that bound, NaN
-        where dV/dt may be undefined.
+        For a violated cell, dV/dt at this state [V / time unit]. For an undecided cell, the upper
+        bound, or NaN if dV/dt may be undefined.
     """
 
     entries: np.ndarray
@@ -92,25 +92,25 @@ class LyapunovProof:
     function : str
         Name of V.
     depth, max_boxes : int
-        How it was asked for.
+        The arguments of the proof; see `lyapunov`.
     proved, negative : float
-        Shares of the domain's volume where dV/dt <= 0, and dV/dt < 0 (a part of it), is proved
-        for every state, faces included.
+        Shares of the domain's volume for which dV/dt <= 0 is proved, and for which dV/dt < 0 is
+        proved, at every state, faces included.
     violated : float
-        Share where dV/dt > 0 is proved.
+        Share for which dV/dt > 0 is proved.
     undecided : float
-        The rest.
+        Share of the rest.
     cells, proved_cells, negative_cells : int
-        Cells in all, those wholly proved, and those where dV/dt < 0 is wholly proved.
+        Numbers of all cells, of wholly proved cells, and of cells with dV/dt < 0 wholly proved.
     violated_cells : LyapunovCells
-        Cells with a state where dV/dt > 0 beyond what rounding explains.
+        Cells with a state at which dV/dt > 0 by more than rounding explains.
     undecided_cells : LyapunovCells
-        The rest.
+        Cells that are neither proved nor violated.
     time_unit : str
-        That of the policy, see `Problem`.
+        Unit of time of the policy, see `Problem`.
     exogenous : str
-        Exogenous inputs, whose volume counts, too, with their bounds; empty where there are none.
-        Where all is proved, it is for every constant value of theirs.
+        Exogenous inputs with their bounds, or empty. Their volume counts, too. A full proof holds
+        for every constant value of the inputs.
     """
 
     function: str
@@ -135,7 +135,7 @@ class LyapunovProof:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the proof as plain data, without a time unit of s and exogenous inputs of none."""
+        """Return the proof as plain data, with the time unit if it is not s."""
         usual = ("time_unit", "s"), ("exogenous", "")
         told = {k: v for k, v in vars(self).items() if (k, v) not in usual}
         return told | {
@@ -148,16 +148,16 @@ class LyapunovProof:
 
 @dataclass(frozen=True, eq=False)
 class LyapunovGrid:
-    """The sign of dV/dt at the states of a grid; faces belong to cells as in the policy.
+    """The sign of dV/dt at the states of a grid. Faces belong to cells as in the policy.
 
     Parameters
     ----------
     axes : n arrays
         Positions on each axis [state units], both ends included.
     signs : (len(axes[0]), ..) int8
-        -1, 0 or 1; 2 where dV/dt is undefined.
+        Sign of dV/dt: -1, 0 or 1, and 2 for a state at which dV/dt is undefined.
     tolerance : float
-        Up to here ``|dV/dt|`` counts as 0 [V / time unit].
+        Largest ``|dV/dt|`` that counts as 0 [V / time unit].
     """
 
     axes: tuple[np.ndarray, ...]
@@ -166,13 +166,13 @@ class LyapunovGrid:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of states that are negative, zero, positive and undefined."""
+        """Numbers of states at which dV/dt is negative, zero, positive and undefined."""
         names = {"negative": -1, "zero": 0, "positive": 1, "undefined": 2}
         return {name: int(np.count_nonzero(self.signs == sign)) for name, sign in names.items()}
 
     @property
     def shares(self) -> dict[str, float]:
-        """Shares of the states that are negative, zero, positive and undefined."""
+        """Shares of the states at which dV/dt is negative, zero, positive and undefined."""
         return {name: count / self.signs.size for name, count in self.counts.items()}
 
     def to_json(self) -> dict[str, Any]:
@@ -186,27 +186,27 @@ def lyapunov(
 ) -> LyapunovProof:
     """Return what interval arithmetic proves about dV/dt in continuous time, cell by cell.
 
-    In every cell, faces included, the control is that of its symbol, or of each symbol that may be
-    in force there, no least time being waited for. Where V has a kink, as ``abs(E)`` at ``E = 0``,
-    the gradients on either side and all between them count. That V is positive, and that it does
-    not jump but where random pairs of states would show it, is up to whoever made it.
+    In every cell, faces included, the control is that of the cell's symbol, or of each symbol that
+    may be in force there. At a kink of V, such as ``abs(E)`` at ``E = 0``, all gradients between
+    its sides count. V must be positive, which is not checked. Jumps of V are only looked for at
+    random pairs of states.
 
     Parameters
     ----------
     policy : Policy
         A policy with a model.
     V : callable ``x -> scalar``, or ``(x, w) -> scalar`` where there are exogenous inputs
-        Function of CasADi columns, continuous and piecewise differentiable in x.
+        The function V of CasADi columns, continuous and piecewise differentiable in x.
     depth : int
-        Most times that a cell is bisected, each time along the axis that decides most.
+        How often a cell may be bisected, each time along the axis that decides most.
     max_boxes : int
-        Most parts of cells that are made in one round of bisections; those that get no turn count
-        as undecided.
+        Most parts of cells that one round of bisections makes. Parts that get no turn count as
+        undecided.
 
     Returns
     -------
     LyapunovProof
-        Shares of the volume, and the cells where V grows or that are undecided.
+        Shares of the volume, the cells in which V grows, and the undecided cells.
 
     Raises
     ------
@@ -223,21 +223,21 @@ def lyapunov(
 def lyapunov_grid(
     policy: Policy, V: Callable[..., Any], spacing: Any, zero: float = 1e-9
 ) -> LyapunovGrid:
-    """Return the sign of dV/dt, in plain arithmetic, at the states of a grid.
+    """Return the sign of dV/dt at the states of a grid, in ordinary floating point.
 
     Parameters
     ----------
     policy, V
-        As in `lyapunov`.
+        The policy and the function V, as in `lyapunov`.
     spacing : float or (n,)
         Largest distance of neighbouring states on each axis [state units].
     zero : float
-        Up to this fraction of the largest ``|dV/dt|`` on the grid it counts as 0.
+        Largest ``|dV/dt|`` that counts as 0, as a fraction of the largest one on the grid.
 
     Raises
     ------
     ProblemError
-        As in `lyapunov`, or a grid of more than `MAX_STATES` states.
+        An argument that `lyapunov` refuses, or a grid of more than `MAX_STATES` states.
     """
     zero = finite_number("zero", zero, least=0.0)
     loop = LoopDerivative(policy, V)

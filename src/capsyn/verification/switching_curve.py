@@ -46,26 +46,28 @@ HORIZONS = 20
 
 @dataclass(frozen=True)
 class SwitchingPoint:
-    """A price and a least time, and what closed loops do with them.
+    """What closed loops do under one price on switching and one least time.
 
     Parameters
     ----------
     price : str
-        As it was given, a number or a share.
+        The price as it was given: a number or a share.
     value : float
-        What it came to, of several the largest [cost / time unit].
+        The price as a number [cost / time unit]; the largest one if there are several.
     hold : float
-        Least time of all symbols, of several the longest [time unit].
+        Least time of all symbols [time unit]; the longest one if there are several.
     rows, cells, solves : int
-        Of the policy: rows of its transition function, leaves, and solves.
+        Numbers of the policy: rows of its transition function, leaves, and solves.
     switches : float
-        Per time unit, over all trials.
+        Switches per time unit, over all trials.
     cost : float
-        Mean over the trials of what the running cost gathers, or else the terminal cost.
+        Mean cost of the trials: their running cost, or their terminal cost if there is no running
+        cost.
     success : float, optional
-        Share of the trials that are in the target at the end; None without a target.
+        Share of the trials that end in the target; None without a target.
     recommended : bool
-        Whether it has the fewest switches among those that cost and lose little more than the best.
+        Whether this point has the fewest switches of all points that cost and lose little more than
+        the best.
     """
 
     price: str
@@ -97,26 +99,29 @@ def switching_curve(
     threads: int | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[SwitchingPoint, ...]:
-    """Return what prices and least times do to a policy that sSAC made, in closed loop.
+    """Return what prices and least times do to the closed loops of a policy that sSAC made.
 
-    For each price the policy is made anew, by the settings that it carries, and with its forbidden
-    transitions; loops start from the same random states of its domain. They are told the same
-    exogenous inputs, drawn from their box and constant along a loop.
+    For each price, the policy is made anew, with the settings and forbidden transitions that it
+    carries. All loops start from the same random states of the domain. They are told the same
+    exogenous inputs, which are drawn from their box and constant along a loop.
 
     Parameters
     ----------
     policy : Policy
-        A policy of cells that carries its model, as `capsyn.synthesize` makes them.
+        A policy of cells that carries its model, such as `capsyn.synthesize` makes.
     prices : numbers >= 0 and shares such as ``"1%"``
-        One price for all switches each, in place of its own; see `capsyn.Switching`.
+        The prices to try. Each is one price for all switches, in place of the policy's own prices;
+        see `capsyn.Switching`.
     holds : floats, optional
-        Least times of all symbols [time unit], each tried with every price. Default: its own.
+        Least times of all symbols [time unit]. Each is tried with every price. Default: the
+        policy's own.
     trials, rate, seed, backend, threads
-        As in `capsyn.monte_carlo`; trials go on to the end.
+        The arguments of the same names of `capsyn.monte_carlo`. Trials run to the end of their
+        time.
     duration : float, optional
-        Of a trial [time unit]. Default: `HORIZONS` prediction horizons.
+        Time of a trial [time unit]. Default: `HORIZONS` prediction horizons.
     progress : callable, optional
-        Told in words what is next.
+        A function that is called with a text about what comes next.
 
     Raises
     ------
@@ -167,14 +172,14 @@ def switching_point(
     backend: str = "auto",
     threads: int | None = None,
 ) -> SwitchingPoint:
-    """Return what closed loops of a policy do, as it is.
+    """Return what closed loops of a policy do, with its own prices and least times.
 
     Parameters
     ----------
     policy : Policy
         Any policy that carries its model.
     trials, duration, rate, seed, backend, threads
-        As in `switching_curve`.
+        The arguments of the same names of `switching_curve`.
 
     Raises
     ------
