@@ -73,6 +73,7 @@ if __name__ == "__main__":
     save_policy_plot(synthesize(problems.get("double-tank-a")), HERE / "double-tank-a.png")
     pendulum = synthesize(problems.get("cart-pendulum"))
     save_policy_plot(pendulum, HERE / "cart-pendulum.png", current="5")
+    loops.in_few_colors(HERE / "cart-pendulum.png", HERE / "cart-pendulum.png")
     plain = synthesize(problems.plain("cart-pendulum"))
     tanks = synthesize(problems.get("double-tank-b"))
     certificate = certify(tanks, Box([0.1, 0.1], [0.9, 0.9]))

@@ -18,16 +18,21 @@ ROOT = Path(__file__).parents[2]
 INK, GOAL, FIRST, SECOND = "#333333", "#888888", "#0072B2", "#D55E00"
 
 
+def in_few_colors(drawn, path):
+    """Write a picture, a file, in 64 colours, which is a third of the bytes."""
+    with Image.open(drawn) as image:
+        few = image.convert("RGB").quantize(64, dither=Image.Dither.NONE)
+    few.save(path, optimize=True)
+
+
 def save(figure, path):
-    """Write a figure in 64 colours, which is a third of the bytes, and close it."""
+    """Write a figure without the frame above and on the right, and close it."""
     for ax in figure.axes:
         ax.spines[["top", "right"]].set_visible(False)
     drawn = io.BytesIO()
     figure.savefig(drawn, dpi=110)
     plt.close(figure)
-    Image.open(drawn).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(
-        path, optimize=True
-    )
+    in_few_colors(drawn, path)
 
 
 def actuators(path, problem_of):
