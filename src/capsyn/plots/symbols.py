@@ -30,12 +30,22 @@ def written(names: Sequence[str]) -> list[str]:
     return [f"u{k + 1}" for k in range(len(names))]
 
 
-def texture(look: Look, rows: int, columns: int, dot: int = 1) -> np.ndarray:
-    """Return a rectangle of a look as colours (rows, columns, 3), its dots of some pixels."""
+def texture(look: Look, rows: int, columns: int) -> np.ndarray:
+    """Return a rectangle of a look as colours (rows, columns, 3)."""
+    return textured(np.zeros((rows, columns), dtype=int), [look])
+
+
+def textured(labels: np.ndarray, looks: Sequence[Look]) -> np.ndarray:
+    """Return colours (rows, columns, 3) of labels, the lowest first, with marks of a pixel each."""
     from matplotlib.colors import to_rgb
 
-    dots = _dots(look.marks, np.arange(rows), np.arange(columns), dot)
-    return np.where(dots[..., None], to_rgb(look.ink), to_rgb(look.color))
+    rows, columns = map(np.arange, labels.shape)
+    marks, inks, colors = (
+        np.array(v) for v in zip(*((k.marks, to_rgb(k.ink), to_rgb(k.color)) for k in looks))
+    )
+    dots = _dots(marks[labels], rows[::-1], columns, 1)
+    found: np.ndarray = np.where(dots[..., None], inks[labels], colors[labels])
+    return found
 
 
 def _dots(marks: Any, rows: np.ndarray, columns: np.ndarray, dot: int) -> np.ndarray:

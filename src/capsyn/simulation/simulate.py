@@ -63,6 +63,10 @@ class Trajectory:
         Names and units of the exogenous inputs.
     periods : tuple of n floats
         Widths of the axes of periodic states [state units]; 0 for other states.
+    lower : tuple of n floats
+        Lower bounds of the domain [state units], from which periodic states go round.
+    symbol_names : tuple of str
+        Names of the symbols; none where the controls are no symbols.
     time_unit : str
         Unit of time of the plant, see `Problem`.
     """
@@ -85,6 +89,8 @@ class Trajectory:
     exogenous_names: tuple[str, ...] = ()
     exogenous_units: tuple[str, ...] = ()
     periods: tuple[float, ...] = ()
+    lower: tuple[float, ...] = ()
+    symbol_names: tuple[str, ...] = ()
 
     @property
     def cost(self) -> Any:
@@ -354,4 +360,6 @@ def _trajectory(
         exogenous_names=plant.space.names[n:],
         exogenous_units=plant.space.units[n:],
         periods=tuple(plant.domain.periods.tolist()),
+        lower=tuple(plant.domain.lower.tolist()),
+        symbol_names=tuple(alphabet.names),
     )
