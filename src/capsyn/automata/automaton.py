@@ -24,15 +24,15 @@ TOLD = 20
 
 @dataclass(frozen=True)
 class Edge:
-    """A transition: whatever symbol is held, a state in region A_j takes the machine to symbol j.
+    """A transition: a state in region A_j takes the machine to symbol j, whatever symbol is held.
 
-    Of a policy that remembers, its region is that of the pair: A_ij takes the machine from i to j.
+    For a policy that remembers, each pair has a region: A_ij takes the machine from i to j.
 
-    An edge with the same source and target holds the symbol. It is `possible` where the closed loop
-    can take it in continuous time: False only where that is proved impossible, True only where it
-    is proved at some state, None where neither is, or where there is no model. Likewise `sliding`:
+    An edge with the same source and target holds the symbol. `possible` is False if the closed loop
+    in continuous time is proved never to take the edge, True if it is proved to take it at some
+    state, and None if neither is proved or there is no model. `sliding` says in the same way
     whether the loop slides (chatters) between the two symbols anywhere. Rates are from evenly
-    spread states, see `Switching`, and None without a model and for edges that hold.
+    spread states, see `Switching`. They are None without a model, and for edges that hold.
     """
 
     source: int  # symbols, N for the default control
@@ -48,42 +48,41 @@ class Edge:
 class Automaton:
     """A policy as a finite state machine ``<U, L, T>`` (Definition 2 of the paper).
 
-    Symbols are the vertices, those that the policy uses. V of them have V^2 edges, with the
-    regions as guards. Of a policy that remembers, the vertices are the symbols that may be in
-    force, and only switches that it makes somewhere are edges, each with a region of its own.
+    The vertices are the V symbols that the policy uses. They have V^2 edges, with regions as
+    guards. For a policy that remembers, the vertices are the symbols that may be in force. Its
+    edges are the switches that the policy makes somewhere, each with a region of its own.
 
     Parameters
     ----------
     name : str
         Name of the policy.
     domain : Box
-        Its domain, or space.
+        Domain of the policy, with the axes of exogenous inputs.
     counts : n ints
         Finest cells along each axis.
     symbols : int
-        Symbols N of the alphabet, and the number that stands for the default control.
+        Number N of symbols, which also stands for the default control.
     vertices : tuple of int
-        The symbols that occur, or may be in force, ascending, N for the default control.
+        The symbols that occur, or that may be in force, ascending; N is the default control.
     names : tuple of str
-        Their names.
+        Names of the vertices.
     controls : (V, m)
-        Their control vectors [input units].
+        Control vectors of the vertices [input units].
     regions : tuple of Region
-        Their regions, as boxes that tile them; or those of the edges.
+        Regions of the vertices, or of the edges, as boxes that tile them.
     edges : tuple of Edge
         All edges, by source and then by target.
     partitions : Partitions
-        The connected partitions L that the regions are made of. Of a policy that remembers its
-        labels are rows of `Policy.transitions`, and those that a region counts are of what follows
-        its source.
+        The connected partitions L of the regions. For a policy that remembers, their labels are
+        rows of `Policy.transitions`; a region counts those of what follows its source.
     switching : Switching or None
-        What the vector field does on the faces between symbols; None without a model.
+        The vector field on the faces between symbols; None without a model.
     time_unit : str
-        What rates are per, see `Problem`.
+        Unit of time of the rates, see `Problem`.
     remembers : bool
-        Whether the next symbol depends on the one in force.
+        Whether the next symbol depends on the symbol in force.
     told : int
-        Exogenous inputs, the last axes: partitions connect along them, but no switch is there.
+        Number of exogenous inputs (the last axes). Partitions connect along them; switches do not.
     """
 
     name: str
@@ -108,12 +107,12 @@ class Automaton:
         Parameters
         ----------
         policy : Policy
-            The policy. Without a model it is not known which edges its loop can take.
+            The policy. Without a model, nothing is known of which edges its loop can take.
 
         Raises
         ------
         ProblemError
-            No policy, or one whose tree has oblique splits.
+            `policy` is no policy, or its tree has oblique splits.
         """
         if not isinstance(policy, Policy):
             raise ProblemError(f"`policy` must be a Policy; got {describe(policy)}")
@@ -148,10 +147,10 @@ class Automaton:
         )
 
     def region_name(self, label: int, source: int | None = None) -> str:
-        """Return the name of the region of symbol `label`: A1 of the first, A0 of the default.
+        """Return the name of the region of symbol `label`: A1 for the first, A0 for the default.
 
-        Of a policy that remembers it is that of the edge from `source`: A21 of the second to the
-        first, by default that in which the symbol stays.
+        For a policy that remembers, it is the region of the edge from `source`, such as A21 from
+        the second symbol to the first. The default `source` is the symbol itself.
         """
         if not self.remembers:
             return f"A{self.symbol_number(label)}"
@@ -159,15 +158,15 @@ class Automaton:
         return "A" + ("" if self.symbols < 10 else ",").join(map(str, numbers))
 
     def symbol_number(self, label: int) -> int:
-        """Return the number of symbol `label` in the paper: from 1, of the default control 0."""
+        """Return the paper's number of symbol `label`: 1 for the first, 0 for the default."""
         self._vertex(label)
         return (label + 1) % (self.symbols + 1)
 
     def region(self, label: int, source: int | None = None) -> Region:
         """Return the region of symbol `label`, N for the default control.
 
-        Of a policy that remembers it is that in which the symbol follows `source`, by default
-        itself: where it stays. That may be nowhere.
+        For a policy that remembers, it is the region in which the symbol follows `source`, by
+        default the symbol itself. This region may be empty.
         """
         place = self._vertex(label)
         if not self.remembers:
@@ -192,13 +191,13 @@ class Automaton:
         )
 
     def bounds(self, label: int, source: int | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the `Region.bounds`, (K, n) each [state units], by `label` and `source`."""
+        """Return the `Region.bounds` (K, n) [state units] of `region`, for `label` and `source`."""
         return self.region(label, source).bounds(self.domain, self.counts)
 
     def sliding_faces(self) -> list[SlidingFace]:
-        """Return the faces on which the loop slides, those with most sliding area first.
+        """Return the faces on which the loop slides, largest sliding area first.
 
-        Without a model it is not known, and there are none.
+        Without a model there are none.
         """
         analysis, domain = self.switching, self.domain
         if analysis is None:
@@ -225,7 +224,7 @@ class Automaton:
     def to_json(self) -> dict[str, Any]:
         """Return the automaton as plain data, without the corners of its boxes.
 
-        Of the sliding faces, the first `TOLD`.
+        The data have only the first `TOLD` sliding faces.
         """
         analysis = self.switching
         kept = [self.region(label) for label in self.vertices]
@@ -271,13 +270,13 @@ class Automaton:
     def to_dot(self, colors: Mapping[int, str] | None = None) -> str:
         """Return the graph in the language of Graphviz; the same automaton gives the same text.
 
-        Edges that are proved impossible are dashed and grey, those that are not decided dotted.
-        A star marks edges on which the loop chatters somewhere.
+        Edges that are proved impossible are dashed and grey. Undecided edges are dotted. A star
+        marks edges on which the loop chatters somewhere.
 
         Parameters
         ----------
         colors : mapping of symbol to text, optional
-            Colours of the vertices, as ``#rrggbb``.
+            Colours of the vertices by symbol, as ``#rrggbb``.
         """
         lines = [
             f"// Finite state machine of a control alphabet policy; {self.guards_are}.",
@@ -300,7 +299,7 @@ class Automaton:
 
     @property
     def guards_are(self) -> str:
-        """What the names of regions mean, in words."""
+        """The meaning of the regions' names, in words."""
         if not self.remembers:
             return "A is the region of a symbol"
         first = min(self.edges, key=lambda edge: edge.source == edge.target)
@@ -309,16 +308,15 @@ class Automaton:
         return f"{region} is where {names[first.target]} follows {names[first.source]}"
 
     def edge_text(self, edge: Edge) -> str:
-        """Return the label of an edge: its region, with a star where the loop chatters."""
+        """Return the label of an `edge`: its region, with a star if the loop chatters there."""
         return self.region_name(edge.target, edge.source) + ("*" if edge.sliding else "")
 
     def to_networkx(self) -> Any:
         """Return the graph as a ``networkx.MultiDiGraph``.
 
-        Its nodes are symbols, with their ``name``, ``value``, ``volume_share``, ``cells``,
-        ``boxes`` and ``partitions``; the key of an edge is the name of its region, and what is
-        known of it are attributes named as in `Edge`. All are numbers or text, as files of graphs
-        need them.
+        Its nodes are symbols, with ``name``, ``value``, ``volume_share``, ``cells``, ``boxes`` and
+        ``partitions``. The key of an edge is the name of its region, and its attributes have the
+        names of `Edge`. All attributes are numbers or text, so graph files can hold them.
 
         Raises
         ------

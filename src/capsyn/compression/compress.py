@@ -1,8 +1,8 @@
 """From a policy to a small decision tree, with a statement of what the tree guarantees.
 
-Of a policy that remembers, a leaf of the tree is a row, what follows each symbol in force, and all
-that is said of symbols is said of whole rows: two are the same, or right, where they are so for
-every symbol in force, the default control among them.
+The leaves of the tree of a policy that remembers are rows. A row lists the next symbol for each
+symbol in force, including the default control. Two rows are the same, or a row is right, only if
+this holds for every symbol in force.
 """
 
 from __future__ import annotations
@@ -80,69 +80,70 @@ def compress(
     policy : Policy
         A policy of cells.
     mode : "exact", "freedom" or "linear", optional
-        By default ``exact``, and with `judge` "loop" ``linear``. ``exact``: equal to the policy
-        everywhere. ``freedom``: mixed cells, those at the finest level whose test points did not
-        agree, may take any symbol seen in them; with memory any row of the policy whose symbols
-        were all seen in them, each for its symbol in force. ``linear``: splits may be affine in the
-        state, fitted to the controller that the policy came from.
+        What the tree may do. ``exact`` equals the policy everywhere. ``freedom`` may take, in a
+        mixed cell, any symbol that was seen there. (A mixed cell is a finest cell whose test points
+        did not agree. With memory, it may take any row of the policy whose symbols were all seen
+        there.) ``linear`` has splits that are affine in the state, fitted to the controller of the
+        policy. Default: ``exact``, or ``linear`` with `judge` "loop".
     agreement : float, optional
-        Least share of the volume, above 0 and below 1, where the tree shall agree with the
-        controller. For ``linear`` 0.99 by default, for ``freedom`` what `node_price` gives. Not for
-        ``exact``.
+        Least share of the volume, above 0 and below 1, in which the tree must agree with the
+        controller. Default: 0.99 for ``linear``, and what `node_price` gives for ``freedom``. Mode
+        ``exact`` takes none.
     level : int, optional
-        Merge the cells below this level first: a smaller tree that agrees less. Not for
-        ``linear``, which makes no use of the cells where there is a model.
+        Level below which cells are merged first, for a smaller tree that agrees less. Mode
+        ``linear`` takes none, as it does not use the cells of a policy with a model.
     node_price : float, optional
-        For ``freedom`` without `agreement`: how many finest cells of disagreement saving one node
-        is worth, 0.5 by default. The larger, the smaller the tree.
+        For ``freedom`` without `agreement`: how many finest cells of disagreement are worth one
+        node less, 0.5 by default. A larger price makes a smaller tree.
     states : int
-        Random states at which the tree is judged.
+        Number of random states at which the tree is judged.
     seed : int
-        Of everything that is random; the same seed gives the same tree.
+        Seed of all random numbers. The same seed gives the same tree.
     controller : callable, optional
-        What trees are fitted to and judged by: states (B, n), or readings, to symbol indices (B,),
-        -1 for the default, whatever is in force; or a policy, which may remember. Default: sSAC
-        with the policy's own model, or the policy where that has none.
+        The controller that trees are fitted to and judged by. It is a function of states (B, n), or
+        readings, that returns symbol indices (B,), -1 for the default, whatever symbol is in force.
+        It may also be a policy, which may remember. Default: sSAC with the policy's own model, or
+        the policy itself if it has no model.
     features : dict of functions, optional
-        Functions of the state by name, in CasADi's terms like a problem's, that splits may compare
-        beside the states: ``{"energy": lambda x: ...}``, and ``lambda x, w: ...`` for a policy that
-        is told exogenous inputs. They are evaluated at the centres of the steps of the tree's
-        lattice, and those that a tree does not use are dropped. Not with `level`, `node_price`, or,
-        in mode ``freedom``, `agreement`.
+        Functions of the state by name that splits may compare beside the states: ``{"energy":
+        lambda x: ...}``, or ``lambda x, w: ...`` for a policy that is told exogenous inputs. They
+        take CasADi columns, like the functions of a problem. They are evaluated at the centres of
+        the lattice steps of the tree. Features that a tree does not use are dropped. Features
+        exclude `level`, `node_price` and, in mode ``freedom``, `agreement`.
     backend : "auto", "c" or "numpy"
-        How sSAC is solved, and loops are simulated.
+        How sSAC is solved and loops are simulated: compiled if possible ("auto"), or as told.
     judge : "volume" or "loop"
-        Whether trees are chosen by where they agree with the controller, by volume, or by what
-        their closed loops cost and how many succeed. Then mode ``linear`` fits trees to the states
-        that closed loops visit, and mode ``freedom`` has its trees of several levels and prices.
-        The tree is the best within `nodes` or `bytes`, or the smallest that is near the policy
-        where neither is given; it is judged by trials that no choice saw. Not with mode ``exact``,
-        `agreement`, `node_price` or `features`.
+        "volume" chooses trees by the share of the volume in which they agree with the controller.
+        "loop" chooses trees by the cost and success of their closed loops. Mode ``linear`` then
+        fits trees to the states that closed loops visit. Mode ``freedom`` then tries several levels
+        and prices. The tree is the best within `nodes` or `bytes`. If neither is given, it is the
+        smallest that is near the policy. Trials that no choice saw judge the tree. "loop" excludes
+        mode ``exact``, `agreement`, `node_price` and `features`.
     nodes, bytes : int, optional
-        Most nodes, or most bytes, of a tree that loops judge.
+        Largest number of nodes, or of bytes, of a tree that loops judge.
     size : callable ``tree -> bytes``, optional
-        What `bytes` counts, such as `capsyn.exports.c.sizes.CodeSize`. Default: the tree's arrays,
-        each in the smallest integers that hold it.
+        A function that counts `bytes`, such as `capsyn.exports.c.code_size.CodeSize`. Default: the
+        bytes of the tree's arrays, each in the smallest integers that hold it.
     progress : callable, optional
-        Called with a text now and then, where loops judge.
+        A function that is called with a text now and then, if loops judge.
     **loop
-        How these run: arguments of `capsyn.monte_carlo` by name, such as `duration`, `rate`,
-        `initial`, `within`, `hold`, `exogenous`. By default 400 trials, of 10 horizons of the
-        policy. Without a target, trials succeed that go on to their end.
+        How loops run: arguments of `capsyn.monte_carlo` by name, such as `duration`, `rate`,
+        `initial`, `within`, `hold`, `exogenous`. Default: 400 trials of 10 horizons of the policy.
+        Without a target, a trial succeeds if it runs to its end.
 
     Returns
     -------
     DecisionTree
-        Its `guarantee` says what it has in common with the policy.
+        The tree, whose `guarantee` says how it compares with the policy.
 
     Warns
     -----
     CapsynWarning
-        No tree was found that fits, or the best loses more than a tenth against the policy, in
-        success or cost of closed loops. `agreement` was not reached, and the best tree found is
-        returned; or it is finer than the cells of a policy without a controller, so that the tree
-        follows their stairs. `features` make no tree smaller, and one without is returned; or one
-        comes very near to a threshold.
+        No tree fits the budget, or the best tree loses more than a tenth of success or cost against
+        the policy. Or no tree reaches `agreement`, and the best tree found is returned. Or
+        `agreement` asks for more than the cells of a policy without a controller know, and the tree
+        follows their stairs. Or `features` make no tree smaller, and a tree without features is
+        returned. Or the value of a feature comes very near to a threshold.
 
     Raises
     ------

@@ -26,25 +26,25 @@ SAMPLES = 100_000
 
 
 def prove(tree: Policy, policy: Policy) -> float:
-    """Prove again what a tree of mode ``exact`` or ``freedom`` guarantees of its policy.
+    """Prove again what a tree of mode ``exact`` or ``freedom`` guarantees about its policy.
 
     Parameters
     ----------
     tree : DecisionTree
-        A tree of either mode.
+        A tree of mode ``exact`` or ``freedom``.
     policy : Policy
-        The policy of cells that it was made from.
+        The policy of cells from which the tree was made.
 
     Returns
     -------
     float
-        Share of the volume where the tree gives another symbol than the policy, for any symbol in
-        force.
+        Share of the volume in which the tree gives another symbol than the policy, for any symbol
+        in force.
 
     Raises
     ------
     ProblemError
-        A tree of another policy or of mode ``linear``, or one that does not keep its word.
+        The tree is of another policy or of mode ``linear``, or its guarantee does not hold.
     """
     cells = cell_tree(policy)
     if not isinstance(tree, DecisionTree) or tree.guarantee.mode == "linear":

@@ -21,27 +21,27 @@ ROUNDING = relative_rounding(float)
 
 @dataclass(frozen=True)
 class Actions:
-    """What sSAC or SAC would do in some states; the shapes (...) are those of the states.
+    """The actions of sSAC or SAC in some states. The shapes (...) are those of the states.
 
     Parameters
     ----------
     symbol : (...)
         Symbol of the action; -1 for the default control, -2 for a control of SAC.
     control : (..., m)
-        Its control [input units].
+        Control of the action [input units].
     application_time : (...)
         Time tau at which the action is chosen [time unit from now].
     start, duration : (...)
-        It acts from `start` for `duration` [time unit]; the duration is 0 where there is no
-        action.
+        Start of the action, and time for which it acts [time unit]; the duration is 0 if there is
+        no action.
     gradient : (...)
         Mode insertion gradient at tau, eq. (6) [cost / time unit].
     cost, decrease : (...)
-        Cost J0 of the default prediction, and what the action takes off it.
+        Cost J0 of the default prediction, and how much the action lowers it.
     base : (..., m)
         Default control now [input units].
     base_symbol : (...)
-        Its symbol where a policy gives it, else -1.
+        Symbol of the default control now, if a policy gives it; otherwise -1.
     schedule : (..., steps + 1, m), optional
         The controls u*(t) at the sample times of the prediction.
     """

@@ -1,14 +1,15 @@
 """sSAC and SAC in receding horizon: one whole action per sample (Section III of the paper).
 
-An action is found in four steps. (1) Predict: the state and the cost J0 under the default control,
-and the adjoint. (2) Schedule: at every sample time of the prediction the control that would lower
-the cost best, eq. (8). (3) Application time: now, or where ``|u| + dJ/dlambda + (t - t0)^1.6`` is
-least. (4) Duration: a window around it, clipped to the horizon, halved until the predicted cost
-falls by the wanted share; with and without the action it is integrated on one grid that has the
-window's ends as points. Where nothing lowers the cost the action is the default control.
+An action is found in four steps. (1) Predict the state, the cost J0 under the default control, and
+the adjoint. (2) Schedule: at every sample time of the prediction, find the control that would lower
+the cost best, eq. (8). (3) Choose the application time: now, or where ``|u| + dJ/dlambda + (t -
+t0)^1.6`` is least. (4) Choose the duration: a window around that time, clipped to the horizon, is
+halved until the predicted cost falls by the wanted share. The costs with and without the action are
+integrated on one grid, with the window's ends as points. If nothing lowers the cost, the action is
+the default control.
 
-The default control is a constant, a signal ``u(t)``, or a policy: a "background controller", whose
-symbols are recorded along the prediction and frozen as a signal.
+The default control is a constant, a signal ``u(t)``, or a policy. A policy is a "background
+controller": its symbols are recorded along the prediction and frozen as a signal.
 """
 
 from __future__ import annotations
@@ -52,25 +53,26 @@ Default = np.ndarray | Callable[[float], Any] | Policy
 
 @dataclass(frozen=True, eq=False)
 class OnlineController:
-    """sSAC or SAC in receding horizon; build it with `online_controller`.
+    """A controller by sSAC or SAC in receding horizon; `online_controller` makes it.
 
-    `simulate` and `monte_carlo` take it like a policy. Calling it with a time and states (B, n),
-    and exogenous inputs where it is told some, returns the controls (B, m) that act at once.
+    `simulate` and `monte_carlo` take it like a policy. A call with a time and states (B, n) returns
+    the controls (B, m) that act at once. If the controller is told exogenous inputs, the call takes
+    them last.
 
     Parameters
     ----------
     method : "ssac" or "sac"
-        Symbols, or continuous controls.
+        Whether controls are symbols ("ssac") or continuous ("sac").
     formulation : Formulation
-        What it is made of: of the problem or policy, or what replaced it.
+        Model, horizon and settings, from the problem or policy or in their place.
     domain, exogenous, alphabet, min_dwell, target, time_unit
-        Those of the problem or policy.
+        The fields of the same names of the problem or policy.
     background : callable ``time -> (m,)``, Policy or None
-        Default control of the prediction, where it is no constant.
+        Default control of the prediction, if it is not constant.
     kernel, numpy
-        What finds actions: compiled, where there is a compiler, and in NumPy.
+        The functions that find actions: compiled, if there is a compiler, and in NumPy.
     rules : SwitchRules, optional
-        Least times and forbidden transitions of symbols, which a closed loop keeps.
+        Least times and forbidden transitions, which a closed loop keeps.
     """
 
     method: str
@@ -100,11 +102,11 @@ class OnlineController:
         Parameters
         ----------
         states, exogenous : (..., n) and (..., k)
-            States, and exogenous inputs where there are some, as a policy takes them.
+            States, and exogenous inputs if there are some, as a policy takes them.
         time : float
-            Now [time unit], for a default control that is a signal.
+            The present time [time unit], for a default control that is a signal.
         schedule : bool
-            Whether to return the whole schedule, too.
+            Whether to return the whole schedule as well.
 
         Raises
         ------
@@ -142,7 +144,7 @@ class OnlineController:
     def __call__(self, time: float, states: Any, exogenous: Any = None) -> np.ndarray:
         """Return the controls (..., m) that act at once in states (..., n) at a time.
 
-        `exogenous` are the inputs (..., k) where there are some.
+        `exogenous` are the exogenous inputs (..., k), if there are some.
         """
         planned = self.actions(states, exogenous, time)
         acts = np.asarray((planned.duration > 0) & (planned.start <= 0))
@@ -153,7 +155,8 @@ class OnlineController:
     ) -> Command:
         """Return the command over a sample: default control, action, default control.
 
-        `measured` are the readings (B, n) at `time`, whatever is `in_force`; `simulate` calls this.
+        `simulate` calls this with the readings `measured` (B, n) at `time`. `in_force` changes
+        nothing.
         """
         planned = self.actions(measured, time=time)
         start = np.where(planned.duration > 0, planned.start, np.inf)
@@ -174,17 +177,17 @@ class OnlineController:
 
     @property
     def space(self) -> Box:
-        """Readings: states, and exogenous inputs after them."""
+        """The box of readings: states, then exogenous inputs."""
         return self.formulation.domain
 
     @property
     def default(self) -> np.ndarray:
-        """Default control (m,) where it is a constant [input units]."""
+        """Default control (m,) [input units], if it is constant."""
         return self.formulation.default
 
     @property
     def default_control(self) -> np.ndarray:
-        """The same, as of a problem."""
+        """The same as `default`, under the name that a problem uses."""
         return self.default
 
     @property
@@ -194,7 +197,7 @@ class OnlineController:
 
     @property
     def settings(self) -> SsacSettings:
-        """Options, with `steps` given."""
+        """Settings of the controller, with `steps` given."""
         return self.formulation.settings
 
     @property
@@ -266,28 +269,28 @@ def online_controller(
 ) -> OnlineController:
     """Return sSAC or SAC in receding horizon for a problem, or for the model of a policy.
 
-    It plans without prices and delay; loops keep its least times.
+    The controller plans without prices and delay. Closed loops keep its least times.
 
     Parameters
     ----------
     source : Problem or Policy
-        Model, costs, alphabet, and what is not given below.
+        The model, the costs, the alphabet, and all options that are not given below.
     method : "ssac" or "sac"
-        Symbols of the alphabet, or continuous controls ``u* = (Lambda + R)^-1 (Lambda u_default +
-        h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h`` for ``f = g(x) + h(x) u``,
-        saturated.
+        "ssac" chooses symbols of the alphabet. "sac" has continuous controls, saturated: ``u* =
+        (Lambda + R)^-1 (Lambda u_default + h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h``,
+        for ``f = g(x) + h(x) u``.
     default : (m,), callable ``time -> (m,)`` or Policy, optional
-        Default control of the prediction, which also acts where nothing is better; it must be given
-        where that of the problem is a law. Under a policy the prediction has `POLICY_STEPS` steps
-        at least, unless `settings` say how many.
+        Default control of the prediction, which also acts if nothing is better. It must be given if
+        the problem's default is a law. Under a policy, the prediction has at least `POLICY_STEPS`
+        steps, unless `settings` give their number.
     horizon : float, optional
         Prediction horizon T [time unit].
     settings : SsacSettings, optional
-        Options; SAC needs a positive definite `control_weight`.
+        Settings of the controller. SAC needs a positive definite `control_weight`.
     limits : (lower (m,), upper (m,)), optional
-        Bounds of SAC's controls [input units]. Default: those of the alphabet.
+        Bounds of SAC's controls [input units]. Default: the bounds of the alphabet.
     backend : "auto", "c" or "numpy"
-        How to solve.
+        How to solve: compiled if possible ("auto"), or as told.
 
     Raises
     ------

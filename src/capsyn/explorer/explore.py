@@ -28,22 +28,23 @@ NOTHING = "base-uri 'none'; form-action 'none'"
 def explore(policy: Policy, path: str | os.PathLike[str], drawing: str | None = None) -> Path:
     """Write the page of a policy: its map, closed loop, automaton and facts.
 
-    The page is one file that opens from disk in any browser, and asks nothing of a network. The
-    same policy gives the same bytes. See ``docs/explorer.md``.
+    The page is one file that opens from disk in any browser and needs no network. The same policy
+    gives the same bytes. See ``docs/explorer.md``.
 
     Parameters
     ----------
     policy : Policy
-        The policy, or decision tree. Without a model the page has no closed loop.
+        The policy or decision tree. Without a model, the page has no closed loop.
     path : path
-        Where; what was there is replaced only by a whole page.
+        The file to write. A file that was there is replaced only by a complete page.
     drawing : "pendulum", "cart-pole", "double-tank" or "none", optional
-        The animation of the system. Default: that of the built-in problem of this name, if any.
+        The animation of the system. Default: the animation of the built-in problem of the policy's
+        name, if there is one.
 
     Returns
     -------
     Path
-        Where it was written.
+        The file that was written.
 
     Raises
     ------

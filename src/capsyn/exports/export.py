@@ -1,4 +1,4 @@
-"""From a policy to files of a target, all of them or none."""
+"""Export: from a policy to the files of a target, all of them or none."""
 
 from __future__ import annotations
 
@@ -97,35 +97,39 @@ def export(
 ) -> tuple[Path, ...]:
     """Write a policy or a decision tree in another language, and return the files.
 
-    Of a policy that keeps limits there is a second one in the folder ``limits``, whose symbol says
-    whether they are kept from a state, 1, or not, 0: its name is that of the policy after "limits".
+    For a policy that keeps limits, the folder ``limits`` gets a second controller. Its symbol is 1
+    for a state from which limits are kept, and otherwise 0. Its name is "limits" followed by the
+    policy's name.
 
     Parameters
     ----------
     policy : Policy
-        A policy of cells, of which the exact tree is exported, or, where leaves are affine, the
-        cells themselves; or a decision tree.
+        A policy of cells, or a decision tree. Cells are exported as their exact tree, or as they
+        are if leaves are affine.
     to : str, or list of str
-        One of `TARGETS`; or several, each into a folder of its name.
+        One of `TARGETS`, or a list of them. Each target of a list gets a folder of its name.
     directory : path
-        Where; it is made if need be. Files of the same names are replaced, others left alone; if
-        anything fails, everything is as it was. A killed process may leave a hidden folder
-        ``.capsyn-*``, and files of two exports, which the certificate's SHA-256 tell apart.
+        Folder for the files, which is made if need be. Files of the same names are replaced, and
+        other files are left alone. If anything fails, everything is as it was. A killed process may
+        leave a hidden folder ``.capsyn-*``. It may also leave files of two exports, which the
+        SHA-256 of the certificate tells apart.
     safe : symbol index or name, optional
-        Symbol of states that have no other. Default: the policy's own safe symbol, or the default.
+        Symbol for states that have no other symbol. Default: the policy's own safe symbol, or the
+        default control.
     dwell : float, optional
-        One least time for all symbols [time unit of the policy]. Default: those of the policy.
+        One least time for all symbols [time unit of the policy]. Default: the policy's own times.
     outside_at_once : bool, optional
-        Whether the symbol of a state outside the domain does not wait for that, as that of a state
-        that is not finite never does. Default: as the policy says.
+        Whether the symbol of a state outside the domain is taken at once, without waiting for the
+        least time. The symbol of a state that is not finite never waits. Default: as the policy
+        says.
     scale, offset : float or (n + k,), optional
-        A state or exogenous input is ``reading * scale + offset``, with one number for all, or one
+        A state or exogenous input is ``reading * scale + offset``. Give one number for all, or one
         for each of the n states and then of the k exogenous inputs. Default: 1 and 0.
     hold_off : float
-        Time after the start, or a power failure, for which the safe symbol is in force, whatever
-        the state [time unit of the policy].
+        Time after a start, or after a power failure, for which the safe symbol is in force,
+        whatever the state [time unit of the policy].
     options
-        Those of the target, see the `Target` in its module.
+        Options of the target; see the `Target` in its module.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How episodes that a policy has played went."""
+"""Results of the episodes that a policy has played."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Episodes that a policy has played.
+    """Results of the episodes that a policy has played.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class Evaluation:
     lengths : (E,)
         Steps of each episode.
     terminated : (E,) booleans
-        Whether an episode ended by itself, not by a limit of its length.
+        Whether each episode ended by itself, and not by a limit of its length.
     """
 
     returns: np.ndarray
@@ -31,12 +31,12 @@ class Evaluation:
 
     @property
     def mean(self) -> float:
-        """Mean return."""
+        """Mean return of the episodes."""
         return float(self.returns.mean())
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Student's interval of the mean return, of `CONFIDENCE`; infinite for one episode."""
+        """Student's interval (`CONFIDENCE`) of the mean return; infinite for one episode."""
         from scipy.stats import t
 
         count = len(self.returns)

@@ -1,4 +1,4 @@
-"""A policy as a decision tree, and what the tree guarantees."""
+"""What a decision tree guarantees about the policy that it was made from."""
 
 from __future__ import annotations
 
@@ -29,36 +29,39 @@ def cost_ratio(before: float, after: float) -> float:
 
 @dataclass(frozen=True)
 class LoopFigures:
-    """What closed loops of a tree did, beside those of its policy: trials that no choice saw.
+    """What closed loops of a tree and of its policy did, in trials that no choice saw.
 
     Parameters
     ----------
     trials, successes, own_successes : int
-        Trials, and those in which the tree and the policy succeeded, from the same starts: arrived
-        at the `target` and stayed as asked; without one went on to the end.
+        Number of trials, and numbers in which the tree and the policy succeeded, from the same
+        starts. A trial succeeds if it arrives at the `target` and stays as asked, or without a
+        target if it runs to its end.
     cost, own_cost : float, optional
-        Mean costs of the tree and of the policy over the trials that are lost under neither; None:
-        there are none, or it is not finite.
+        Mean costs of the tree and of the policy, over the trials that neither loses; None if there
+        are no such trials, or if the mean is not finite.
     low, high : float, optional
-        Interval of what a trial costs more with the tree, on average.
+        Interval of the mean extra cost of a trial with the tree.
     lost, own_lost : int
-        Trials that left the domain under a rule that ends them, or were not finite.
+        Numbers of lost trials of the tree and of the policy: they left the domain and ended, or
+        became not finite.
     switches, own_switches : float
-        Per time unit.
+        Switches of the tree and of the policy per time unit.
     visited, agreeing : int
-        States that loops of the tree visit, and those at which it gives a symbol of the controller.
+        Number of states that loops of the tree visit, and number of states at which the tree gives
+        a symbol of the controller.
     confidence : float
-        Of the intervals.
+        Confidence of the intervals.
     scale : float
-        What effort and prices are charged times.
+        Factor by which effort and prices are charged.
     duration, rate : float
-        Of a trial [time unit], and of its samples [1 / time unit].
+        Time of a trial [time unit], and its samples per time unit.
     target : bool
         Whether there was a target.
     limit, size : int
-        What the tree might take, None for as little as possible, and what it takes.
+        Largest size that was allowed, None for as small as possible, and the size of the tree.
     measure : str
-        What they count: ``nodes``, or bytes of what.
+        What the sizes count: ``nodes``, or which bytes.
     """
 
     trials: int
@@ -116,30 +119,30 @@ class LoopFigures:
 
     @property
     def own_success(self) -> float:
-        """Share of those in which the policy did."""
+        """Share of the trials in which the policy succeeded."""
         return self.own_successes / self.trials
 
     @property
     def agreement(self) -> float:
-        """Share of the visited states at which the tree agrees with the controller; else NaN."""
+        """Share of the visited states at which the tree agrees with the controller, or NaN."""
         return self.agreeing / self.visited if self.visited else float("nan")
 
     @property
     def ratio(self) -> float:
-        """Mean cost over that of the policy; infinite where either is not known."""
+        """Mean cost of the tree divided by that of the policy; infinite if one is not known."""
         before, after = (math.inf if x is None else x for x in (self.own_cost, self.cost))
         return cost_ratio(before, after)
 
     @property
     def fits(self) -> bool:
-        """Whether the tree takes no more than it might."""
+        """Whether the tree is no larger than allowed."""
         return self.limit is None or self.size <= self.limit
 
     @property
     def near(self) -> bool:
         """Whether the tree loses at most `LOSS` against the policy, in success and in cost.
 
-        And loses at most as many more loops on their way.
+        The share of lost loops may also grow by at most `LOSS`.
         """
         enough = self.success >= (1 - LOSS) * self.own_success
         kept = self.lost - self.own_lost <= LOSS * self.trials
@@ -147,7 +150,7 @@ class LoopFigures:
 
     @property
     def text(self) -> str:
-        """What the loops did, in words."""
+        """The figures of the loops in words."""
         low, high = clopper_pearson(self.successes, self.trials, self.confidence)
         done = "succeeds in" if self.target else "goes on to the end in"
         success = (
@@ -169,39 +172,40 @@ class LoopFigures:
 
 @dataclass(frozen=True)
 class Guarantee:
-    """What a decision tree has in common with the policy that it was made from.
+    """How a decision tree compares with the policy that it was made from.
 
-    Of a policy that remembers this is about rows, what follows each symbol in force: "the same
-    symbol" is the same for every symbol in force, the default control among them, "another" one for
-    any. So of `agreeing` states there are no more than of those of `capsyn.agreement`, which is the
-    mean over the symbols in force.
+    For a policy that remembers, the comparison is about rows: the next symbol for each symbol in
+    force. "The same symbol" then means the same for every symbol in force, including the default
+    control. "Another symbol" means another for any of them. This is stricter than
+    `capsyn.agreement`, which takes the mean over the symbols in force.
 
     Parameters
     ----------
     mode : "exact", "freedom" or "linear"
-        ``exact``: every state has the policy's symbol. ``freedom``: so has every state of a cell
-        whose test points agreed, and all others have a symbol that was seen in their cell. Both
-        are proved cell by cell. ``linear``: no state is sure, see `agreeing`.
+        ``exact``: every state has the policy's symbol. ``freedom``: every state of a cell whose
+        test points agreed has the policy's symbol, and every other state has a symbol that was seen
+        in its cell. Both are proved cell by cell. ``linear``: no single state is sure, see
+        `agreeing`.
     source : str
         SHA-256 of the policy's content, as in its file.
     level : int, optional
-        Cells below this level were merged first; modes and proofs are about what was left.
+        Level below which cells were merged first. Modes and proofs are about the merged cells.
     changed : float
-        Share of the volume where the symbol is another one than the policy's; estimated at the
-        `states` for ``linear``, else proved.
+        Share of the volume in which the symbol differs from the policy's. It is proved, except for
+        ``linear``, where it is estimated at the `states`.
     controller : "ssac", "function", "policy" or ""
         What the tree was judged against: sSAC with the policy's own model, a given function, or the
-        policy.
+        policy itself.
     states, agreeing : int
-        Random states that the tree was neither fitted to nor chosen by, and those at which it gives
-        a symbol of the controller.
+        Number of random states that neither fitted nor chose the tree, and number of states at
+        which the tree gives a symbol of the controller.
     target : float, optional
-        Share that was asked for.
+        The agreement that was asked for.
     cut : bool
-        Whether the tree is the one that was judged with its exogenous inputs fixed: shares are then
-        those of the whole.
+        Whether exogenous inputs were fixed after the tree was judged. Shares are then those of the
+        whole tree.
     loop : LoopFigures, optional
-        What closed loops did that judged the tree.
+        Figures of the closed loops that judged the tree.
     """
 
     mode: str
@@ -237,31 +241,32 @@ class Guarantee:
 
     @property
     def agreement(self) -> float:
-        """Share of the judging states at which the tree agrees with the controller; else NaN."""
+        """Share of the judging states at which the tree agrees with the controller, or NaN."""
         return self.agreeing / self.states if self.states else float("nan")
 
     @functools.cached_property
     def interval(self) -> tuple[float, float]:
-        """Clopper-Pearson interval, of `CONFIDENCE`, of the volume where it agrees; else (0, 1)."""
+        """Clopper-Pearson interval (`CONFIDENCE`) of the share of the volume that agrees."""
         if not self.states:
             return 0.0, 1.0
         return clopper_pearson(self.agreeing, self.states, CONFIDENCE)
 
     @property
     def low(self) -> float:
-        """Lower end of the interval."""
+        """Lower end of the interval of the agreement."""
         return self.interval[0]
 
     @property
     def high(self) -> float:
-        """Upper end of the interval."""
+        """Upper end of the interval of the agreement."""
         return self.interval[1]
 
     @property
     def reached(self) -> bool:
-        """Whether the interval is above the target, if there is one.
+        """Whether the tree reached its goal: the interval is above the target, if there is one.
 
-        Of a tree that closed loops judged whether it fits, and loses little against the policy.
+        A tree that closed loops judged must instead fit its budget and lose little against the
+        policy.
         """
         if self.loop is not None:
             return self.loop.fits and self.loop.near
@@ -269,7 +274,7 @@ class Guarantee:
 
     @property
     def text(self) -> str:
-        """What is guaranteed, in a sentence; shares are rounded to the careful side."""
+        """The guarantee in one sentence, with shares rounded to the careful side."""
         whole = "; stated of the whole, before exogenous inputs were fixed" if self.cut else ""
         loop = "" if self.loop is None else f"; {self.loop.text}"
         return self._text() + loop + whole
@@ -298,14 +303,14 @@ class Guarantee:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the guarantee as plain data; what is not cut, or not judged, does not say so."""
+        """Return the guarantee as plain data, with `cut` and `loop` only if there is something."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
         plain["loop"] = None if self.loop is None else asdict(self.loop)
         return {k: v for k, v in plain.items() if k not in ("cut", "loop") or v}
 
     @staticmethod
     def from_json(plain: dict[str, Any]) -> Guarantee:
-        """Return the guarantee that plain data says."""
+        """Return the guarantee from the plain `data` of `to_json`."""
         loop = {"loop": LoopFigures(**plain["loop"])} if "loop" in plain else {}
         return Guarantee(**plain | loop)
 

@@ -1,4 +1,4 @@
-"""What closed loops of a policy do: successes, cost, effort, switches, and the policy's size."""
+"""Figures of a policy's closed loops: successes, cost, effort and switches, and its size."""
 
 from __future__ import annotations
 
@@ -26,25 +26,26 @@ from capsyn.verification.trials import TrialOptions
 
 @dataclass(frozen=True)
 class Figures:
-    """What closed loops of a policy do.
+    """Figures of a policy's closed loops, and of its size.
 
     Parameters
     ----------
     starts : int
-        Loops, from as many random states.
+        Number of loops, each from its own random state.
     success, low, high : float, optional
-        Share that succeeds, as `capsyn.monte_carlo` says, and its interval; None without a target.
+        Share of the loops that succeed (see `capsyn.monte_carlo`), and its interval; None without a
+        target.
     cost, effort : float, optional
-        Means over the loops that go on to their end: of what the cost gathers, and of the effort
-        [its unit times the time unit]. None where all are lost.
+        Mean cost, and mean effort [its unit times the time unit], of the loops that run to their
+        end; None if all loops are lost.
     switches : float
-        Per time unit, over all loops.
+        Switches per time unit, over all loops.
     lost : int
-        Loops that end early: outside the domain where that ends one, or with no finite state.
+        Number of loops that end early: outside the domain, or in a state that is not finite.
     cells : int
         Leaves of the policy.
     nodes : int, optional
-        Of its exact tree; None where it was not asked for, or has too many.
+        Nodes of the policy's exact tree; None if the tree was not asked for, or is too large.
     """
 
     starts: int
@@ -60,7 +61,7 @@ class Figures:
 
     @staticmethod
     def from_json(data: Any) -> Figures:
-        """Return the figures that `to_json` described as `data`; `ProblemError` for others."""
+        """Return figures from the `data` of `to_json`; other data raise `ProblemError`."""
         known = {field.name: field for field in dataclasses.fields(Figures)}
         if not isinstance(data, dict) or set(data) != set(known):
             raise ProblemError("the figures of a trial must be what capsyn tune writes")
@@ -78,18 +79,18 @@ class Figures:
 
 @dataclass(frozen=True)
 class Tried:
-    """Settings that were tried, and what closed loops did with them.
+    """Settings that were tried, and the figures of their closed loops.
 
     Parameters
     ----------
     number : int
-        Of the trial in the study.
+        Number of the trial in the study.
     settings : dict
-        By name.
+        The settings by name.
     figures : Figures, optional
-        What was found; None where the settings cannot be used.
+        The figures that were found; None if the settings cannot be used.
     full : bool
-        Whether it was judged in full, and not left after the quick stage.
+        Whether the trial was judged in full, and did not end after the quick stage.
     error : str, optional
         Why the settings cannot be used.
     """

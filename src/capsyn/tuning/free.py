@@ -1,4 +1,4 @@
-"""What is left free in a problem: a range, or choices, in the place of a value."""
+"""Free settings of a problem: a range or choices in place of a value."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ DIGITS = 4
 
 @dataclass(frozen=True)
 class Free:
-    """A range, or choices, in the place of a value that `capsyn.tune` is to find.
+    """A range, or choices, in place of a value that `capsyn.tune` shall find.
 
-    It is the default of an argument of a function that returns the problem:
+    Use it as the default of an argument of a function that returns the problem:
     ``def problem(speed=capsyn.Free(0.1, 10)): return capsyn.Problem(..)``.
 
     Parameters
     ----------
     low, high : float, or text as ``"1%"``
-        Bounds, ``low < high``.
+        Bounds of the range, ``low < high``.
     log : bool, optional
-        Whether the range is searched by its logarithm. Default: from a factor of ten on.
+        Whether the range is searched by its logarithm. Default: if ``high`` is ten times ``low`` or
+        more.
     choices : sequence, optional
-        Values to choose from, in the place of a range: texts, numbers or None.
+        Values to choose from, in place of a range: texts, numbers or None.
 
     Raises
     ------
@@ -76,18 +77,18 @@ class Free:
 
     @property
     def is_share(self) -> bool:
-        """Whether the bounds are shares, as texts."""
+        """Whether the bounds are shares, given as texts."""
         return isinstance(self.low, str) or isinstance(self.high, str)
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The bounds as numbers, of shares in percent."""
+        """The bounds as numbers, which are percents for shares."""
         texts = (b.removesuffix("%") if isinstance(b, str) else b for b in (self.low, self.high))
         low, high = (_number(name, b) for name, b in zip(("low", "high"), texts))
         return low, high
 
     def value(self, found: Any) -> Any:
-        """Return the value that `found`, a number within the bounds or a choice, stands for."""
+        """Return the value of the setting for `found`, a number within the bounds or a choice."""
         if self.choices is not None:
             return found
         low, high = self.bounds
@@ -109,7 +110,7 @@ class Free:
         return self.value(self.at(0.0 if self.choices is not None else 0.5))
 
     def edge(self, value: Any) -> Any:
-        """Return the bound that a value lies at; None where it lies within, or is a choice."""
+        """Return the bound at which a `value` lies; None if it lies between, or is a choice."""
         if self.choices is not None:
             return None
         number = _number("value", value.removesuffix("%") if isinstance(value, str) else value)

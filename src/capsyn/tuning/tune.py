@@ -1,4 +1,4 @@
-"""Free settings of a problem, found by closed loops for a goal."""
+"""Search for the free settings of a problem that meet a goal best in closed loop."""
 
 from __future__ import annotations
 
@@ -56,26 +56,26 @@ class Tuning:
     Parameters
     ----------
     problem : Problem
-        With the best settings.
+        The problem with the best settings.
     policy : Policy
-        Its policy.
+        The policy of this problem.
     settings : dict
-        The best, by name: ``function(**settings)`` is the problem again.
+        The best settings by name; ``function(**settings)`` makes the problem again.
     figures : Figures
-        What closed loops of the policy do, from starts that the search did not see.
+        Figures of the policy's closed loops, from starts that the search did not see.
     goal : Goal
-        What was wanted.
+        The goal of the search.
     met : bool
-        Whether those figures meet it.
+        Whether the figures meet the goal.
     advice : str, optional
-        Where they do not: what to free next.
+        If the figures do not meet the goal, what to free next.
     tried : tuple of Tried
         All settings that were tried.
     front : tuple of Tried
-        Those judged in full that no other beats in one figure at no loss in the others. Where some
-        meet the goal, these alone.
+        The settings judged in full that no other settings beat in one figure without loss in the
+        others. If some of them meet the goal, only these.
     free : dict of name to Free
-        What was free.
+        The ranges and choices of the free settings.
     """
 
     problem: Problem
@@ -90,7 +90,7 @@ class Tuning:
     free: dict[str, Free]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the settings, and all that was found, as plain data."""
+        """Return the settings and everything that was found, as plain data."""
         return {
             "problem": self.problem.name,
             "settings": self.settings,
@@ -104,7 +104,7 @@ class Tuning:
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write `to_json` to the file `path`, which ``capsyn synth --settings`` takes."""
+        """Write the result of `to_json` to the file `path` for ``capsyn synth --settings``."""
         write_text(path, json.dumps(self.to_json(), indent=1) + "\n")
 
     def __repr__(self) -> str:
@@ -134,59 +134,62 @@ def tune(
 ) -> Tuning:
     """Return the settings of a problem that meet a goal best in closed loop.
 
-    Each trial makes the policy for other settings, and runs its closed loops from random starts,
-    the same for all. The first takes the middle of the ranges, some more spread over them, and the
-    others follow what was found (a tree-structured Parzen estimator, by Optuna). A quick stage,
-    with one level less and a fifth of the starts, decides which go on to be judged in full. The
-    best few are judged on other starts, and the best of those that meet the goal there, if any by a
-    standard deviation of the successes, on yet others, which gives `figures`.
+    Each trial makes the policy for other settings, and runs its closed loops from random starts.
+    All trials have the same starts. The first trial takes the middle of the ranges, and some more
+    are spread over the ranges. The others follow what was found (a tree-structured Parzen
+    estimator, by Optuna). A quick stage, with one level less and a fifth of the starts, decides
+    which settings are judged in full. The best few settings are then judged on other starts. The
+    best settings that meet the goal there are judged on yet other starts, which gives `figures`.
+    They should meet the goal by a standard deviation of the successes, if any settings do.
 
     Parameters
     ----------
     problem : Problem, or function that returns one
-        What is free among the arguments of the function are defaults that are `Free`.
+        The problem, or a function whose free arguments have a `Free` as their default.
     free : mapping of name to Free, optional
-        More that is free: arguments of the function, or of any problem ``horizon``,
-        ``control_weight``, ``gamma``, ``rule``, ``price`` of a switch, and ``tail``, numbers for
-        the effort of a Riccati tail, which brings its horizon.
+        Further free settings by name. They are arguments of the function, or for any problem
+        ``horizon``, ``control_weight``, ``gamma``, ``rule``, ``price`` of a switch and ``tail``.
+        The numbers of ``tail`` are the effort of a Riccati tail, which brings its own horizon.
     success : float, optional
-        Least share of loops that succeed, as `capsyn.monte_carlo` says. It needs a target.
+        Least share of loops that must succeed, as `capsyn.monte_carlo` defines success. It needs a
+        target.
     least : "cost", "effort", "switches", "nodes" or "knee", optional
-        What is least among the settings that succeed; "cost" where only `success` is given.
-        ``nodes`` are those of the exact tree; ``knee`` has the fewest switches at 3 % more than the
-        least cost.
+        The figure that is to be least among the settings that succeed. Default: "cost" if `success`
+        is given. "nodes" are the nodes of the exact tree. "knee" has the fewest switches at 3 %
+        more than the least cost.
     trials : int
-        Settings to try, with those that the storage already has.
+        Number of settings to try, including those that the storage already has.
     starts, fresh : int
-        Starts of a trial, and of the judge.
+        Number of starts of a trial, and of the final judgement.
     cost : callable ``x -> scalar``, or ``(x, w)``, optional
-        What loops are charged [cost / time unit]. Default: the problem's own cost with all that is
-        free in the middle of its range, so that it is the same for all.
+        The cost that loops gather, the same for all settings [cost / time unit]. Default: the
+        problem's own cost, with all free settings in the middle of their ranges.
     effort : callable ``u -> scalar``, optional
         Effort of a control (m,) [effort / time unit]. Default: ``u^T u``.
     quick : bool
-        Whether there is a quick stage. The knee has none.
+        Whether there is a quick stage. The goal "knee" has none.
     synthesis : mapping, optional
-        Arguments of `capsyn.synthesize`, as ``{"max_solves": 60_000}``, or an ``executor``, whose
-        workers solve.
+        Arguments of `capsyn.synthesize`, such as ``{"max_solves": 60_000}`` or an ``executor``
+        whose workers solve.
     storage : path or URL, optional
-        Where the trials are kept: a study that was killed goes on when it is started again, and
-        processes that are given the same storage share the work. A SQLite file, a journal
-        (``.journal``) where machines share a file system, or the URL of a database.
+        Where the trials are kept: a SQLite file, a journal (``.journal``) for machines that share a
+        file system, or the URL of a database. A study that was killed goes on when it is started
+        again. Processes with the same storage share the work.
     seed : int
-        Of everything that is random.
+        Seed of all random numbers.
     backend, threads
-        As in `capsyn.synthesize`.
+        The arguments of the same names of `capsyn.synthesize`.
     progress : callable, optional
-        Told in words what is next.
+        A function that is called with a text about what comes next.
     **loops
-        How loops run: the arguments of `capsyn.monte_carlo`, as ``duration``, ``rate``,
-        ``initial``, ``target``, ``within``, ``hold``.
+        How loops run: arguments of `capsyn.monte_carlo`, such as ``duration``, ``rate``,
+        ``initial``, ``target``, ``within`` and ``hold``.
 
     Raises
     ------
     ProblemError
-        No goal, nothing free, a storage of another study, or an argument that cannot be used.
+        There is no goal, or nothing is free. Or the storage belongs to another study. Or an
+        argument cannot be used.
     """
     goal = Goal(success, least)
     family = Family.of(problem, free)

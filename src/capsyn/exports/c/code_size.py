@@ -17,20 +17,20 @@ from capsyn.validation import one_of
 
 @dataclass(frozen=True)
 class CodeSize:
-    """Bytes of flash of a decision as C, style table: code and tables from lattice steps on.
+    """A function that counts the bytes of flash of a decision as C, in style table.
 
-    That is ``decision`` of what an export says is measured; what makes steps of readings, which is
-    the same for all trees of a policy, is not counted.
+    It counts code and tables from lattice steps on, which an export reports as ``decision``. The
+    code that makes steps of readings is not counted, because all trees of a policy share it.
 
     Parameters
     ----------
     processor : "cortex-m0", "cortex-m4", "avr" or "host"
-        Whose compiler measures.
+        The processor whose compiler measures.
 
     Raises
     ------
     ProblemError
-        Another processor, or one whose compiler is not here.
+        An unknown processor, or one whose compiler is not installed.
     """
 
     processor: str
@@ -46,11 +46,11 @@ class CodeSize:
 
     @property
     def name(self) -> str:
-        """What is counted."""
+        """What the function counts, in words."""
         return f"bytes of C on {self.processor}"
 
     def __call__(self, policy: Policy) -> int:
-        """Return the bytes of a `policy`; `ProblemError` where the compiler fails for it."""
+        """Return the bytes of a `policy`; `ProblemError` if its compiler fails."""
         code = Code.of(Plan.of(policy), "table", "lattice", "real", "tree", 1e-6)
         texts = {f"{code.prefix}.h": header(code), f"{code.prefix}.c": source(code)}
         files = {name: text.encode() for name, text in texts.items()}
