@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from capsyn.native.build import find_compiler
+from capsyn.native.compiler import find_compiler
 from capsyn.version import __version__
 
 HERE = Path(__file__).parent

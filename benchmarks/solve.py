@@ -8,6 +8,8 @@ turn; the figures are the medians of several rounds.
 import dataclasses
 import functools
 import json
+import os
+import shutil
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -16,6 +18,7 @@ import numpy as np
 
 from capsyn import Box, Problem, SsacSettings, problems
 from capsyn.modelling.transcription import runge_kutta_step, transcribe
+from capsyn.native.compiler import zig_program
 from capsyn.synthesis.synthesize import problem_controller
 
 STEPS, STATES, ROUNDS = 24, 4096, 15
@@ -127,6 +130,7 @@ def measure():
             }
         )
     rows.append(thread_ratio(model, problem))
+    rows += filter(None, [compiler_ratio(model, problem)])
     return rows + [told_ratio(steps) for steps in (4, 24)]
 
 
@@ -158,6 +162,35 @@ def thread_ratio(model, problem):
         "value": ratio,
         "unit": "ratio",
         "wanted": ">= 1.8",
+    }
+
+
+def compiler_ratio(model, problem):
+    """Return how many times longer a solve by zig's kernel takes than by GCC's; None without."""
+    settings = dataclasses.replace(problem.settings, steps=STEPS)
+    states, controllers = problem.domain.sample(STATES, 0), {}
+    commands = {"gcc": shutil.which("gcc"), "zig": zig_program() and f"'{zig_program()}' cc"}
+    own = os.environ.get("CC", "")
+    try:
+        for name, command in commands.items():
+            if command is None:
+                return None
+            os.environ["CC"] = command
+            controllers[name] = controller_of(problem, model, settings, "c")
+            controllers[name].solve(states)
+    finally:
+        os.environ["CC"] = own
+    seconds = {name: [] for name in controllers}
+    for _ in range(20 * ROUNDS):
+        for name, controller in controllers.items():
+            started = time.perf_counter()
+            controller.solve(states)
+            seconds[name].append(time.perf_counter() - started)
+    return {
+        "what": "one solve: kernel of zig over that of GCC",
+        "value": float(np.median(np.array(seconds["zig"]) / np.array(seconds["gcc"]))),
+        "unit": "ratio",
+        "wanted": "<= 1.5",
     }
 
 

@@ -12,6 +12,7 @@ import capsyn
 from capsyn.cli import doctor as cli_doctor
 from capsyn.cli.app import app
 from capsyn.exports.c.sizes import COMPILERS
+from capsyn.native import compiler
 
 
 def script(folder, name, text):
@@ -89,11 +90,13 @@ def test_a_package_that_is_absent_old_or_damaged_is_a_broken_installation(tmp_pa
 
 def test_the_text_says_what_works_without(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(compiler, "zig_program", lambda: None)
     run = CliRunner().invoke(app, ["doctor"])
     assert run.exit_code == 0
     for _, without in cli_doctor.COMMANDS.values():
         assert f"without: {without}" in run.stdout
     assert "no kernels   no C compiler found" in run.stdout
+    assert 'one comes with pip install "capsyn[compiler]"' in run.stdout
 
 
 def test_the_files_beside_modules_are_looked_for():

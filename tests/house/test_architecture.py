@@ -21,7 +21,7 @@ errors validation random_streams statistics version
 
 programs: operations program texts builder patterns ends intervals interval_text
     expansion continuity model step_doubling
-native: build compiled source bounds
+native: compiler build compiled source bounds
 modelling: domain alphabet exogenous settings targets grid time_unit switching
 modelling.tails: tail equilibrium riccati
 modelling: interpolants problem transcription

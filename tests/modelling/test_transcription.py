@@ -13,7 +13,7 @@ from capsyn import Box, Problem, problems
 from capsyn.controllers.solver import bind_default, make_solver
 from capsyn.errors import ProblemError
 from capsyn.modelling.transcription import program_from_casadi, transcribe, user_program
-from capsyn.native.build import COMMON_FLAGS, find_compiler, usual_flags
+from capsyn.native.compiler import COMMON_FLAGS, find_compiler, usual_flags
 from capsyn.native.source import declarations, hand_written
 from capsyn.programs.model import Model
 from capsyn.programs.operations import OPERATIONS

@@ -3,7 +3,7 @@
 import pytest
 
 from capsyn.errors import KernelBuildError
-from capsyn.native.build import find_compiler
+from capsyn.native.compiler import find_compiler
 
 
 def has_compiler():

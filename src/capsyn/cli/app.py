@@ -11,7 +11,7 @@ import typer
 from capsyn.cli.better.improve import improve
 from capsyn.cli.better.tune import tune
 from capsyn.cli.compression import automaton, compress
-from capsyn.cli.console import print_table, show, working
+from capsyn.cli.console import print_table, show, show_all, working
 from capsyn.cli.doctor import doctor
 from capsyn.cli.evidence import switching, verify
 from capsyn.cli.export import export
@@ -174,6 +174,8 @@ app.command()(doctor)
 def main() -> None:
     """Run the command line; an error is one line on stderr and exit status 2."""
     warnings.showwarning = _show_warning
+    for stream in (sys.stdout, sys.stderr):
+        show_all(stream)
     with ending_soon():
         _main()
 

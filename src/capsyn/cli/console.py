@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from capsyn.subdivision.lattice_points import Progress
 
 
+def show_all(stream: Any) -> None:
+    """Let a stream write what its encoding lacks as an escape, as theta on a Windows console."""
+    if getattr(stream, "errors", None) == "strict":  # an in-memory stream may have none
+        stream.reconfigure(errors="backslashreplace")
+
+
 def show(as_json: bool, data: Any, text: Callable[[], None], end: str | None = None) -> None:
     """Print data as JSON, or call what prints it as text, and print a last line."""
     if as_json:

@@ -74,7 +74,11 @@ EXTRAS: dict[str, tuple[str, str, str]] = {
     "distributed": ("distributed", "clusters: `--dask`, `executor=`", "threads of this machine"),
     "optuna": ("tune", "`capsyn tune`, `capsyn.tune`", "all else"),
     "scikit-learn": ("bench", "CART in the benchmarks", "all else"),
-    "ziglang": ("fmu", "binaries of other platforms in an FMU", "that of this one, and sources"),
+    "ziglang": (
+        "compiler",
+        "kernels where there is no other C compiler; binaries of other platforms in an FMU",
+        "cc, gcc or clang builds kernels, and the binary of this platform",
+    ),
     "fmpy": ("dev", "tests of the FMU", "exporting it"),
     "lief": ("dev", "tests of the FMU's binaries for other platforms", "exporting it"),
     "jsonschema": ("dev", "tests of exported JSON", "exporting it"),
@@ -181,7 +185,9 @@ def _version(command: str) -> str | None:
 def _said(command: list[str]) -> str:
     """Return what a command prints when it is given no input; nothing where it does not run."""
     try:
-        run = subprocess.run(command, input="", capture_output=True, text=True, timeout=20)
+        run = subprocess.run(
+            command, input="", capture_output=True, encoding="utf-8", errors="replace", timeout=20
+        )
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return run.stdout + run.stderr
@@ -189,7 +195,7 @@ def _said(command: list[str]) -> str:
 
 def _compiler(broken: bool) -> dict[str, Any]:
     """Return the C compiler, and whether a kernel that it builds can be loaded."""
-    from capsyn.native.build import find_compiler, usual_flags
+    from capsyn.native.compiler import find_compiler, usual_flags
     from capsyn.policies.lookup import LookupKernel
 
     facts: dict[str, Any] = {"command": None, "version": None, "lanes": None, "trouble": None}
@@ -213,13 +219,14 @@ def _lanes(command: list[str]) -> int | None:
 def _cache() -> dict[str, Any]:
     """Return where kernels are kept, how many, and their bytes; nothing is made."""
     from capsyn.native.build import cache_directory, cache_trouble
+    from capsyn.native.compiler import ENDING
 
     facts: dict[str, Any] = {"directory": None, "kernels": 0, "bytes": 0, "trouble": None}
     try:
         directory = cache_directory()
         facts["directory"] = str(directory)
         if directory.is_dir():
-            sizes = [path.stat().st_size for path in directory.glob("*.so")]
+            sizes = [path.stat().st_size for path in directory.glob(f"*{ENDING}")]
             facts["kernels"], facts["bytes"] = len(sizes), sum(sizes)
         if directory.exists() or directory.is_symlink():
             facts["trouble"] = cache_trouble(directory)

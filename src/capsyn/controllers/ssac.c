@@ -11,9 +11,10 @@ int capsyn_ssac(const int64_t count, const double *restrict states, const double
     typedef real lanes_of_states[STATES][LANES];
     const real dt[1] = {(real)(horizon / steps)}, noise[1] = {(real)rounding};
     const size_t size = sizeof(lanes_of_states) * ((size_t)steps + 3);
-    lanes_of_states *path = aligned_alloc(64, (size + 63) / 64 * 64);
-    if (path == NULL)
+    char *memory = malloc(size + 63);
+    if (memory == NULL)
         return -1;
+    lanes_of_states *path = (void *)(memory + (63 & -(uintptr_t)memory)); /* at a multiple of 64 */
     lanes_of_states *rho = path + steps + 1; /* two of them, used in turn */
     _Alignas(64) real total[1][LANES], part[1][LANES];
     _Alignas(64) real gradient[SYMBOLS][LANES], scale[SYMBOLS][LANES];
@@ -47,6 +48,6 @@ int capsyn_ssac(const int64_t count, const double *restrict states, const double
             }
         }
     }
-    free(path);
+    free(memory);
     return 0;
 }

@@ -7,7 +7,6 @@ replays the algorithm, takes from there what it finds, and ends with the same by
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import logging
@@ -16,7 +15,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,6 +23,9 @@ from capsyn.errors import ProblemError, warn
 from capsyn.execution.answers import Answer, Labelling, Packed, digest, kind, parts
 from capsyn.execution.files import atomic_write, save_arrays, write_text
 from capsyn.validation import describe, one_line, whole_number
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
 FORMAT = "capsyn-checkpoint"
 VERSION = 2
@@ -61,15 +63,15 @@ class Checkpoint:
         try:
             self._directory.mkdir(parents=True, exist_ok=True)
             self._refuse_others()
-            self._lock = open(self._directory / LOCK, "ab")
         except OSError as error:
             raise ProblemError(
                 f"`checkpoint` must be a directory to write to; got '{directory}': {error.strerror}"
             ) from None
+        self._lock = self._locked()
         try:
             self._open(manifest)
         except BaseException:
-            self._lock.close()
+            self._lock.release()
             raise
 
     def _refuse_others(self) -> None:
@@ -82,17 +84,25 @@ class Checkpoint:
                 f"holds '{min(others)}'"
             )
 
-    def _open(self, manifest: dict[str, Any]) -> None:
+    def _locked(self) -> BaseFileLock:
+        """Return the lock of the directory, held until it is released or the process ends."""
+        from filelock import FileLock, Timeout  # heavy for runs without a checkpoint
+
+        lock = FileLock(self._directory / LOCK, thread_local=False)
         try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+            lock.acquire(blocking=False)
+        except Timeout:
             raise ProblemError(
                 f"the checkpoint '{self._directory}' is in use by another process"
             ) from None
-        except OSError as error:
+        except (OSError, NotImplementedError) as error:
+            reason = getattr(error, "strerror", None) or error
             raise ProblemError(
-                f"the checkpoint '{self._directory}' cannot be locked: {error.strerror}"
+                f"the checkpoint '{self._directory}' cannot be locked: {reason}"
             ) from None
+        return lock
+
+    def _open(self, manifest: dict[str, Any]) -> None:
         self._manifest = {"format": FORMAT, "version": VERSION, **manifest}
         path = self._directory / MANIFEST
         settled = self._compare(path, self._manifest) if path.exists() else None
@@ -201,7 +211,7 @@ class Checkpoint:
 
     def _keep(self, key: bytes, answer: Answer) -> None:
         with self._guard:
-            if self._lock.closed:  # a thread that nobody waited for
+            if not self._lock.is_locked:  # a thread that nobody waited for
                 return
             if self._new and kind(self._new[0][1]) != kind(answer):
                 self._flush()
@@ -229,9 +239,9 @@ class Checkpoint:
     def close(self) -> None:
         """Write what is new, and let others in."""
         with self._guard:
-            if not self._lock.closed:
+            if self._lock.is_locked:
                 self._flush()
-                self._lock.close()
+                self._lock.release()
                 if self._resumed:
                     _LOG.info("%s solves came from '%s'", f"{self.taken:,}", self._directory)
 

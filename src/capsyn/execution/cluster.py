@@ -23,7 +23,8 @@ import numpy as np
 
 from capsyn.errors import CapsynError, KernelBuildError, ProblemError, SynthesisError, warn
 from capsyn.execution.answers import digest
-from capsyn.native.build import find_compiler, processor_name
+from capsyn.native.build import processor_name
+from capsyn.native.compiler import find_compiler
 from capsyn.validation import describe, one_line, whole_number
 from capsyn.version import __version__
 

@@ -39,9 +39,10 @@ def atomic_write(path: str | os.PathLike[str], write: Callable[[Path], None]) ->
         os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, start))
         mode = (target if old else temporary).stat().st_mode & 0o777
         write(temporary)
-        temporary.chmod(mode)  # writers may put another file in its place
-        with open(temporary, "rb") as written:
+        temporary.chmod(mode | 0o200)  # writers may put another file in its place
+        with open(temporary, "r+b") as written:  # Windows does not flush what is read only
             os.fsync(written.fileno())  # on the disk before it takes the name
+        temporary.chmod(mode)
         os.replace(temporary, target)
     except OSError as error:
         if error.errno not in FULL:

@@ -1,4 +1,4 @@
-"""The system's C compiler, and the cache of what it built.
+"""What a C compiler built of kernels, kept in a cache.
 
 A cached library is used only from a directory that belongs to this user and is closed to others,
 and only when its bytes have the checksum that was written beside it; otherwise it is built again,
@@ -11,87 +11,46 @@ import contextlib
 import ctypes
 import functools
 import hashlib
+import logging
 import os
 import platform
-import shlex
 import shutil
 import subprocess
-import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from capsyn.errors import KernelBuildError, warn
+from capsyn.native.compiler import (
+    COMMON_FLAGS,
+    ENDING,
+    LIBRARIES,
+    PLAIN_FLAGS,
+    Compiler,
+    find_compiler,
+    usual_flags,
+    zig_environment,
+)
 
-FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fopenmp-simd")
-GCC_FLAGS = ("-fno-tree-sink", "-fno-thread-jumps", "-fno-tree-pre")
-"""Else GCC moves what one branch of a selection needs into that branch, and the loop over lanes is
-scalar: 9 times slower for ``if_else(x > 0, sin(x), exp(x))``, 6 times for a saturated law."""
-PLAIN_FLAGS = ("-O2",)
-COMMON_FLAGS = ("-std=gnu11", "-fPIC", "-shared")
 BUILD_TIMEOUT = 600
 """Seconds that one compiler run may take."""
 
+COLD = "that takes some 10 s, on Windows a minute or more"
+"""How long it takes that zig builds its C library."""
+
 OTHERS_MAY_WRITE = "others may write there: it must be yours with mode 0700"
 
+_LOG = logging.getLogger(__name__)
 _lock = threading.Lock()
 _loaded: dict[str, ctypes.CDLL] = {}
-
-
-@dataclass(frozen=True)
-class Compiler:
-    """A C compiler: its command, and the first line of ``--version``."""
-
-    command: tuple[str, ...]
-    version: str
-
-    @property
-    def is_clang(self) -> bool:
-        """Whether this is clang, which finds vector functions in its own way."""
-        return "clang" in self.version
-
-
-def find_compiler() -> Compiler:
-    """Return the C compiler: ``CC`` if set, else the first of cc, gcc and clang that runs."""
-    return _find_compiler(os.environ.get("CC", ""), os.environ.get("PATH", ""))
-
-
-@functools.lru_cache(maxsize=8)
-def _find_compiler(cc: str, path: str) -> Compiler:
-    try:
-        candidates = [shlex.split(cc)] if cc.strip() else [["cc"], ["gcc"], ["clang"]]
-    except ValueError as error:
-        raise KernelBuildError(f"CC={cc} is not a command: {error}") from None
-    broken: KernelBuildError | None = None
-    for command in candidates:
-        program = shutil.which(command[0], path=path)
-        if not program:
-            continue
-        arguments = [program, *command[1:]]
-        try:
-            run = subprocess.run(
-                [*arguments, "--version"], capture_output=True, text=True, timeout=30
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            broken = KernelBuildError(f"the C compiler {program} does not run: {error}", arguments)
-            continue
-        if run.returncode == 0:
-            return Compiler(tuple(arguments), (run.stdout.splitlines() or [""])[0])
-        output = run.stdout + run.stderr
-        broken = KernelBuildError(f"the C compiler {program} does not run", arguments, output)
-    if broken:
-        raise broken
-    wanted = f"CC={cc}" if cc.strip() else "cc, gcc or clang"
-    raise KernelBuildError(f"no C compiler found: {wanted} is not on the PATH")
 
 
 @functools.lru_cache(maxsize=1)
 def _cpu() -> str:
     """Return a text that differs between machines whose native code differs."""
     try:
-        text = Path("/proc/cpuinfo").read_text()
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
         keep = ("model name", "flags", "Features", "CPU part")
         lines = {line for line in text.splitlines() if line.startswith(keep)}
         return platform.machine() + "\n".join(sorted(lines))
@@ -164,15 +123,6 @@ def load(source: str, flags: tuple[str, ...] = ()) -> ctypes.CDLL:
     raise first_error
 
 
-def usual_flags(compiler: Compiler) -> tuple[str, ...]:
-    """Return the flags that make loops over lanes vectorised."""
-    if not compiler.is_clang:
-        return (*FLAGS, *GCC_FLAGS)
-    if sys.platform == "linux" and platform.machine() == "x86_64":
-        return (*FLAGS, "-fveclib=libmvec")
-    return FLAGS
-
-
 def _load(compiler: Compiler, source: str, flags: tuple[str, ...]) -> ctypes.CDLL:
     parts = (source, *flags, *compiler.command, compiler.version, _cpu())
     key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:40]
@@ -181,18 +131,21 @@ def _load(compiler: Compiler, source: str, flags: tuple[str, ...]) -> ctypes.CDL
             return _loaded[key]
         cache = trusted_cache()
         if cache is not None:
-            library = _cached(cache / f"{key}.so")
+            path = cache / f"{key}{ENDING}"
+            library = _cached(path)
             if library is None:
                 try:
-                    library = _build_in_cache(compiler, source, flags, cache, key)
-                except OSError:  # a full or read-only disk: build elsewhere
-                    library = None
+                    library = _build_in_cache(compiler, source, flags, path)
+                except OSError:  # another process was faster, or a full or read-only disk
+                    library = _cached(path)
             if library is not None:
                 _loaded[key] = library
                 return library
-        try:
-            with tempfile.TemporaryDirectory(prefix="capsyn-") as directory:
-                target = Path(directory) / "kernel.so"
+        try:  # on Windows what is loaded cannot be removed
+            with tempfile.TemporaryDirectory(
+                prefix="capsyn-", ignore_cleanup_errors=True
+            ) as directory:
+                target = Path(directory) / f"kernel{ENDING}"
                 _compile(compiler, source, flags, target)
                 _loaded[key] = ctypes.CDLL(str(target))
         except OSError as error:
@@ -206,7 +159,7 @@ def _load(compiler: Compiler, source: str, flags: tuple[str, ...]) -> ctypes.CDL
 def _cached(path: Path) -> ctypes.CDLL | None:
     """Return the library at `path` if its checksum file vouches for its bytes."""
     try:
-        wanted = path.with_suffix(".sha256").read_text().strip()
+        wanted = path.with_suffix(".sha256").read_text(encoding="ascii").strip()
         if hashlib.sha256(path.read_bytes()).hexdigest() == wanted:
             return ctypes.CDLL(str(path))
     except (OSError, UnicodeDecodeError):
@@ -215,29 +168,35 @@ def _cached(path: Path) -> ctypes.CDLL | None:
 
 
 def _build_in_cache(
-    compiler: Compiler, source: str, flags: tuple[str, ...], cache: Path, key: str
+    compiler: Compiler, source: str, flags: tuple[str, ...], path: Path
 ) -> ctypes.CDLL:
+    cache = path.parent
     for left in cache.glob(".build-*"):  # of processes that were killed
         with contextlib.suppress(OSError):
             if time.time() - left.stat().st_mtime > 2 * BUILD_TIMEOUT:
                 shutil.rmtree(left, ignore_errors=True)
-    with tempfile.TemporaryDirectory(prefix=".build-", dir=cache) as directory:
-        target = Path(directory) / "kernel.so"
+    with tempfile.TemporaryDirectory(
+        prefix=".build-", dir=cache, ignore_cleanup_errors=True
+    ) as directory:
+        target = Path(directory) / f"kernel{ENDING}"
         _compile(compiler, source, flags, target)
         library = ctypes.CDLL(str(target))  # what cannot be loaded is not kept
         checksum = Path(directory) / "kernel.sha256"
-        checksum.write_text(hashlib.sha256(target.read_bytes()).hexdigest() + "\n")
-        os.replace(target, cache / f"{key}.so")
-        os.replace(checksum, cache / f"{key}.sha256")
+        checksum.write_text(hashlib.sha256(target.read_bytes()).hexdigest() + "\n", "ascii")
+        os.replace(target, path)  # Windows, too, renames what is loaded
+        os.replace(checksum, path.with_suffix(".sha256"))
     return library
 
 
 def _compile(compiler: Compiler, source: str, flags: tuple[str, ...], target: Path) -> None:
     file = target.with_suffix(".c")
-    file.write_text(source)
-    command = [*compiler.command, *flags, "-o", str(target), str(file), "-lm"]
+    file.write_text(source, encoding="utf-8")
+    command = [*compiler.command, *flags, "-o", str(target), str(file), *LIBRARIES]
     try:
-        run = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_TIMEOUT)
+        run = subprocess.run(
+            command, capture_output=True, encoding="utf-8", errors="replace",
+            timeout=BUILD_TIMEOUT, env=_environment(compiler),
+        )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as error:
         raise KernelBuildError(f"the C compiler failed: {error}", command) from None
     if run.returncode:
@@ -245,3 +204,14 @@ def _compile(compiler: Compiler, source: str, flags: tuple[str, ...], target: Pa
         raise KernelBuildError(
             f"the C compiler failed with status {run.returncode}: {lines[0]}", command, run.stderr
         )
+
+
+def _environment(compiler: Compiler) -> dict[str, str] | None:
+    """Return what a compiler finds in its environment, None where that is as here."""
+    cache = trusted_cache() if compiler.is_zig else None
+    if cache is None:
+        return None
+    environment = zig_environment(cache / "zig")
+    if not Path(environment["ZIG_GLOBAL_CACHE_DIR"], "o").exists():
+        _LOG.warning("zig builds its C library, once: %s", COLD)
+    return environment

@@ -11,7 +11,7 @@ from importlib import resources
 
 import numpy as np
 
-from capsyn.native.build import find_compiler
+from capsyn.native.compiler import find_compiler
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Program
 

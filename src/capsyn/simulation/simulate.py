@@ -151,7 +151,7 @@ class Trajectory:
         kind = check_trajectory_format(path)
 
         def write(temporary: Path) -> None:
-            with open(temporary, "w", newline="") as file:
+            with open(temporary, "w", newline="", encoding="utf-8") as file:
                 if kind == ".json":
                     json.dump(self.to_json(), file, allow_nan=False)
                 else:

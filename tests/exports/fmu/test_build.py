@@ -110,7 +110,9 @@ def test_without_zig_a_platform_names_the_package(tmp_path, monkeypatch):
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: None if name == "ziglang" else find(name)
     )
-    with pytest.raises(ProblemError, match="`platforms` win64 needs .*pip install ziglang"):
+    with pytest.raises(
+        ProblemError, match="`platforms` win64 needs .*pip install .capsyn.compiler"
+    ):
         export(small(), "fmu", tmp_path / "a", platforms="all")
     assert not (tmp_path / "a").exists()
     path = export(small(), "fmu", tmp_path, platforms="linux64")[0]  # its own compiler does it

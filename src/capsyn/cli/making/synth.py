@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from capsyn.policies.policy import Policy
 
 
+NO_FILE_NAME = set('/\\:*?"<>|')
+"""Characters that a file's name cannot have on every system; after a colon Windows hides a file."""
+
+
 @dataclass(frozen=True)
 class ProblemOptions:
     """What is made of a problem where its own horizon, default or grid is not wanted."""
@@ -213,7 +217,7 @@ def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
     if changes.output is not None:
         return problem, changes.output
     path = f"{problem.name}.cap"
-    if "/" in path:
+    if set(path) & NO_FILE_NAME:
         raise ProblemError(f"the name '{problem.name}' makes no file name; give one with -o")
     check_writable(path)
     return problem, path

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
-import os
 import re
 import shutil
-import signal
 import subprocess
 import tempfile
 from collections.abc import Iterable
@@ -69,8 +68,8 @@ def run_tool(command: list[str], directory: Path, errors: int = subprocess.DEVNU
     """Return what a command says; none where it fails, is missing or does not end."""
     try:
         process = subprocess.Popen(
-            command, cwd=directory, stdout=subprocess.PIPE, stderr=errors, text=True,
-            start_new_session=True,
+            command, cwd=directory, stdout=subprocess.PIPE, stderr=errors,
+            encoding="utf-8", errors="replace", start_new_session=True,
         )  # fmt: skip
     except OSError:
         return None
@@ -78,11 +77,22 @@ def run_tool(command: list[str], directory: Path, errors: int = subprocess.DEVNU
         try:
             output, _ = process.communicate(timeout=SECONDS)
         except BaseException as error:
-            os.killpg(process.pid, signal.SIGKILL)  # the driver and the compiler that it started
+            _end(process.pid)
             if isinstance(error, subprocess.TimeoutExpired):
                 return None
             raise
     return output if process.returncode == 0 else None
+
+
+def _end(number: int) -> None:
+    """End a process and all that it started, such as a driver and its compiler."""
+    import psutil  # heavy for what is rarely needed
+
+    with contextlib.suppress(psutil.NoSuchProcess):
+        driver = psutil.Process(number)
+        for process in (*driver.children(recursive=True), driver):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                process.kill()
 
 
 def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]:
@@ -93,12 +103,13 @@ def _measure(command: list[str], directory: Path, prefix: str) -> dict[str, int]
     apart = ["-ffunction-sections", "-fdata-sections", "-fstack-usage"]
     if run_tool([*compile_, *apart, "-c", f"{prefix}.c", "-o", "code.o"], directory) is None:
         return {}
-    source = (directory / f"{prefix}.c").read_text()
+    source = (directory / f"{prefix}.c").read_text(encoding="utf-8")
     defined = (run_tool([f"{tool}nm", "code.o"], directory) or "").split()
     public = f"{prefix}_symbol" in defined
     roots = [f"{prefix}_symbol"] if public else []
     roots += [name for name in (f"{prefix}_decide", f"{prefix}_next") if name in defined]
-    usage = [line.split("\t") for line in (directory / "code.su").read_text().splitlines()]
+    stack = (directory / "code.su").read_text(encoding="utf-8")
+    usage = [line.split("\t") for line in stack.splitlines()]
     frames = {row[0].split(":")[-1]: int(row[1]) for row in usage}  # of functions that are left
     calls = _calls(source, prefix)
     library = ["-lm", "-lc", "-lgcc"] if "#include <math.h>" in source else ["-lgcc"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
 import platform
 import struct
 import subprocess
@@ -14,12 +12,22 @@ from pathlib import Path
 
 from capsyn.errors import KernelBuildError, ProblemError
 from capsyn.exports.plan import Files
-from capsyn.native.build import find_compiler, trusted_cache
+from capsyn.native.build import trusted_cache
+from capsyn.native.compiler import (
+    LIBRARIES,
+    ON_WINDOWS,
+    find_compiler,
+    zig_environment,
+    zig_program,
+)
 
 ENDINGS = {"linux64": "so", "win64": "dll", "darwin64": "dylib"}
 """Platforms of FMI 2.0 that there are binaries for, and the endings of their libraries."""
+NAMES = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
+"""What FMI 2.0 calls the systems that Python knows."""
 PLAIN = ("-std=c99", "-O2", "-ffp-contract=off")
 FLAGS = (*PLAIN, "-fPIC", "-shared", "-fvisibility=hidden", "-s")
+OWN_FLAGS = (*PLAIN, "-shared", "-s") if ON_WINDOWS else FLAGS
 BUILD_SECONDS = 120
 """Longest that a compiler may take."""
 WINDOWS = ("-target", "x86_64-windows-gnu")
@@ -39,8 +47,7 @@ FAT, ALIGNED = 0xCAFEBABE, 14
 
 def own_platform() -> str | None:
     """Return what FMI 2.0 calls this platform, None where it has no name."""
-    name = f"{sys.platform}64"
-    return name if name in ENDINGS and platform.machine() in ("x86_64", "AMD64") else None
+    return NAMES.get(sys.platform) if platform.machine() in ("x86_64", "AMD64") else None
 
 
 def build(name: str, source: bytes, platforms: Sequence[str]) -> Files:
@@ -54,10 +61,11 @@ def build(name: str, source: bytes, platforms: Sequence[str]) -> Files:
         A compiler fails.
     """
     own = own_platform() if _has_compiler() else None
-    zig = _zig() if any(chosen != own for chosen in platforms) else None
+    zig = zig_program() if any(chosen != own for chosen in platforms) else None
     if zig is None and (others := [chosen for chosen in platforms if chosen != own]):
         raise ProblemError(
-            f"`platforms` {others[0]} needs zig's C compiler: pip install ziglang; got none"
+            f"`platforms` {others[0]} needs zig's C compiler: "
+            'pip install "capsyn[compiler]"; got none'
         )
     files: Files = {}
     for chosen in platforms:
@@ -74,38 +82,27 @@ def build(name: str, source: bytes, platforms: Sequence[str]) -> Files:
 
 
 def _has_compiler() -> bool:
+    """Return whether there is a compiler for this platform's library, other than ziglang's."""
     try:
-        find_compiler()
+        return zig_program() not in find_compiler().command
     except KernelBuildError:
         return False
-    return True
-
-
-def _zig() -> str | None:
-    """Return the program of the package ziglang, None where that is not installed."""
-    package = importlib.util.find_spec("ziglang")
-    folders = package.submodule_search_locations if package is not None else None
-    return str(Path(folders[0], "zig")) if folders else None
 
 
 def _by_own_compiler(folder: Path, name: str, target: str) -> None:
     # names without a directory: the place leaves no trace in the library
-    _run([*find_compiler().command, *FLAGS, f"{name}.c", "-o", target, "-lm"], folder)
+    _run([*find_compiler().command, *OWN_FLAGS, f"{name}.c", "-o", target, *LIBRARIES], folder)
 
 
 def _by_zig(zig: str, folder: Path, name: str, target: str, chosen: str) -> None:
-    """Write the library of a platform that is not this one."""
+    """Write the library of a platform."""
     cache = trusted_cache()
-    more = {
-        "ZIG_GLOBAL_CACHE_DIR": str(cache / "zig" if cache else folder / "cache"),
-        "ZIG_LOCAL_CACHE_DIR": str(folder / "cache"),
-        "SOURCE_DATE_EPOCH": "0",
-    }
-    environment = os.environ | more
+    environment = zig_environment(cache / "zig" if cache else folder / "cache")
+    environment |= {"ZIG_LOCAL_CACHE_DIR": str(folder / "cache"), "SOURCE_DATE_EPOCH": "0"}
     compile_ = [zig, "cc"]
     if chosen == "win64":  # without the C library of MinGW, which takes a minute to build
-        (folder / "entry.c").write_text(ENTRY)
-        (folder / "library.def").write_text(LIBRARY)
+        (folder / "entry.c").write_text(ENTRY, encoding="ascii")
+        (folder / "library.def").write_text(LIBRARY, encoding="ascii")
         make = [zig, "dlltool", "-m", "i386:x86-64", "-d", "library.def", "-l", "library.a"]
         objects = ["code.o", "entry.o"]
         link = ["-nostdlib", "-shared", "-s", *objects, "library.a"]

@@ -40,7 +40,7 @@ from capsyn.exports.golden import Golden
 from capsyn.exports.identifiers import file_name, renamed
 from capsyn.exports.plan import OUTSIDE, Files, Plan
 from capsyn.exports.target import Exported, Target
-from capsyn.native.build import find_compiler
+from capsyn.native.compiler import find_compiler
 from capsyn.validation import describe
 from capsyn.version import __version__
 

@@ -249,7 +249,7 @@ def export(plan: Plan, golden: Golden, options: NameOption) -> Exported:
     for constant, value, note in tables(plan):
         lines += [f"// {note}", f"const {constant} ="]
         lines += textwrap.wrap(f"{json.dumps(value)};", 100)
-    lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text()
+    lattice = resources.files("capsyn.exports.javascript").joinpath("lattice.js").read_text("utf-8")
     code = spoken(plan.policy, _code(plan)).replace("[time unit]", f"[{plan.policy.time_unit}]")
     if features := features_of(plan.cells):
         code = javascript_ranks(features) + code.replace("quantise(x)", "withRanks(quantise(x))")

@@ -107,7 +107,7 @@ def longest(
         directory = Path(name)
         for file in (f"{prefix}.h", f"{prefix}.c"):
             (directory / file).write_bytes(files[file])
-        (directory / "link.ld").write_text(LINK)
+        (directory / "link.ld").write_text(LINK, encoding="utf-8")
         build = [*machine.compiler, "-Os", "-ffunction-sections", "-fdata-sections"]
         if run_tool([*build, "-c", f"{prefix}.c", "-o", "own.o"], directory) is None:
             return None
@@ -115,7 +115,7 @@ def longest(
         for begin in range(0, len(given), batch):
             rows = _literals(given[begin : begin + batch], kind)
             text = program(machine.parts, prefix, asked, kind, rows, in_force)
-            (directory / "main.c").write_text(text)
+            (directory / "main.c").write_text(text, encoding="utf-8")
             if run_tool([*link, "-o", "main.elf"], directory) is None:
                 return None
             said = run_tool([*machine.emulator], directory, subprocess.STDOUT)
