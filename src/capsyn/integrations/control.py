@@ -1,6 +1,6 @@
 """python-control: policies and plants as its input/output systems.
 
-Times are in the unit of time of the problem or policy: those of a simulation, and `dt`.
+All times, `dt` too, are in the unit of time of the problem or policy.
 """
 
 from __future__ import annotations
@@ -27,21 +27,22 @@ except ImportError:
 def policy_system(
     policy: Policy, dt: float = 0.0, name: str = "policy"
 ) -> control.NonlinearIOSystem:
-    """Return a policy as a system: states, and after them exogenous inputs, in; controls out.
+    """Return a policy as a system: states, then exogenous inputs, are inputs; controls are outputs.
 
-    It is static, but for a policy that depends on the symbol in force or whose `Switching` has
-    least times. The states of its system are ``in_force``, 0 before the first decision, else 1 more
-    than the symbol, or N + 1 for the default control; ``held``, the samples that it has been held;
-    and ``held_INPUT``, those that each input has been held. All are 0 at the start.
+    The system is static, unless the policy depends on the symbol in force or its `Switching` has
+    least times. It then has these states, all 0 at the start. ``in_force`` is 0 before the first
+    decision, and then 1 more than the symbol, or N + 1 for the default control. ``held`` counts the
+    samples for which the symbol has been held. ``held_INPUT`` counts the samples for which each
+    input has been held.
 
     Parameters
     ----------
     policy : Policy
-        The policy; its out-of-domain rule holds, and its switching, with least times.
+        The policy, with its rule outside the domain, its switching and its least times.
     dt : float
-        Sample time [time unit of the policy]; 0 for a system in continuous time, which only a
-        static one can be. A loop that chatters needs samples: the steps of a solver in continuous
-        time shrink without end at a switching surface.
+        Sample time [time unit of the policy], or 0 for a system in continuous time. Only a static
+        system can be in continuous time. A loop that chatters needs samples, because a solver in
+        continuous time shrinks its steps without end at a switching surface.
     name : str
         Name of the system.
 
@@ -81,19 +82,20 @@ def policy_system(
 def plant_system(
     model: Any, dt: float = 0.0, substeps: int | None = None, name: str = "plant"
 ) -> control.NonlinearIOSystem:
-    """Return the system of a problem, or of a policy with a model: controls in, states out.
+    """Return the plant of a problem or policy as a system: controls are inputs, states are outputs.
 
-    Exogenous inputs are inputs after the controls, by their names; over a sample they are held.
+    Exogenous inputs are further inputs after the controls, with their names. They are held over a
+    sample.
 
     Parameters
     ----------
     model : Problem or Policy
-        What has the dynamics, without a delay.
+        The problem, or policy with a model, that has the dynamics. It must have no delay.
     dt : float
-        Sample time [time unit of the model] over which the control is held and the state
-        integrated, as `capsyn.simulate` does; 0 for a system in continuous time.
+        Sample time [time unit of the model], or 0 for a system in continuous time. Over a sample,
+        the control is held and the state integrated, as `capsyn.simulate` does.
     substeps : int, optional
-        Runge-Kutta steps per sample. Default: as many as step doubling asks for.
+        Runge-Kutta steps per sample. Default: as many as a step-doubling check asks for.
     name : str
         Name of the system.
 

@@ -55,11 +55,11 @@ class Player:
         self.reset()
 
     def reset(self) -> None:
-        """Begin an episode: nothing is in force."""
+        """Begin an episode, with no symbol in force."""
         self._memory = np.zeros(2 + self._policy.alphabet.m)
 
     def __call__(self, observed: Any) -> Any:
-        """Return the action of an observation."""
+        """Return the action for an observation."""
         state = self._state(observed)
         if self._step is None:
             symbol = self._look_up(state)
@@ -81,33 +81,33 @@ def player(
     actions: Sequence[Any] | None = None,
     period: float | None = None,
 ) -> Player:
-    """Return the function from an environment's observations to its actions by a policy.
+    """Return a function that chooses an environment's action from its observation, by a policy.
 
-    Of a policy that remembers it keeps the symbol in force, from call to call: its method ``reset``
-    begins an episode.
+    If the policy remembers, the function keeps the symbol in force from call to call. Its method
+    ``reset`` begins an episode.
 
     Parameters
     ----------
     policy : Policy
-        The policy; its out-of-domain rule holds, and its switching.
+        The policy, with its rule outside the domain and its switching.
     env : gymnasium.Env
-        Its actions are ``Discrete`` or ``Box``.
+        An environment with ``Discrete`` or ``Box`` actions.
     observation : callable, optional
-        Observation to state (n,), with exogenous inputs after it where the policy is told some.
-        Default: the observation, flat, is that.
+        A function from the observation to the state (n,), followed by exogenous inputs if the
+        policy is told some. Default: the flat observation.
     actions : N or N + 1 actions, optional
-        The action of each symbol, and of the default control. Default: for ``Discrete`` the
-        symbol's index from the first action on, and none for the default control; for ``Box`` the
-        control vector.
+        The action of each symbol, and perhaps of the default control. Default for ``Discrete``: the
+        symbol's index, counted from the first action, and no action for the default control.
+        Default for ``Box``: the control vector.
     period : float, optional
-        Time of a step [time unit of the policy], by which least times count. Default: that of an
-        `environment` where the policy's `Switching` has least times; else there are none.
+        Time of a step [time unit of the policy], in which least times are counted. Default: that of
+        an `environment`, if the policy's `Switching` has least times.
 
     Raises
     ------
     ProblemError
-        Spaces that do not fit the policy, or actions outside the environment's; when called, an
-        observation that makes no state, or a default control that has no action.
+        The spaces do not fit the policy, or an action is not in the environment. When called: an
+        observation gives no state, or the default control has no action.
     """
     if not isinstance(policy, Policy):
         raise ProblemError(f"`policy` must be a capsyn.Policy; got {describe(policy)}")
@@ -200,7 +200,7 @@ def evaluate(
     actions: Sequence[Any] | None = None,
     period: float | None = None,
 ) -> Evaluation:
-    """Return how a policy does in episodes of an environment.
+    """Return the results of a policy in episodes of an environment.
 
     Parameters
     ----------
@@ -209,17 +209,16 @@ def evaluate(
     env : gymnasium.Env or str
         An environment whose episodes end, or the name of a registered one.
     episodes : int
-        How many; each has a seed of its own, so that the first ones do not depend on it.
+        Number of episodes. Each has its own seed, so the first ones do not depend on the number.
     seed : int
-        Seed.
+        Seed of all episodes.
     observation, actions, period
-        See `player`.
+        Arguments of `player`.
 
     Raises
     ------
     ProblemError
-        An argument that cannot be used; see `player`. What the environment raises is the
-        ``__cause__``.
+        An argument cannot be used; see `player`. An error of the environment is the ``__cause__``.
     """
     episodes = whole_number("episodes", episodes, least=1, most=10_000_000)
     seed = whole_number("seed", seed, least=0)
@@ -254,7 +253,7 @@ def _episode(act: Player, env: gymnasium.Env, seed: int) -> tuple[float, int, bo
 
 
 class Environment(gymnasium.Env):
-    """A problem as an environment; see `environment`."""
+    """A problem as an environment of Gymnasium; `environment` makes it."""
 
     metadata = {"render_modes": []}
 
@@ -282,8 +281,8 @@ class Environment(gymnasium.Env):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Return the observation of a new initial state, uniform in the domain.
 
-        ``options={"state": x0}`` gives another. Exogenous inputs are uniform in their box, or those
-        of ``options={"exogenous": w}``, numbers or a mapping of name to number.
+        ``options={"state": x0}`` gives another state. Exogenous inputs are uniform in their box, or
+        given by ``options={"exogenous": w}`` as numbers or a mapping of name to number.
         """
         super().reset(seed=seed)
         domain, told = self.problem.domain, self.problem.exogenous
@@ -302,14 +301,14 @@ class Environment(gymnasium.Env):
         Returns
         -------
         observation : (n,) or (n + k,)
-            The state, and exogenous inputs; see `environment`.
+            The state, then exogenous inputs; see `environment`.
         reward : float
-            Minus the cost of the sample, and where the episode ends the terminal cost;
-            `WORST_REWARD` at least, and where that cost or the state is not finite.
+            Minus the cost of the sample, and minus the terminal cost where the episode ends. It is
+            `WORST_REWARD` at least, and exactly that if the cost or the state is not finite.
         terminated, truncated : bool
-            Whether the episode ended by itself, or its time is over.
+            Whether the episode ended by itself, and whether its time is over.
         info : dict
-            The ``state`` itself, and ``exogenous`` inputs where there are some.
+            The ``state`` itself, and ``exogenous`` inputs if there are some.
         """
         if not self.action_space.contains(action):
             raise ProblemError(f"`action` must be in {self.action_space}; got {describe(action)}")
@@ -354,14 +353,13 @@ def environment(
 ) -> Environment:
     """Return a problem as an environment of Gymnasium.
 
-    An action is a symbol, held over a sample; an episode begins anywhere in the domain. The
-    observation is the state, on periodic axes within a period, and beyond the domain its nearest
-    state; the state itself is in ``info``. Exogenous inputs come after it; they are constant in an
-    episode, and drawn from their box for each, unless ``reset(options={"exogenous": w})`` says
-    them. An episode ends when the state or the cost is not
-    finite, or the state leaves the domain of a problem whose `outside` is ``"error"``. A control
-    acts after the problem's delay, before the first the default control does; what a problem says
-    of switching is for who acts.
+    An action is a symbol, held over a sample. An episode begins anywhere in the domain. The
+    observation is the state, brought into the period of periodic axes and to the nearest state of
+    the domain; ``info`` has the state itself. Exogenous inputs follow in the observation. They are
+    constant in an episode, and drawn from their box, unless ``reset(options={"exogenous": w})``
+    gives them. An episode ends if the state or cost is not finite, or if the state leaves the
+    domain of a problem whose `outside` is ``"error"``. A control acts after the problem's delay,
+    and the default control acts before. The problem's switching is left to whoever acts.
 
     Parameters
     ----------
@@ -372,9 +370,9 @@ def environment(
     duration : float, optional
         Time of an episode [time unit of the problem]. Default: `HORIZONS` prediction horizons.
     substeps : int, optional
-        Runge-Kutta steps per sample. Default: as many as step doubling asks for.
+        Runge-Kutta steps per sample. Default: as many as a step-doubling check asks for.
     stop_at_target : bool
-        Whether an episode ends in the problem's target.
+        Whether an episode ends when it reaches the problem's target.
 
     Raises
     ------

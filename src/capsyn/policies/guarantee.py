@@ -246,7 +246,10 @@ class Guarantee:
 
     @functools.cached_property
     def interval(self) -> tuple[float, float]:
-        """Clopper-Pearson interval (`CONFIDENCE`) of the share of the volume that agrees."""
+        """Clopper-Pearson interval (`CONFIDENCE`) of the share of the volume that agrees.
+
+        It is (0, 1) if the tree was judged at no states.
+        """
         if not self.states:
             return 0.0, 1.0
         return clopper_pearson(self.agreeing, self.states, CONFIDENCE)

@@ -1,4 +1,4 @@
-"""Any controller as a labelling function: NumPy functions, and trained agents with `predict`."""
+"""Labelling functions of any controller: NumPy functions, and trained agents with `predict`."""
 
 from __future__ import annotations
 
@@ -32,30 +32,31 @@ def labels_of(
 ) -> Label:
     """Return the labelling function ``states (B, n) -> symbols (B,)`` of a controller.
 
-    It is what `capsyn.subdivide`, `problem_policy`, and `capsyn.compress` and `capsyn.agreement`
-    (as ``controller``) take.
+    `capsyn.subdivide` and `problem_policy` take such a function. `capsyn.compress` and
+    `capsyn.agreement` take it as their ``controller``.
 
     Parameters
     ----------
     controller : callable, or object with a method ``predict``
-        A function of observations that gives actions; or a trained agent, whose ``predict`` may
-        give a pair of actions and something else, as that of Stable-Baselines3 does. ``predict``
-        is called with ``deterministic=True`` where it takes that.
+        A function from observations to actions, or a trained agent. The agent's ``predict`` may
+        return a pair of actions and something else, as in Stable-Baselines3. ``predict`` is called
+        with ``deterministic=True`` if it takes this argument.
     alphabet : Alphabet
         The symbols.
     actions : "symbols" or "controls"
-        What an action is: a symbol index, -1 for the default control; or a control vector (m,),
-        which must equal that of a symbol.
+        What an action is. "symbols" are symbol indices, -1 for the default control. "controls" are
+        control vectors (m,), which must equal the control of a symbol.
     batched : bool
-        Whether the controller takes many observations (B, ..) at once; else one at a time.
+        Whether the controller takes many observations (B, ..) at once, or one at a time.
     observation : callable, optional
-        States (B, n) to what the controller observes (B, ..). Default: the states.
+        A function from states (B, n) to what the controller observes (B, ..). Default: the states.
 
     Raises
     ------
     ProblemError
-        When called: an action that is no symbol, and at which state; another shape; or whatever
-        the controller or `observation` raises, which is then its ``__cause__``.
+        An argument that cannot be used. When called: an action that is no symbol, with its state,
+        or actions of another shape. An error of the controller or `observation` becomes its
+        ``__cause__``.
     """
     predict = getattr(controller, "predict", None)
     predicts = callable(predict)
@@ -176,30 +177,31 @@ def _symbols_of_controls(actions: np.ndarray, states: np.ndarray, alphabet: Alph
 def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **options: Any) -> Policy:
     """Return the policy of a labelling function for a problem, by Algorithm 1.
 
-    It is what `capsyn.subdivide` makes on the problem's domain and grid, with all of the problem
-    that does not belong to sSAC: model, target, default control, outside rule, dwell time,
-    switching and delay. Where the problem has one of the latter two, or a sample time other than
-    the default, the policy has its settings, too, of which closed loops take the sample time.
+    `capsyn.subdivide` makes the policy on the problem's domain and grid. The policy has everything
+    of the problem that does not belong to sSAC: model, target, default control, outside rule, dwell
+    time, switching and delay. If the problem has switching, a delay, or a sample time that is not
+    the default, the policy also has the problem's settings. Closed loops take the sample time from
+    these settings.
 
     Parameters
     ----------
     label : callable
-        States (B, n) to symbols (B,): that of `labels_of`, a `FiniteControlSet`, any other. With a
-        delay of the problem it is asked where states will be when its decision takes effect, which
-        may be beyond the domain.
+        A function from states (B, n) to symbols (B,), such as that of `labels_of`, or a
+        `FiniteControlSet`. If the problem has a delay, the function is asked at the states where
+        its decision will take effect. These states may be beyond the domain.
     problem : Problem
-        The problem. A function cannot pay prices on switching, nor avoid forbidden transitions,
-        unless it returns symbols for each symbol in force (``in_force=True``); a `FiniteControlSet`
-        of the same problem does.
+        The problem. If it has prices on switching or forbidden transitions, the function must
+        return symbols for each symbol in force (``in_force=True``). A `FiniteControlSet` of the
+        same problem does this.
     options
-        Those of `capsyn.subdivide` that are not given by the problem, or override it. Leaves are
-        constant whatever those of the problem, unless told: functions need not give scores.
+        Options of `capsyn.subdivide`, which override the problem. Leaves are constant unless an
+        option says otherwise, because functions need not give scores.
 
     Raises
     ------
     ProblemError
-        Something else than a problem, or what `capsyn.subdivide` refuses; or a function that cannot
-        do what the problem's switching says.
+        `problem` is no problem, or `capsyn.subdivide` refuses an argument. Or the function cannot
+        do what the problem's switching asks for.
     """
     if not isinstance(problem, Problem):
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")

@@ -44,26 +44,26 @@ Costs = Callable[[np.ndarray], np.ndarray]
 class FiniteControlSet:
     """Finite-control-set predictive control for batches of states.
 
-    Calling it with states (B, n) gives symbols (B,), as `capsyn.subdivide` and others take it.
-    Build it with `finite_control_set`.
+    A call with states (B, n) returns symbols (B,), as `capsyn.subdivide` and others need it.
+    `finite_control_set` makes it.
 
     Parameters
     ----------
     solver : callable
-        What gives the costs.
+        The function that computes the costs.
     backend : "c" or "numpy"
-        What the solver is.
+        Whether the solver is compiled or in NumPy.
     states, symbols : int
         Numbers of states n and of symbols N.
     threads : int
-        Threads that solve; the result does not depend on it.
+        Number of threads that solve. The result does not depend on it.
     problem : Problem
-        What it was made of, with numbers for prices that are shares.
+        The problem, with numbers in place of prices that are shares.
     spread : float
-        What 100 % of such a price are [cost / time unit].
+        The price that stands for 100 % [cost / time unit].
     prices : (N + 1, N), optional
-        What going from each label in force to each symbol costs [cost], infinite where that is
-        forbidden; the default control is in force last. None: nothing depends on what is in force.
+        Cost of a change from each label in force (the default last) to each symbol [cost]; infinite
+        if the change is forbidden. None: nothing depends on the symbol in force.
     """
 
     solver: Costs
@@ -83,8 +83,8 @@ class FiniteControlSet:
     def costs(self, states: np.ndarray) -> np.ndarray:
         """Return the least costs (B, N) of the sequences from states (B, n), by first symbol.
 
-        They are infinite where no sequence has a finite cost. The price of the first symbol, which
-        depends on what is in force, is not among them, and they begin without a delay.
+        A cost is infinite if no sequence has a finite cost. The costs leave out the price of the
+        first symbol, which depends on the symbol in force. They also leave out the delay.
 
         Raises
         ------
@@ -100,10 +100,10 @@ class FiniteControlSet:
             return np.concatenate(list(pool.map(self.solver, parts)))
 
     def masks(self, states: np.ndarray) -> np.ndarray:
-        """Return the symbols whose cost ties with the least, as bit masks (B, W), of states.
+        """Return the symbols whose cost ties with the least, as bit masks (B, W), for `states`.
 
-        A mask is 0 where no sequence has a finite cost. Costs within a billionth of the
-        least, relative to its size, tie. With a switching or a delay of the problem there is a
+        A mask is 0 if no sequence has a finite cost. Costs tie if they are within a billionth of
+        the least cost, relative to its size. If the problem has switching or a delay, there is a
         mask for each label in force, (B, N + 1, W).
         """
         if self.prices is None:
@@ -130,8 +130,9 @@ class FiniteControlSet:
     def __call__(self, states: np.ndarray, current: Any = -1) -> np.ndarray:
         """Return the first symbol (B,) of the best sequence from states (B, n).
 
-        Of ties it is that in force, else the lowest, and -1 where no sequence has a finite cost.
-        `current` are the symbols in force, one or (B,); -1 is the default control.
+        Of tied symbols, the symbol in force is returned, or else the lowest. -1 is returned if no
+        sequence has a finite cost. `current` are the symbols in force, one or (B,); -1 is the
+        default control.
 
         Raises
         ------
@@ -168,7 +169,8 @@ class FiniteControlSet:
         Raises
         ------
         ProblemError
-            It has other prices, forbidden transitions or delay than what the control was made of.
+            `problem` has other prices, forbidden transitions or delay than the problem of this
+            controller.
         """
         switching = problem.switching
         if switching is not None and switching.has_share:
@@ -198,32 +200,33 @@ def finite_control_set(
 ) -> FiniteControlSet:
     """Return finite-control-set predictive control of a problem.
 
-    At a state, all sequences of `depth` symbols are tried; each symbol is held for its block of
-    samples. What a sequence costs is the problem's running cost along it, the effort ``u^T R u``
-    times the time that each symbol is held, and the problem's terminal cost where it ends. The
-    problem's own horizon is not used.
+    At a state, the controller tries all sequences of `depth` symbols. Each symbol is held for its
+    block of samples. A sequence costs the problem's running cost along the prediction, plus the
+    effort ``u^T R u`` times the time that each symbol is held, plus the problem's terminal cost at
+    the end. The problem's own horizon is not used.
 
     Parameters
     ----------
     problem : Problem
-        System, costs and alphabet.
+        The problem: its system, costs and alphabet.
     depth : int
-        Moves of a sequence, 1 to `MOST_DEPTH`.
+        Number of moves of a sequence, 1 to `MOST_DEPTH`.
     sample_time : float
         Time of a sample [time unit of the problem].
     blocks : int or (depth,) ints
-        Samples that each move is held (move blocking).
+        Number of samples for which each move is held (move blocking).
     steps : int
         Runge-Kutta steps per sample.
     control_weight : float or (m, m), optional
-        R [cost / (input unit^2 time unit)]. Default: that of the problem's settings.
+        Weight R of the effort [cost / (input unit^2 time unit)]. Default: the weight of the
+        problem's settings.
     tail : optional
-        A terminal cost in the place of the problem's own; see `Problem`. With one, depth 1 or 2 may
-        do what long sequences do without.
+        A terminal cost in place of the problem's own; see `Problem`. With a tail, a depth of 1 or 2
+        may do what long sequences do without a tail.
     backend : "auto", "c" or "numpy"
-        Compiled where there is a compiler, or as told.
+        How to solve: compiled if there is a compiler ("auto"), or as told.
     threads : int, optional
-        Default: one per processor.
+        Number of threads. Default: one per processor.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Tabulated controllers: symbols at the points of a uniform grid, as policies that equal them."""
+"""Tables: symbols at the points of a uniform grid, made into policies that equal them."""
 
 from __future__ import annotations
 
@@ -35,22 +35,23 @@ class Table:
     Parameters
     ----------
     first, step : (n,)
-        The grid's first point, and its distances along each axis [state units].
+        The grid's first point, and the distance of its points along each axis [state units].
     masks : (k1, .., kn) uint64
-        The symbols that are allowed at each point, as bit masks; 0 where there is none. They are
+        The symbols that are allowed at each point, as bit masks; 0 if there is none. The array is
         copied, and read-only.
     alphabet : Alphabet
         The symbols.
     names, units : n strings, optional
-        Of the states.
+        Names and units of the states.
     periodic : n booleans, optional
-        Axes whose last point is one step before the first, a turn later.
+        Whether an axis is periodic: its last point is one step before the first point of the next
+        turn.
 
     Raises
     ------
     ProblemError
-        Wrong shapes, more than `MOST_POINTS` points or `MOST_AXES` axes, steps that are not above
-        0, or unknown symbols.
+        Wrong shapes, more than `MOST_POINTS` points or `MOST_AXES` axes, steps of 0 or less, or
+        unknown symbols.
     """
 
     first: Any
@@ -95,9 +96,10 @@ class Table:
         Parameters
         ----------
         first, step : (n,)
-            The point of least states, and the distance of points [state units].
+            The point with the least states, and the distance of points along each axis [state
+            units].
         symbols : (k1, .., kn) ints, or (k1, .., kn, N) booleans
-            The symbol of each point, -1 for none; or which symbols are allowed there.
+            The symbol of each point, -1 for none; or whether each symbol is allowed at each point.
         alphabet : Alphabet, or (N, m) or (N,) numbers
             The symbols.
         names
@@ -106,7 +108,7 @@ class Table:
         Raises
         ------
         ProblemError
-            Arrays that make no table.
+            The arrays make no table.
         """
         if not isinstance(alphabet, Alphabet):
             alphabet = Alphabet(alphabet)
@@ -130,7 +132,7 @@ class Table:
 
     @property
     def counts(self) -> tuple[int, ...]:
-        """Points along each axis."""
+        """Number of points along each axis."""
         return self.masks.shape
 
     def box(self) -> Box:
@@ -146,7 +148,7 @@ class Table:
 
     @property
     def symbols(self) -> np.ndarray:
-        """The lowest symbol allowed at each point (k1, .., kn); -1 where there is none."""
+        """The lowest symbol that is allowed at each point (k1, .., kn); -1 if there is none."""
         lowest = preferred(self.masks[..., None], range(len(self.alphabet)))
         return np.where(self.masks == 0, -1, lowest)
 
@@ -165,20 +167,21 @@ class Table:
         time_unit: str = "s",
         outside_at_once: bool = False,
     ) -> Policy:
-        """Return the policy whose cells have the grid's points as centres, and equal the table.
+        """Return the policy that equals the table, with the grid's points as centres of its cells.
 
-        Where a point has several symbols, the policy takes the lowest, and compression in mode
-        freedom any of them. Where it has none, there is a gap: the state is outside.
+        If a point has several symbols, the policy takes the lowest. Compression in mode freedom may
+        take any of them. If a point has no symbol, its cell is a gap, whose states count as
+        outside.
 
         Parameters
         ----------
         name : str
             Name of the policy.
         default : (m,), optional
-            Default control [input units], which exports apply where there is no symbol unless told
+            Default control [input units]. Exports apply it where there is no symbol, unless told
             otherwise. Default: 0.
         outside : "error", "nearest" or symbol
-            What a state outside gets; in a gap, ``"nearest"`` is an error.
+            What a state outside gets. In a gap, ``"nearest"`` is an error.
         min_dwell : float
             Least time between switches [time unit].
         time_unit, outside_at_once
@@ -187,15 +190,16 @@ class Table:
         Raises
         ------
         ProblemError
-            An argument that cannot be used, or a grid finer than floating point at its bounds.
+            An argument that cannot be used, or a grid that is finer than floating point at its
+            bounds.
 
         Notes
         -----
-        Equal points are merged into larger cells. An axis of a table with gaps is refined by two,
-        padded with gaps at its upper end where its count asks for that; the domain grows by as
-        much. A periodic axis, any of a table without gaps, and any under rule ``"nearest"`` are
-        not padded, but refined by factors of their own counts. Of all numbers of levels that which
-        takes the fewest cells is chosen.
+        Neighbouring points with the same symbols are merged into larger cells. An axis of a table
+        with gaps is refined by two, and padded with gaps at its upper end if its count asks for it.
+        The domain then grows by as much. Other axes are not padded, but refined by factors of their
+        own counts: periodic axes, all axes of a table without gaps, and all axes under rule
+        ``"nearest"``. The number of levels is the one that takes the fewest cells.
         """
         outside = check_outside(outside, self.alphabet)
         check_time_unit(time_unit)
