@@ -15,13 +15,8 @@ from scipy.linalg import expm
 from capsyn import Box, Problem, SsacSettings, problems, synthesize
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import ROUNDING, TIE
-from capsyn.controllers.ssac import (
-    STEP_LADDER,
-    STEP_SAMPLES,
-    BatchController,
-    Solution,
-    choose_steps,
-)
+from capsyn.controllers.ssac import BatchController, Solution
+from capsyn.controllers.steps import STEP_LADDER, STEP_SAMPLES
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.modelling.transcription import transcribe
 from capsyn.problems import cart_pendulum, double_tank
@@ -510,10 +505,8 @@ def test_unstable_steps_that_agree_on_garbage_are_seen(horizon):
     assert np.mean(batch.symbols(states) == exact.symbols(states)) > 0.99
 
 
-def test_a_horizon_that_no_steps_resolve_is_said():
-    with pytest.warns(
-        CapsynWarning, match=f"with {STEP_LADDER[-1]} steps.*shorten the horizon, or give `steps`"
-    ):
+def test_a_horizon_that_no_steps_resolve_is_refused_as_stiff():
+    with pytest.raises(ProblemError, match="`horizon` must be shorter, or `steps` .* is stiff"):
         controller(motor(12.5))
 
 
@@ -525,23 +518,6 @@ def test_steps_are_chosen_with_a_warning_where_more_do_not_help():
         batch = controller(problem, precision="single")
     assert batch.settings.steps < STEP_LADDER[-1]
     assert doubling_error(batch, problem, batch.settings.steps) < 1e-4
-    noise, tried = np.random.default_rng(0), []
-
-    def solver(states, horizon, steps):
-        tried.append(steps)
-        return np.ones(3), noise.normal(size=(3, 2)) * 1e-3, np.ones((3, 2))
-
-    with pytest.warns(CapsynWarning, match="give `steps` or a larger `tolerance`"):
-        steps = choose_steps(solver, np.zeros((3, 1)), 1.0, SsacSettings())
-    assert steps in STEP_LADDER and max(tried) < STEP_LADDER[-1]
-
-
-def test_states_that_need_more_steps_for_any_result_count_as_errors():
-    def solver(states, horizon, steps):
-        gradients = np.where((states < 0) & (steps < 100), np.nan, states)
-        return states[:, 0], gradients, np.ones_like(states)
-
-    assert choose_steps(solver, np.linspace(-1, 1, 100)[:, None], 1.0, SsacSettings()) == 128
 
 
 def test_states_that_never_have_a_result_do_not_count_in_the_choice_of_steps():

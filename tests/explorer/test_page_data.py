@@ -47,8 +47,8 @@ def test_the_steps_of_the_loop_are_those_that_it_is_told(tmp_path):
         {},
         {"ladder": [2, 3]},
         {"ladder": [3, 5], "accuracy": 1.0},
-        {"accuracy": 1e-30, "falling": 0.0, "stalls": 3},
-        {"accuracy": 1e-30, "falling": 0.0, "stalls": 5},
+        {"accuracy": 1e-30, "falling": 0.0, "stalls": 3, "tried": 1},
+        {"accuracy": 1e-30, "falling": 0.0, "stalls": 5, "tried": 1},
     ]
     usual, unresolved, first, three, five = node(
         tmp_path, code, built_in("cart-pendulum"), changes=changes

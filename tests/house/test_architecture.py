@@ -33,7 +33,7 @@ cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree cut
 limits: kept
 policies: lookup guarantee evidence colors in_force picture checks file cut derived policy
     report
-controllers: command formulation solver ssac action_kernel actions sac online
+controllers: command formulation solver steps ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
 automata: rectangles regions face_rates row_faces switching automaton

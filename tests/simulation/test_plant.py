@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from capsyn import Box, online_controller, problems
+from capsyn import Box, online_controller, problems, simulate, synthesize
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.simulation import plant as plants
-from capsyn.simulation.plant import ACCURACY, choose_substeps, plant_of
+from capsyn.simulation.plant import ACCURACY, COST_ACCURACY, choose_substeps, plant_of
 from support.closed_loops import integrate, linear_problem, relay, relay_problem, tank_interior
 
 NO_P = np.zeros((0, 1))
@@ -146,12 +146,13 @@ def test_the_steps_are_the_fewest_that_are_exact_enough(period):
         states = problem.domain.sample(300, 7).T
         push, time = np.zeros_like(states), np.full(300, period)
         u = controls[np.arange(300) % 3].T
-        ends = [
-            plant.advance(states, np.zeros(300), u, NO_P, push, time, count)[0]
+        (x, cost), (exact, paid) = (
+            plant.advance(states, np.zeros(300), u, NO_P, push, time, count)
             for count in (substeps, 8 * substeps)
-        ]
-        off = np.abs(ends[0] - ends[1]) / problem.domain.widths[:, None]
-        return np.percentile(off.max(axis=0), 95)
+        )
+        off = np.abs(x - exact) / problem.domain.widths[:, None]
+        paid_off = np.abs(cost - paid) / max(paid.mean(), 1e-300) * period / COST_ACCURACY
+        return np.percentile(np.maximum(off.max(axis=0), paid_off), 95)
 
     assert error(substeps) <= 1.2 * ACCURACY * period
     assert substeps == 1 or error(substeps // 2) > 0.5 * ACCURACY * period
@@ -195,7 +196,7 @@ def test_steps_that_are_too_long_for_a_stiff_plant_are_not_taken():
 
 
 def test_the_best_steps_are_taken_where_the_error_stops_falling():
-    ends = {1: 0.0, 2: 1e-3, 4: 1.01e-3, 8: 1.03e-3, 16: 1.05e-3, 32: 1.07e-3}
+    ends = {1: 0.0, 2: 1e-3} | {1 << k: (1 + 0.01 * k * k) * 1e-3 for k in range(2, 9)}
 
     class Rough(plants.Plant):
         def advance(self, x, cost, u, p, push, duration, substeps):
@@ -203,8 +204,40 @@ def test_the_best_steps_are_taken_where_the_error_stops_falling():
 
     plant = plant_of(relay())
     rough = Rough(**vars(plant))
-    with pytest.warns(CapsynWarning, match="integrated with 2 steps per sample, to 1e-05 widths"):
+    with pytest.warns(CapsynWarning, match="integrated with 2 steps per sample, to 4e-05 widths"):
         assert choose_substeps(rough, np.zeros((1, 1)), NO_P, 0.1) == 2
+
+
+@pytest.mark.parametrize(
+    ("cost", "exact"),
+    [
+        (lambda x: 1 - ca.cos(20 * np.pi * x[0]), 1.0),
+        (lambda x: ca.sin(7 * np.pi * x[0]) ** 2, 0.5),
+        (lambda x: ca.fabs(x[0] - 0.5), 0.25),
+    ],
+)
+def test_steps_resolve_the_cost_that_a_loop_gathers(cost, exact):
+    problem = relay_problem(
+        dynamics=lambda x, u: [u[0]],
+        domain=Box([0], [1]),
+        alphabet=[1.0],
+        default=1.0,
+        running_cost=cost,
+    )
+    run = simulate(synthesize(problem, max_level=0, outside="nearest"), [0.0], 1.0, rate=10.0)
+    assert run.cost == pytest.approx(exact, abs=1e-6)
+
+
+def test_kinks_do_not_drive_the_steps_of_a_loop():
+    problem = relay_problem(
+        dynamics=lambda x, u: [x[1], -ca.fmax(x[0], 0) + ca.fmin(x[0] + 0.4, 0) + u[0]],
+        domain=Box([-3, -2], [3, 2]),
+        alphabet=[-1.0, 1.0],
+        default=0.0,
+        running_cost=lambda x: x[0] ** 2,
+    )
+    plant = plant_of(online_controller(problem, backend="numpy"))
+    assert choose_substeps(plant, np.array([[-1.0], [1.0]]), NO_P, 0.5) <= 64
 
 
 def test_states_that_escape_do_not_matter_for_the_steps():

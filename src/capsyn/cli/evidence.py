@@ -61,6 +61,10 @@ class VerifyOptions(ControllerTexts):
     agreement: int | None = option(
         "Random states to compare with sSAC.", metavar="N", before="seed"
     )
+    steps: int | None = option(
+        "Steps of sSAC over the horizon: more than the policy's own show what its own hide.",
+        before="seed",
+    )
     optimum: int | None = option(
         "Closed loops to compare with the best that the symbols allow; --duration is 10 horizons "
         "unless told.",
@@ -170,6 +174,7 @@ def _compare(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
         options.agreement or 0,
         seed=options.seed,
         confidence=options.confidence,
+        steps=options.steps,
         backend=options.backend,
         threads=options.threads,
     ).to_json()
@@ -201,7 +206,7 @@ KINDS = (
         "agreement",
         "require_agreement",
         "share",
-        (),
+        ("steps",),
         "comparing with sSAC",
         _compare,
         lambda data, sentence, *_: print_agreement(data, sentence),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from dataclasses import dataclass
 
@@ -12,18 +11,13 @@ import numpy as np
 from capsyn.cells.masks import empty, masks_of_members, preferred, priced_sets, word_count
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import TIE, Solver, bind_default, make_solver
-from capsyn.errors import warn
+from capsyn.controllers.steps import choose_steps
 from capsyn.modelling.settings import SsacSettings
 from capsyn.policies.policy import Policy
 from capsyn.programs.builder import bind
-from capsyn.programs.step_doubling import UNRESOLVED, fewest_steps
 
-STEP_LADDER = tuple(steps << k for k in range(10) for steps in (4, 6)) + (4096,)
-"""Steps that `choose_steps` tries."""
 DELAY_STEPS = 4
 """Least Runge-Kutta steps over a delay."""
-STEP_SAMPLES = 512
-"""Random states at which it tries them."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +143,13 @@ class BatchController:
         assert self.formulation.prices is not None
         low, high = self._score_bounds(solution)
         return priced_sets(low, high, self.formulation.prices[in_force])
+
+    def decided(self, results: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+        """Return the masks (B, W) of what a solver returns, the default in force; see `masks`."""
+        solution = Solution(*results)
+        if self.in_force == 1:
+            return self.possible(solution)
+        return self.next_possible(solution, slice(-1, None))[:, 0]
 
     def _score_bounds(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """Return bounds (B, N + 1) of minus the first of `smooth_scores`, the default's last.
@@ -283,14 +284,15 @@ def batch_controller(
     default, settings = formulation.default, formulation.settings
     bound = bind_default(formulation.model, default)
     solver, used = make_solver(bound, settings.precision, backend)
-    if settings.steps is None:
-        states = formulation.domain.sample(STEP_SAMPLES, seed)
-        steps = choose_steps(solver, states, formulation.horizon, settings)
-        settings = dataclasses.replace(settings, steps=steps)
-        formulation = dataclasses.replace(formulation, settings=settings)
     efforts = settings.efforts(np.vstack([formulation.values, default]))
     preference = tuple(int(k) for k in np.argsort(efforts, kind="stable"))
-    return BatchController(solver, used, formulation, efforts[:-1], preference)
+    controller = BatchController(solver, used, formulation, efforts[:-1], preference)
+    if settings.steps is not None:
+        return controller
+    steps = choose_steps(solver, controller.decided, formulation, bound, seed)
+    settings = dataclasses.replace(settings, steps=steps)
+    formulation = dataclasses.replace(formulation, settings=settings)
+    return dataclasses.replace(controller, formulation=formulation)
 
 
 def policy_controller(policy: Policy, backend: str = "auto") -> BatchController | None:
@@ -314,44 +316,3 @@ def flow(formulation: Formulation, states: np.ndarray, control: np.ndarray) -> n
         for _ in range(count):
             x = step.evaluate(x, [delay / count])[0]
     return x.T
-
-
-def choose_steps(solver: Solver, states: np.ndarray, horizon: float, settings: SsacSettings) -> int:
-    """Return the fewest steps of `STEP_LADDER` whose error meets ``settings.tolerance``.
-
-    The error is the 99th percentile, over the states (B, n), of the difference that twice the
-    steps make to the mode insertion gradients, relative to their scales. It is infinite for states
-    that only more steps make finite, and for those whose cost changes by more than a tenth:
-    steps that are too long for a stiff model may agree on garbage. Where it stops falling first (a
-    switch in the dynamics, single precision), the best steps so far are returned with a warning.
-    """
-    solve = functools.cache(lambda steps: solver(states, horizon, steps))
-
-    def error_of(steps: int) -> float:
-        (coarse_cost, coarse, _), (cost, fine, scale) = solve(steps), solve(2 * steps)
-        with np.errstate(all="ignore"):
-            errors = np.abs(coarse - fine) / scale
-            errors[~np.isfinite(errors)] = np.nan
-            usual = np.median(np.abs(cost[np.isfinite(cost)])) if np.isfinite(cost).any() else 0
-            errors[np.abs(coarse_cost - cost) > UNRESOLVED * (np.abs(cost) + usual)] = np.inf
-            failed = ~(np.isfinite(coarse) & np.isfinite(fine) & np.isfinite(scale))
-            if failed.any():
-                failed &= np.isfinite(solve(2 * STEP_LADDER[-1])[1])
-                errors[failed] = np.inf
-            errors = errors[~np.isnan(errors)]
-            return float(np.percentile(errors, 99)) if errors.size else 0.0
-
-    best, least = fewest_steps(STEP_LADDER, error_of, settings.tolerance)
-    if least <= settings.tolerance:
-        return best
-    advice = "give `steps` or a larger `tolerance`"
-    if best == STEP_LADDER[-1]:
-        advice = (
-            "shorten the horizon, or give `steps` (--steps) where the model has switches such as "
-            "fmax or if_else"
-        )
-    warn(
-        f"the step-doubling check reached {least:.2g} with {best} steps, not the tolerance "
-        f"{settings.tolerance:.2g}: {advice}"
-    )
-    return best

@@ -11,9 +11,18 @@ from capsyn.explorer.memory_data import memory_data, needs_memory, one_hold
 from capsyn.explorer.packed import packed_array
 from capsyn.policies.file import content_of
 from capsyn.policies.policy import Policy
-from capsyn.programs.step_doubling import FALLING, STALLS, UNRESOLVED
+from capsyn.programs.continuity import rate_kinks
+from capsyn.programs.step_doubling import FALLING, KINKED, STALLS, UNRESOLVED
 from capsyn.simulation.closed_loop import SLACK
-from capsyn.simulation.plant import ACCURACY, LADDER, PERCENTILE, SAMPLES
+from capsyn.simulation.plant import (
+    ACCURACY,
+    COST_ACCURACY,
+    LADDER,
+    PERCENTILE,
+    PIECES,
+    SAMPLES,
+    TRIED,
+)
 
 RATE = 1000.0
 """Sample rate of closed loops [1 / time unit] where a policy has no settings."""
@@ -48,7 +57,8 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     data = {"features": None} | content_of(policy)
     if data["features"]:
         data["features"] = {key: data["features"][key] for key in ("names", "thresholds")}
-    model, structure = data.pop("model"), {k: data.pop(k) for k in STRUCTURE if k in data}
+    del data["model"]
+    structure = {k: data.pop(k) for k in STRUCTURE if k in data}
     arrays = policy.cells.arrays()
     if isinstance(policy.cells, CellTree):
         seen = np.bitwise_or.reduce(policy.cells.mixed_labels, axis=1)  # whatever is in force
@@ -71,16 +81,27 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         policy.cells.kind: structure | packed,
         "rate": RATE if settings is None else 1 / settings.sample_time,
         "slack": SLACK,
-        "sampled": model
-        and {
-            "states": packed_array(policy.space.sample(SAMPLES, 0)),
-            "accuracy": ACCURACY,
-            "percentile": PERCENTILE,
-            "ladder": list(LADDER),
-            "falling": FALLING,
-            "stalls": STALLS,
-            "unresolved": UNRESOLVED,
-        },
+        "sampled": _sampled(policy),
+    }
+
+
+def _sampled(policy: Policy) -> dict[str, Any] | None:
+    """Return what the page chooses the steps of closed loops by, as `choose_substeps` does."""
+    if (model := policy.model) is None:
+        return None
+    return {
+        "states": packed_array(policy.space.sample(SAMPLES, 0)),
+        "accuracy": ACCURACY,
+        "cost_accuracy": COST_ACCURACY,
+        "percentile": PERCENTILE,
+        "pieces": PIECES,
+        "sides": len(rate_kinks(model.dynamics, model.running_cost).results),
+        "kinked": KINKED,
+        "ladder": list(LADDER),
+        "falling": FALLING,
+        "stalls": STALLS,
+        "tried": TRIED,
+        "unresolved": UNRESOLVED,
     }
 
 

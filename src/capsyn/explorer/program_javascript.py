@@ -5,6 +5,7 @@ from __future__ import annotations
 from capsyn.cells.feature_tree import FeatureTree
 from capsyn.modelling.targets import target_program
 from capsyn.policies.policy import Policy
+from capsyn.programs.continuity import rate_kinks
 from capsyn.programs.program import Program
 from capsyn.programs.texts import JAVASCRIPT, javascript_lines
 
@@ -35,16 +36,19 @@ def model_javascript(policy: Policy) -> str:
     """Return an ES module that exports ``model``, the programs that a closed loop runs.
 
     ``model`` is null where the policy has none, else it holds ``dynamics(x, u, xdot)``,
-    ``runningCost(x, cost)``, ``terminalCost(x, cost, gradient)`` and ``inside(x, inside)``, which
-    tells whether a state is in the target. Exogenous inputs come after the states in x.
+    ``runningCost(x, cost)``, ``terminalCost(x, cost, gradient)``, ``inside(x, inside)``, which
+    tells whether a state is in the target, and ``kinks(x, u, sides)``, whose sides are constant
+    where rates and cost are smooth. Exogenous inputs come after the states in x.
     """
-    if policy.model is None:
+    model = policy.model
+    if model is None:
         return "export const model = null;\n"
     programs = {
-        "dynamics": policy.model.dynamics,
-        "runningCost": policy.model.running_cost,
-        "terminalCost": policy.model.terminal_cost,
+        "dynamics": model.dynamics,
+        "runningCost": model.running_cost,
+        "terminalCost": model.terminal_cost,
         "inside": target_program(policy.target, policy.space),
+        "kinks": rate_kinks(model.dynamics, model.running_cost),
     }
     body = "".join(program_javascript(program, name) for name, program in programs.items())
     helpers = _helpers(body)

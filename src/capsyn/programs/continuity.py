@@ -1,8 +1,9 @@
-"""Where a program may jump: the conditions that decide between values which do not meet."""
+"""Where a program may jump, or have a kink: the conditions that decide which side it is on."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Set
 from fractions import Fraction
 
 from capsyn.programs.builder import ProgramBuilder
@@ -21,7 +22,29 @@ def jump_conditions(program: Program) -> Program:
     where the condition changes, and what tells on which side of a jump a floor, a sign or an angle
     is. A program without any has the one output 0.
     """
-    meeting = _meeting_selections(program)
+    return _conditions(program, _meeting_selections(program), kinks=False)
+
+
+def kink_conditions(program: Program) -> Program:
+    """Return a program of the same inputs, constant over boxes where `program` is smooth.
+
+    Its outputs are those of `jump_conditions`, with the conditions of all selections, and what
+    tells on which side of a kink an absolute value, a minimum or a maximum is.
+    """
+    return _conditions(program, frozenset(), kinks=True)
+
+
+def rate_kinks(dynamics: Program, running_cost: Program) -> Program:
+    """Return the `kink_conditions` of dynamics and running cost, of the dynamics' inputs."""
+    builder = ProgramBuilder()
+    inputs = [[builder.input() for _ in range(size)] for _, size in dynamics.inputs]
+    results = builder.call(dynamics, *inputs) + builder.call(running_cost, inputs[0])
+    outputs = (*dynamics.outputs, *running_cost.outputs)
+    return kink_conditions(builder.build("rates", dynamics.inputs, outputs, results))
+
+
+def _conditions(program: Program, meeting: Set[int], kinks: bool) -> Program:
+    """Return the program of `jump_conditions`, or with `kinks` that of `kink_conditions`."""
     builder = ProgramBuilder()
     values = [builder.input() for _ in range(program.input_count)]
     sides: list[int] = []
@@ -48,6 +71,10 @@ def jump_conditions(program: Program) -> Program:
         elif name == "atan2":
             left = apply("le", mine[1], constant(0.0))
             sides.append(apply("select", left, apply("sign", mine[0])))
+        elif kinks and name == "fabs":
+            sides.append(apply("sign", mine[0]))
+        elif kinks and name in ("fmin", "fmax"):
+            sides.append(apply("lt", *mine))
     for k, (name, *_) in enumerate(program.instructions, start=program.input_count):
         if name in OPERATIONS and OPERATIONS[name].boolean and k in used:
             sides.append(values[k])  # taken as a number

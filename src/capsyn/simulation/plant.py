@@ -18,9 +18,10 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import Target
 from capsyn.modelling.transcription import transcribe, transcribe_target, user_program
 from capsyn.policies.policy import Policy
+from capsyn.programs.continuity import rate_kinks
 from capsyn.programs.model import Model
 from capsyn.programs.program import Ports, Program
-from capsyn.programs.step_doubling import fewest_steps
+from capsyn.programs.step_doubling import KINKED, fewest_steps
 from capsyn.validation import describe
 
 SAMPLES = 256
@@ -31,6 +32,12 @@ MOST_SUBSTEPS = 4096
 """Most Runge-Kutta steps per sample."""
 LADDER = tuple(1 << k for k in range(MOST_SUBSTEPS.bit_length() - 1))
 """Steps that `choose_substeps` tries; it compares each with twice as many."""
+COST_ACCURACY = 100.0
+"""Error of the cost of a period, relative to what periods cost, that it allows in accuracies."""
+TRIED = 16
+"""Steps from which on an error that does not fall ends its search."""
+PIECES = 8
+"""Parts of a period between which kinks are looked for."""
 PERCENTILE = 95
 """Percentile, over the states, of the error that counts there."""
 
@@ -55,6 +62,11 @@ class Plant:
     def space(self) -> Box:
         """The domain, and after its axes those of the exogenous inputs, whose rates are 0."""
         return joined(self.domain, self.exogenous)
+
+    @functools.cached_property
+    def kinks(self) -> Program:
+        """Conditions (x, u) or (x, u, p) that are constant where rates and cost are smooth."""
+        return rate_kinks(self.dynamics, self.running_cost)
 
     @property
     def told(self) -> int:
@@ -218,29 +230,35 @@ def choose_substeps(
 
     The error is the 95th percentile, over seeded states of the domain under every control
     (N, m), with parameters (P, K) in turn, of the difference that twice the steps make after one
-    period [time unit]. Where it stops falling (a switch in the dynamics), the best steps so far are
-    taken.
+    period [time unit]: to the state in widths of the domain, or if that is more, to the cost
+    relative to the mean of all states, over `COST_ACCURACY`. It counts `KINKED` where the model
+    has a kink on the way. Where it stops falling (a jump in the dynamics), the best steps so far
+    are taken.
     """
     states = plant.space.sample(SAMPLES, 0).T
     u = controls[np.arange(SAMPLES) % len(controls)].T
     p = parameters[:, np.arange(SAMPLES) % parameters.shape[1]]
     push, cost, time = np.zeros_like(states), np.zeros(SAMPLES), np.full(SAMPLES, period)
+    weight = np.where(_meets_kink(plant, states, u, p, time), KINKED, 1.0)
 
     @functools.cache
-    def end(substeps: int) -> np.ndarray:
-        x, _ = plant.advance(states, cost, u, p, push, time, substeps)
-        return x / plant.space.widths[:, None]
+    def end(substeps: int) -> tuple[np.ndarray, np.ndarray]:
+        x, paid = plant.advance(states, cost, u, p, push, time, substeps)
+        return x / plant.space.widths[:, None], paid
 
     def error_of(substeps: int) -> float:
-        coarse, fine = end(substeps), end(2 * substeps)
-        with np.errstate(invalid="ignore"):
+        (coarse, paid), (fine, exact) = end(substeps), end(2 * substeps)
+        with np.errstate(all="ignore"):
+            usual = np.abs(exact[np.isfinite(exact)]).mean() if np.isfinite(exact).any() else 0.0
             errors = np.abs(fine - coarse).max(axis=0)
+            if usual > 0:
+                errors = np.maximum(errors, np.abs(exact - paid) / usual * (period / COST_ACCURACY))
             finite = np.isfinite(errors)
             errors[~finite] = np.inf
-            errors = errors[finite | np.isfinite(fine).all(axis=0)]
+            errors = (weight * errors)[finite | np.isfinite(fine).all(axis=0)]
             return float(np.percentile(errors, PERCENTILE)) if errors.size else np.inf
 
-    best, least = fewest_steps(LADDER, error_of, accuracy * period)
+    best, least = fewest_steps(LADDER, error_of, accuracy * period, TRIED)
     if least <= accuracy * period:
         return best
     warn(
@@ -248,3 +266,21 @@ def choose_substeps(
         f"the domain, not {accuracy * period:.2g}: give `substeps`, or a higher `rate`"
     )
     return best
+
+
+def _meets_kink(
+    plant: Plant, x: np.ndarray, u: np.ndarray, p: np.ndarray, period: np.ndarray
+) -> np.ndarray:
+    """Return where (B,) the model has a kink between states (n, B) and those a period later."""
+    kinks = plant.kinks
+    inputs = (u, p) if plant.parameters else (u,)
+    met = np.zeros(x.shape[1], dtype=bool)
+    if not kinks.used_inputs():
+        return met
+    still, none = np.zeros_like(x), np.zeros(x.shape[1])
+    (first,) = kinks.evaluate(x, *inputs)
+    for _ in range(PIECES):
+        x, _ = plant.advance(x, none, u, p, still, period / PIECES, 1)
+        with np.errstate(all="ignore"):
+            met |= (kinks.evaluate(x, *inputs)[0] != first).any(axis=0)
+    return met

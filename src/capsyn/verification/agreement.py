@@ -24,6 +24,7 @@ from capsyn.controllers.ssac import policy_controller
 from capsyn.errors import ProblemError
 from capsyn.execution.processors import processors
 from capsyn.modelling.exogenous import exogenous_text
+from capsyn.modelling.settings import MAX_STEPS
 from capsyn.policies.policy import Policy
 from capsyn.statistics import TOLD, check_confidence, clopper_pearson
 from capsyn.validation import BACKENDS, describe, one_of, whole_number
@@ -88,6 +89,8 @@ class Agreement:
     exogenous : str
         Exogenous inputs that were drawn with the states, with their bounds, in words; empty if
         there are none.
+    steps : int, optional
+        Runge-Kutta steps of sSAC over the horizon, if they are not the policy's own.
     """
 
     symbols: tuple[str, ...]
@@ -112,6 +115,7 @@ class Agreement:
     in_force_agreeing: np.ndarray | None = None
     disagreeing_in_force: np.ndarray | None = None
     exogenous: str = ""
+    steps: int | None = None
 
     @property
     def share(self) -> float:
@@ -164,6 +168,7 @@ def agreement(
     controller: Controller | None = None,
     seed: int = 0,
     confidence: float = 0.95,
+    steps: int | None = None,
     backend: str = "auto",
     threads: int | None = None,
 ) -> Agreement:
@@ -184,6 +189,9 @@ def agreement(
         Seed of the states.
     confidence : float
         Confidence of the interval of the share.
+    steps : int, optional
+        Runge-Kutta steps of sSAC over the horizon. More than the policy's own show what its own
+        steps hide. Default: the policy's own.
     backend : "auto", "c" or "numpy"
         How sSAC is solved.
     threads : int, optional
@@ -209,7 +217,11 @@ def agreement(
     confidence = check_confidence(confidence)
     one_of("backend", backend, BACKENDS)
     threads = 1 if threads is None and controller is not None else processors(threads)
-    rule = _rule(policy, controller, backend)
+    if steps is not None:
+        steps = whole_number("steps", steps, least=1, most=MAX_STEPS)
+        if controller is not None:
+            raise ProblemError("`steps` are those of sSAC, for which no `controller` is given")
+    rule = _rule(policy, controller, backend, steps)
     tally = Tally(policy, rule)
     with ThreadPoolExecutor(threads) as pool:
         run = map if threads == 1 else pool.map
@@ -228,14 +240,18 @@ def agreement(
         low=low,
         high=high,
         exogenous=exogenous_text(policy.exogenous),
+        steps=steps,
         **tally.results(),
     )
 
 
-def _rule(policy: Policy, controller: Controller | None, backend: str) -> Rule:
+def _rule(policy: Policy, controller: Controller | None, backend: str, steps: int | None) -> Rule:
     """Return what a policy is compared with; sSAC where no controller is given."""
     count = len(policy.alphabet) + 1
     if controller is None:
+        if steps is not None and policy.settings is not None:
+            settings = dataclasses.replace(policy.settings, steps=steps)
+            policy = dataclasses.replace(policy, settings=settings)
         ssac = policy_controller(policy, backend)
         if ssac is None:
             raise ProblemError(

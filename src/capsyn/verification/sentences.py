@@ -44,7 +44,8 @@ def _constant(data: dict[str, Any]) -> str:
 def _agreement(data: dict[str, Any]) -> str:
     mean = ", mean over the symbols in force" if "in_force" in data else ""
     told = f", {data['exogenous']} drawn with them" if data.get("exogenous") else ""
-    return f"{data['share']:.3%} of {data['states']:,} states {_interval(data)}{told}{mean}"
+    steps = f", by {data['steps']:,} steps over the horizon" if data.get("steps") else ""
+    return f"{data['share']:.3%} of {data['states']:,} states {_interval(data)}{told}{mean}{steps}"
 
 
 def _optimum(data: dict[str, Any]) -> str:

@@ -25,7 +25,8 @@ const MOST_SAMPLES = 1e7;
  */
 export function makeLoop(data, lookup, model) {
   const widths = data.domain.lower.map((low, i) => data.domain.upper[i] - low);
-  const advance = makeAdvance(model, lookup.n), substeps = makeSubsteps(data, widths, advance);
+  const advance = makeAdvance(model, lookup.n);
+  const substeps = makeSubsteps(data, widths, advance, model.kinks);
   const system = { data, lookup, model, widths, advance, substeps };
   return { rate: data.rate, run: (x0, options) => run(system, x0, options), substeps };
 }

@@ -3,29 +3,56 @@ import { unpack } from "../policy/packed.js";
 /**
  * Return a function of the sample rate: {steps, resolved}, the Runge-Kutta steps per sample that
  * `choose_substeps` in `capsyn.simulation.plant` takes, and whether their error is as small as it
- * should be. `widths` (n) are those of the domain, `advance` is that of `makeAdvance`.
+ * should be. `widths` (n) are those of the domain, `advance` is that of `makeAdvance`, `kinks` that of
+ * the model.
  */
-export function makeSubsteps({ sampled, controls }, widths, advance) {
+export function makeSubsteps({ sampled, controls }, widths, advance, kinks) {
   const n = widths.length, starts = unpack(sampled.states), chosen = new Map();
 
-  /** Where the states, row by row, are after a period, in widths of the domain. */
-  function scaledEnds(period, steps) {
-    const states = starts.slice(), cost = new Float64Array(1);
-    for (let s = 0; s * n < states.length; s++) {
-      const x = states.subarray(s * n, (s + 1) * n);
-      advance(x, cost, controls[s % controls.length], period, steps);
-    }
-    return states.map((x, k) => x / widths[k % n]);
+  /** Call `visit` with a copy of each sampled state, its control, its number. */
+  function each(visit) {
+    const states = starts.slice();
+    for (let s = 0; s * n < states.length; s++)
+      visit(states.subarray(s * n, (s + 1) * n), controls[s % controls.length], s);
+  }
+
+  /** Where the states are after a period, in widths of the domain, and what it cost. */
+  function ends(period, steps) {
+    const states = [], costs = [];
+    each((x, u) => {
+      const cost = new Float64Array(1);
+      advance(x, cost, u, period, steps);
+      states.push(x.map((value, k) => value / widths[k]));
+      costs.push(cost[0]);
+    });
+    return { states, costs };
+  }
+
+  /** What the errors of the states count: less where the model has a kink on the way. */
+  function weights(period) {
+    const found = [], first = new Float64Array(sampled.sides), sides = first.slice();
+    each((x, u) => {
+      kinks(x, u, first);
+      let met = false;
+      for (let piece = 0; piece < sampled.pieces; piece++) {
+        advance(x, [0], u, period / sampled.pieces, 1);
+        kinks(x, u, sides);
+        met ||= sides.some((side, k) => side !== first[k]);
+      }
+      found.push(met ? sampled.kinked : 1);
+    });
+    return found;
   }
 
   function choose(period) {
-    const ends = new Map(), tolerance = sampled.accuracy * period;
+    const known = new Map(), tolerance = sampled.accuracy * period, weight = weights(period);
     const end = steps => {
-      if (!ends.has(steps)) ends.set(steps, scaledEnds(period, steps));
-      return ends.get(steps);
+      if (!known.has(steps)) known.set(steps, ends(period, steps));
+      return known.get(steps);
     };
+    const paid = period / sampled.cost_accuracy;
     const errorOf = steps =>
-      percentile(differences(end(steps), end(2 * steps), n), sampled.percentile);
+      percentile(differences(end(steps), end(2 * steps), paid, weight), sampled.percentile);
     const { steps, error } = fewestSteps(sampled, errorOf, tolerance);
     return { steps, resolved: error <= tolerance };
   }
@@ -36,28 +63,30 @@ export function makeSubsteps({ sampled, controls }, widths, advance) {
   };
 }
 
-/** The greatest differences of the states' components; infinite where only `fine` is finite. */
-function differences(coarse, fine, n) {
-  const errors = [];
-  for (let first = 0; first < fine.length; first += n) {
-    let error = 0, finite = true;
-    for (let k = first; k < first + n; k++) {
-      const off = Math.abs(fine[k] - coarse[k]);
-      error = Math.max(error, Number.isFinite(off) ? off : Infinity);
-      finite &&= Number.isFinite(fine[k]);
-    }
-    if (error < Infinity || finite) errors.push(error);
-  }
+/**
+ * The greatest differences of the states' components, or of the costs relative to their mean, times
+ * `paid`, all times a weight; infinite where only `fine` is finite.
+ */
+function differences(coarse, fine, paid, weight) {
+  const errors = [], known = fine.costs.filter(Number.isFinite);
+  const usual = known.reduce((sum, cost) => sum + Math.abs(cost), 0) / known.length;
+  fine.states.forEach((end, s) => {
+    const off = [...end].map((value, k) => Math.abs(value - coarse.states[s][k]));
+    if (usual > 0) off.push((Math.abs(fine.costs[s] - coarse.costs[s]) / usual) * paid);
+    const error = off.every(Number.isFinite) ? Math.max(...off) : Infinity;
+    if (error < Infinity || end.every(Number.isFinite)) errors.push(weight[s] * error);
+  });
   return errors;
 }
 
 /** See `fewest_steps` in `capsyn.programs.step_doubling`: {steps, error}. */
-function fewestSteps({ ladder, falling, stalls, unresolved }, errorOf, tolerance) {
+function fewestSteps({ ladder, falling, stalls, tried, unresolved }, errorOf, tolerance) {
   let best = { steps: ladder[0], error: Infinity }, stalled = 0;
   for (const steps of ladder) {
     const error = errorOf(steps);
     if (error <= tolerance) return { steps, error };
-    stalled = error < falling * best.error || error > unresolved ? 0 : stalled + 1;
+    const falls = error < falling * best.error || error > unresolved || steps < tried;
+    stalled = falls ? 0 : stalled + 1;
     if (error <= best.error || best.error > unresolved) best = { steps, error };
     if (stalled === stalls) break;
   }
