@@ -56,7 +56,9 @@ def _version(wanted: bool) -> None:
 def _root(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Print the version and exit."
+        ),
     ] = False,
 ) -> None:
     pass
@@ -91,18 +93,21 @@ app.command()(synth)
 def info(
     file: File,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Leave out how complex the policy is.")
+        bool,
+        typer.Option(
+            "--quick", help="Leave out the figures of the policy's complexity, which take time."
+        ),
     ] = False,
     proof: Annotated[
         str | None,
         typer.Option(
             metavar="POLICY",
-            help="Prove again what an exact or free tree guarantees of the policy in this file.",
+            help="Prove again what an exact or free tree guarantees about the policy in this file.",
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Say what a policy is, how complex, and what smells."""
+    """Describe a policy: what it is, how complex it is, and what looks wrong."""
     from capsyn.policies.policy import Policy
     from capsyn.policies.report import report
 
@@ -124,16 +129,26 @@ def info(
 def plot(
     file: File,
     output: Annotated[
-        str, typer.Option("--output", "-o", metavar="FILE", help="A .png, .pdf or .svg file.")
+        str,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="The picture: a .png, .pdf or .svg file."
+        ),
     ],
     plane: Annotated[
-        str | None, typer.Option(metavar="X,Y", help="Two states or exogenous inputs.")
+        str | None,
+        typer.Option(
+            metavar="X,Y",
+            help="The two states or exogenous inputs on the axes [default: the first two].",
+        ),
     ] = None,
     at: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Another's value; may be repeated."),
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Value of another state or input [default: the middle]. May be repeated.",
+        ),
     ] = None,
-    outlines: Annotated[bool, typer.Option(help="Outline the cells.")] = True,
+    outlines: Annotated[bool, typer.Option(help="Draw the outlines of the cells.")] = True,
     current: Current = None,
 ) -> None:
     """Draw the cells of a policy in the plane of two states."""

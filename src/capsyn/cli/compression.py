@@ -31,57 +31,67 @@ class CompressOptions(LoopTexts):
     """Options of ``capsyn compress``."""
 
     mode: str | None = option(
-        "exact, freedom or linear [default: exact; with --judge loop linear].", before="duration"
+        "What the tree may do: exact, freedom or linear [default: exact; with --judge loop: "
+        "linear].",
+        before="duration",
     )
     output: str | None = option(
-        "The tree [default: FILE-MODE.cap]; with --curve a .png, .pdf or .svg picture, with a .csv "
-        "beside it [default: FILE-curve.png].",
+        "The file of the tree [default: FILE-MODE.cap]. With --curve, a .png, .pdf or .svg "
+        "picture, and a .csv file beside the picture [default: FILE-curve.png].",
         "--output",
         "-o",
         metavar="FILE",
         before="duration",
     )
     agreement: float | None = option(
-        "Least agreement, for freedom and linear [default for linear: 0.99].", before="duration"
+        "Least agreement with the controller, for modes freedom and linear [default for "
+        "linear: 0.99].",
+        before="duration",
     )
     level: int | None = option(
-        "Merge cells below this level first; not for linear.", before="duration"
+        "Merge the cells below this level first. Not for mode linear.", before="duration"
     )
     node_price: float | None = option(
-        "For freedom: finest cells of disagreement that a node less is worth [default: 0.5].",
+        "For mode freedom: how many finest cells of disagreement are worth one node less "
+        "[default: 0.5].",
         before="duration",
     )
     features: str | None = option(
-        "Functions of x (and w) that splits may compare: a dict `features` in the file, by name.",
+        "Functions of x (and w) that splits may compare, by name: the dict `features` of "
+        "the file, or the dict NAME.",
         metavar="FILE.py[:NAME]",
         before="duration",
     )
     curve: bool = option(
-        "Size against agreement, by mode and level; with --judge loop against what loops do, too.",
+        "Draw the size of trees against their agreement, by mode and level. With --judge "
+        "loop, draw the size against the figures of loops, too.",
         "--curve",
         default=False,
         before="duration",
     )
     states: int = option(
-        "Random states that trees are judged at.", default=100_000, before="duration"
+        "Number of random states at which trees are judged.", default=100_000, before="duration"
     )
     judge: str = option(
-        "What chooses and judges a tree: volume (its agreement), or loop: cost and success of "
-        "closed loops, which the options below are for.",
+        "What chooses and judges a tree: volume (its agreement), or loop (cost and success "
+        "of its closed loops). The options below are for loop.",
         default="volume",
         before="duration",
     )
-    nodes: int | None = option("Most nodes.", before="duration")
+    nodes: int | None = option("Largest number of nodes of the tree.", before="duration")
     bytes: int | None = option(
-        "Most bytes [of the tree's arrays; with --target of its C].", before="duration"
+        "Largest number of bytes: of the tree's arrays, or with --target of its C code.",
+        before="duration",
     )
     target: str | None = option(
-        "Processor whose bytes of C --bytes counts: cortex-m0, cortex-m4, avr or host.",
+        "Processor for whose C code --bytes counts: cortex-m0, cortex-m4, avr or host.",
         metavar="PROCESSOR",
         before="duration",
     )
     trials: int | None = option(
-        "Closed loops that choose, and others that judge [default: 400].", before="duration"
+        "Number of closed loops that choose a tree, and of other loops that judge it "
+        "[default: 400].",
+        before="duration",
     )
     duration: float | None = option(
         "Time limit of a loop [time unit] [default: 10 horizons of the policy]."
@@ -92,12 +102,18 @@ class CompressOptions(LoopTexts):
         before="tolerance",
     )
     arrive: str | None = option(
-        "Where they are to arrive, as --target of verify [default: the policy's target].",
+        "Where the loops must arrive, written as --target of verify [default: the policy's "
+        "target].",
         metavar="SET",
         before="tolerance",
     )
-    within: float | None = option("Time to arrive in.", before="model")
-    hold: float | None = option("Time at the end to stay there [default: 0].", before="model")
+    within: float | None = option(
+        "Time within which a loop must arrive [time unit].", before="model"
+    )
+    hold: float | None = option(
+        "Time at the end for which a loop must stay in the target [time unit] [default: 0].",
+        before="model",
+    )
 
     def of_loops(self, policy: Policy) -> dict[str, Any]:
         """Return the arguments of `compress` that are for trees that loops judge; else none."""
@@ -220,7 +236,9 @@ def automaton(
     file: File,
     output: Annotated[
         str | None,
-        typer.Option("--output", "-o", metavar="FILE", help="A .dot, .svg, .png or .pdf file."),
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="The drawing: a .dot, .svg, .png or .pdf file."
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

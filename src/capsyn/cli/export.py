@@ -25,35 +25,43 @@ class ExportOptions:
         metavar="TARGET[,..]",
     )
     output: str = option(
-        "Where; made if need be.", "--output", "-o", default=dataclasses.MISSING, metavar="DIR"
+        "Folder for the files, which is made if need be.",
+        "--output",
+        "-o",
+        default=dataclasses.MISSING,
+        metavar="DIR",
     )
     safe: str | None = option(
-        "Symbol of states that have no other: its name, index, or default [default: the policy's "
-        "own safe symbol, else default].",
+        "Symbol for states that have no other symbol: its name, its index, or default "
+        "[default: the policy's own safe symbol, else default].",
         metavar="SYMBOL",
     )
     dwell: float | None = option(
         "Least time between switches [time unit of the policy] [default: the policy's]."
     )
     hold_off: float | None = option(
-        "Time after the start for which the safe symbol is in force [time unit] [0]."
+        "Time after the start for which the safe symbol is in force [time unit] [default: 0]."
     )
     outside_at_once: OutsideAtOnce = None
     scale: str | None = option(
-        "A state is reading * scale + offset, for all or each [1].", metavar="S[,S..]"
+        "A state is reading * scale + offset. One number for all states, or one for each "
+        "[default: 1].",
+        metavar="S[,S..]",
     )
-    offset: str | None = option("See --scale [0].", metavar="O[,O..]")
+    offset: str | None = option(
+        "Offset of the readings, see --scale [default: 0].", metavar="O[,O..]"
+    )
     style: str | None = option(
         "c: table (smallest), nested, grid (fastest), cells; structured-text: nested, table, cells "
         "[default: cells for affine leaves, else the first]."
     )
-    arithmetic: str | None = option("c: lattice, double, float.")
+    arithmetic: str | None = option("c: how states are compared: lattice, double or float.")
     cycles: bool = option(
-        "c: measure how long a decision takes at most, where emulators are installed.",
+        "c: measure the longest time of a decision on the emulators that are installed.",
         "--cycles",
         default=False,
     )
-    name: str | None = option("What files and functions are called [default: the policy's name].")
+    name: str | None = option("Name of the files and functions [default: the policy's name].")
     option: list[str] | None = option(
         "Another option of the target, such as sources_only=yes of fmu; may be repeated.",
         metavar="NAME=VALUE",

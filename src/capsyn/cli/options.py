@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from capsyn.modelling.problem import Problem
     from capsyn.modelling.switching import Switching
 
-Json = Annotated[bool, typer.Option("--json", help="Print figures as JSON.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 File = Annotated[str, typer.Argument(metavar="FILE", help="A policy file.")]
 MinDwell = Annotated[
     float | None,
@@ -30,30 +30,36 @@ MinDwell = Annotated[
 Outside = Annotated[
     str | None,
     typer.Option(
-        help="error, nearest, or a symbol's name or index [default: the problem's or policy's]."
+        help="What a state outside the domain gets: error, nearest, or a symbol's name or index "
+        "[default: the problem's or policy's]."
     ),
 ]
 Current = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="The symbol in force [default: none yet, the default]."),
+    typer.Option(
+        metavar="NAME",
+        help="The symbol in force [default: the default control, as before the first decision].",
+    ),
 ]
 OutsideAtOnce = Annotated[
     bool | None,
     typer.Option(
-        help="Whether the symbol of a state outside does not wait for that time [default: as the "
-        "problem or policy says]."
+        help="Whether the symbol of a state outside the domain is taken at once, without waiting "
+        "for a least time [default: as the problem or policy says]."
     ),
 ]
 INITIAL = "NAME=LOW:HIGH or NAME=VALUE[,..] [default: the domain]."
 """Help of the option that says where loops start."""
-Seed = Annotated[int, typer.Option(help="Of everything that is random.")]
-Backend = Annotated[str, typer.Option(help="auto, c or numpy.")]
-Threads = Annotated[int | None, typer.Option(help="Default: one per processor.")]
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers.")]
+Backend = Annotated[str, typer.Option(help="How to compute: auto, c (compiled) or numpy.")]
+Threads = Annotated[
+    int | None, typer.Option(help="Number of threads [default: one per processor].")
+]
 Dask = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Work on the workers of a Dask scheduler, or on local:N worker processes.",
+        help="Let the workers of a Dask scheduler do the work, or local:N worker processes.",
     ),
 ]
 
@@ -124,18 +130,19 @@ class SwitchingOptions:
     """A `capsyn.Switching` as texts, and the delay that is compensated."""
 
     switch_price: str | None = option(
-        "Price of a switch: a number [cost / time unit], a share as 1%, or INPUT=P,.. for each "
-        "unit of its change; none: forget the symbol in force [default: the problem's].",
+        "Price of a switch: a number [cost / time unit], a share such as 1%, or INPUT=P,.. "
+        "for each unit by which an input changes. none makes a policy that forgets the "
+        "symbol in force [default: the problem's].",
         metavar="P|INPUT=P[,..]|none",
     )
     hold: list[str] | None = option(
-        "Least time of all symbols, or of some symbols or inputs, beside the problem's own [time "
-        "unit]; none: no least times. May be repeated.",
+        "Least time of all symbols, or of some symbols or inputs, beside the problem's own "
+        "times [time unit]. none takes all least times away. May be repeated.",
         metavar="T|NAME=T[,..]|none",
     )
     forbid: list[str] | None = option(
-        "Symbols between which there must be no switch, beside the problem's own; none: allow all. "
-        "May be repeated.",
+        "Pairs of symbols between which a switch is forbidden, beside the problem's own "
+        "pairs. none allows all switches. May be repeated.",
         metavar="FROM:TO[,..]|none",
     )
     delay: float | None = option("Known input delay, which the policy compensates [time unit].")

@@ -15,7 +15,7 @@ def bench(
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
-    """Make the paper's six policies: solves beside the paper's, and time."""
+    """Make the paper's six policies, and show their solves and times beside the paper's."""
     from capsyn.paper.cases import count_solves
 
     rows = count_solves(backend=backend, threads=threads)
@@ -24,12 +24,14 @@ def bench(
 
 def reproduce(
     output: Annotated[
-        str, typer.Option("--output", "-o", metavar="DIR", help="A directory for the results.")
+        str, typer.Option("--output", "-o", metavar="DIR", help="Folder for the results.")
     ],
-    trials: Annotated[int, typer.Option(help="Monte Carlo trials of each policy.")] = 1000,
+    trials: Annotated[
+        int, typer.Option(help="Number of Monte Carlo trials of each policy.")
+    ] = 1000,
     threads: Threads = None,
 ) -> None:
-    """Make the paper's figures and numbers, and ours."""
+    """Make the paper's figures and numbers, and capsyn's own."""
     from capsyn.paper.reproduction import reproduce as run
 
     with working("starting") as tell:

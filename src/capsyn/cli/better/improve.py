@@ -31,12 +31,17 @@ class ImproveOptions:
     """Options of ``capsyn improve``."""
 
     output: str | None = option(
-        "The policy [default: FILE-improved.cap].", "--output", "-o", metavar="FILE"
+        "The file of the better policy [default: FILE-improved.cap].",
+        "--output",
+        "-o",
+        metavar="FILE",
     )
-    rounds: int = option("Most rounds; they end where the cost no longer falls.", default=1)
+    rounds: int = option(
+        "Largest number of rounds. Rounds end when the cost no longer falls.", default=1
+    )
     horizons: str | None = option(
-        "Horizons of the rollouts to try [time unit] [default: 0.4 to 2 of the policy's; beyond "
-        "four states, of the policies with tails, 0.25 and 0.5].",
+        "Horizons of the rollouts to try [time unit] [default: 0.4 to 2 times the policy's. "
+        "Beyond four states, horizons of the policies with tails: 0.25 and 0.5 times].",
         metavar="T[,T..]",
     )
     rate: float | None = option("Samples per time unit [default: 1 over the policy's sample time].")
@@ -44,16 +49,16 @@ class ImproveOptions:
         "Time of the closed loops that judge [time unit] [default: 10 horizons of the policy]."
     )
     initial: str | None = option(f"Where they start: {INITIAL}", metavar="SET")
-    starts: int = option("Starts that judge a round.", default=400)
-    confidence: float = option("Of the intervals that judge it.", default=0.95)
+    starts: int = option("Number of starts that judge a round.", default=400)
+    confidence: float = option("Confidence of the intervals that judge a round.", default=0.95)
     scale: float | None = option(
-        "What effort and prices count in closed loop [default: as much as for the controller]."
+        "Factor of effort and prices in closed loop [default: as much as for the controller]."
     )
     max_level: int | None = option(
-        "Most times that a cell is split along an axis [default: the policy's]."
+        "How often a cell may be split along an axis [default: the policy's]."
     )
     max_solves: int | None = option(
-        "Most solves of a policy [default: 4 times the policy's; with tails, as many]."
+        "Most solves of a policy [default: 4 times the policy's, or as many with tails]."
     )
     seed: Seed = 0
     backend: Backend = "auto"
@@ -62,9 +67,9 @@ class ImproveOptions:
 
 @flat
 def improve(file: File, *, options: ImproveOptions, as_json: Json = False) -> None:
-    """Make a better policy, judged in closed loop; the same one where none is.
+    """Make a better policy, judged in closed loop, or keep the policy if none is better.
 
-    By rollouts up to four states, by fitted tails beyond.
+    Policies of up to four states are improved by rollouts, and others by fitted tails.
     """
     from capsyn.execution.files import check_writable
     from capsyn.improvement.improve import improve

@@ -41,36 +41,39 @@ class TuneOptions(LoopTexts):
     """Options of ``capsyn tune``."""
 
     output: str | None = option(
-        "The settings [default: NAME-tuned.json].",
+        "The file of the settings [default: NAME-tuned.json].",
         "--output",
         "-o",
         metavar="FILE",
         before="duration",
     )
     free: list[str] | None = option(
-        "What is free beside arguments of the function: of any problem horizon, control_weight, "
-        "gamma, rule, price (a range of numbers or shares) and tail, its effort. May be repeated.",
+        "A free setting beside the free arguments of the function. For any problem: "
+        "horizon, control_weight, gamma, rule, price (a range of numbers or shares) and "
+        "tail (a range of its effort). May be repeated.",
         metavar="NAME=LOW:HIGH|NAME=A,B[,..]",
         before="duration",
     )
-    success: float | None = option("Least share of successes.", before="duration")
+    success: float | None = option("Least share of loops that must succeed.", before="duration")
     least: str | None = option(
-        "What is least then: cost, effort, switches, nodes, or knee, of switches against cost "
-        "[default with --success: cost].",
+        "The figure to make least: cost, effort, switches, nodes, or knee (few switches at "
+        "little more than the least cost) [default with --success: cost].",
         before="duration",
     )
-    trials: int = option("Settings to try.", default=60, before="duration")
-    starts: int = option("Closed loops of a trial.", default=200, before="duration")
-    fresh: int = option("Those that judge the best.", default=1000, before="duration")
+    trials: int = option("Number of settings to try.", default=60, before="duration")
+    starts: int = option("Number of closed loops of a trial.", default=200, before="duration")
+    fresh: int = option(
+        "Number of closed loops that judge the best settings.", default=1000, before="duration"
+    )
     storage: str | None = option(
-        "Keep the trials: a SQLite file, a .journal, or the URL of a database. What was killed "
-        "goes on from there; several processes may work on it at once.",
+        "Where the trials are kept: a SQLite file, a .journal, or the URL of a database. A "
+        "search that was killed goes on from there. Several processes may share the search.",
         metavar="FILE|URL",
         before="duration",
     )
     cost: str | None = option(
-        "What loops cost, a function of x (and w) [default: the problem's cost, with all that is "
-        "free in the middle of its range].",
+        "Cost of loops, a function of x (and w) [default: the problem's cost, with all free "
+        "settings in the middle of their ranges].",
         metavar="FILE.py:NAME",
         before="duration",
     )
@@ -79,16 +82,24 @@ class TuneOptions(LoopTexts):
         metavar="FILE.py:NAME",
         before="duration",
     )
-    quick: bool = option("A quick stage decides what is judged in full.", default=True,
-                         before="duration")  # fmt: skip
+    quick: bool = option(
+        "Whether a quick stage decides which settings are judged in full.",
+        default=True,
+        before="duration",
+    )
     max_solves: int | None = option("Most solves of a policy, as in synth.", before="duration")
     initial: str | None = option(
         f"Where loops start: {INITIAL}",
         metavar="SET",
         before="target",
     )
-    within: float | None = option("Time to arrive in.", before="model")
-    hold: float | None = option("Time at the end to stay there [default: 0].", before="model")
+    within: float | None = option(
+        "Time within which a loop must arrive [time unit].", before="model"
+    )
+    hold: float | None = option(
+        "Time at the end for which a loop must stay in the target [time unit] [default: 0].",
+        before="model",
+    )
 
 
 @flat
@@ -97,7 +108,8 @@ def tune(
         str,
         typer.Argument(
             metavar="PROBLEM",
-            help="As for synth; in a file also a function with arguments that are capsyn.Free.",
+            help="The problem, written as for synth. A file may also have a function with "
+            "arguments that are capsyn.Free.",
         ),
     ],
     *,
@@ -106,7 +118,7 @@ def tune(
 ) -> None:
     """Find the free settings of a problem that meet a goal in closed loop.
 
-    The exit status is 1 when none do.
+    The exit status is 1 if no settings meet the goal.
     """
     from capsyn.cli.problem_finder import find_function, find_tunable
     from capsyn.execution.files import check_writable

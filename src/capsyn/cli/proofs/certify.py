@@ -45,8 +45,8 @@ class CertifyOptions:
     target: str | None = as_in(LoopTexts, "target")
     tolerance: float | None = as_in(LoopTexts, "tolerance")
     avoid: str | None = option(
-        "What it must never be in: NAME=LOW:HIGH[,..], or FILE.py:NAME of a function of x (and w) "
-        "that says whether it is.",
+        "States that the loop must never reach: NAME=LOW:HIGH[,..], or FILE.py:NAME of a "
+        "function of x (and w) that is true there.",
         metavar="SET",
     )
     rate: float | None = as_in(LoopTexts, "rate")
@@ -54,25 +54,29 @@ class CertifyOptions:
     parameter: list[str] | None = as_in(LoopTexts, "parameter")
     exogenous: list[str] | None = as_in(LoopTexts, "exogenous")
     noise: str | None = option(
-        "Bound of the error of the measured states, of all or of each, at every sample: no "
-        "standard deviation, as of simulate and verify.",
+        "Bound on the error of the measured states at every sample, one for all states or "
+        "one for each. It is no standard deviation, unlike --noise of simulate and verify.",
         metavar="E[,E..]",
     )
     delay: str | None = as_in(LoopTexts, "delay")
     min_dwell: MinDwell = None
     counts: str | None = option(
-        "Cells of the proof along each axis [default: by the policy].", metavar="C[,C..]"
+        "Cells of the proof along each axis [default: chosen for the policy].", metavar="C[,C..]"
     )
-    seconds: float | None = option("Stop after so long [s]; what is proved by then stands.")
+    seconds: float | None = option("Stop after this time [s]. What is proved by then stays proved.")
     output: str | None = option(
         "Picture of what is proved: a .png, .svg or .pdf file.", "--output", "-o", metavar="FILE"
     )
     certificate: str | None = option(
-        "File of the proof, which capsyn check goes through.", metavar="FILE"
+        "File of the proof, which capsyn check checks.", metavar="FILE"
     )
-    require_arrival: float | None = option("Least share that is proved to arrive.", metavar="SHARE")
-    require_staying: float | None = option("Least share that is proved to stay.", metavar="SHARE")
-    save: bool = option("Keep the evidence in the file.", "--save", default=False)
+    require_arrival: float | None = option(
+        "Least share of the starts that must be proved to arrive.", metavar="SHARE"
+    )
+    require_staying: float | None = option(
+        "Least share of the starts that must be proved to stay.", metavar="SHARE"
+    )
+    save: bool = option("Keep the certificate in the policy's file.", "--save", default=False)
     seed: Seed = 0
     threads: Threads = None
 
@@ -81,8 +85,8 @@ class CertifyOptions:
 def certify(file: File, options: CertifyOptions, as_json: Json = False) -> None:
     """Prove what the sampled loop of a policy does from a set of starts.
 
-    It arrives, stays for ever, avoids. Ctrl-C ends the search and keeps what is proved. The exit
-    status is 1 when a stated requirement is not met.
+    The proof says that the loop arrives, stays for ever, or avoids a set. Ctrl-C ends the search
+    and keeps what is proved. The exit status is 1 if a stated requirement is not met.
     """
     from capsyn.certification.certify import certify
     from capsyn.plots.certificate import save_certificate_plot
@@ -197,14 +201,19 @@ def _missed(certificate: Certificate, options: CertifyOptions) -> list[str]:
 
 def check(
     certificate: Annotated[
-        str, typer.Argument(metavar="CERTIFICATE", help="A file of capsyn certify --certificate.")
+        str,
+        typer.Argument(
+            metavar="CERTIFICATE", help="A file that capsyn certify --certificate wrote."
+        ),
     ],
-    policy: Annotated[str, typer.Argument(metavar="POLICY", help="The policy that it is about.")],
+    policy: Annotated[
+        str, typer.Argument(metavar="POLICY", help="The policy file that the proof is about.")
+    ],
     as_json: Json = False,
 ) -> None:
-    """Go through a proof cell by cell, with arithmetic of its own.
+    """Check a proof cell by cell, with arithmetic of its own.
 
-    The exit status is 1 where it is refused.
+    The exit status is 1 if the proof is refused.
     """
     from capsyn.certification.check import check
     from capsyn.policies.policy import Policy
