@@ -1,7 +1,9 @@
 """Draw the pictures at the heads of guides: real policies, and how parts connect."""
 
+import re
 import runpy
 import sys
+import tempfile
 from pathlib import Path
 
 import casadi as ca
@@ -13,6 +15,7 @@ from capsyn import Box, compress, problems, simulate, subdivide, synthesize
 from capsyn.controllers.ssac import policy_controller
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.colors import PALETTE
+from capsyn.sources.grid_files import read_table
 from capsyn.sources.table import Table
 
 HERE = Path(__file__).parent
@@ -310,7 +313,49 @@ def interface():
     return figure
 
 
-DRAWN = (interface, boat, table, trees, exports, loop, entries, stairs, cluster, insertion, sizes)
+def strategy():
+    """Draw the learned strategy of the page on tables: a plane for each state of the window."""
+    page = (HERE.parent / "tables.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"^```python\n(# heater.py\n.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "heater.json")
+        exec(compile(code.replace('"heater.json"', repr(str(path))), "heater.py", "exec"), {})
+        heater = read_table(path, domain={"room": (10, 25), "outdoor": (-15, 20)})
+    policy = heater.policy("heater")
+    figure = Figure(figsize=(8.5, 3.2), layout="constrained")
+    for k, ax in enumerate(figure.subplots(1, 2, sharey=True)):
+        room, outdoor = np.meshgrid(np.linspace(10, 25, 400), np.linspace(-15, 20, 400))
+        states = np.column_stack([np.full(room.size, k), room.ravel(), outdoor.ravel()])
+        image = LABELS[policy(states).reshape(room.shape) + 1]
+        colors = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in image.ravel()])
+        ax.imshow(
+            colors.reshape(*room.shape, 3).astype(np.uint8),
+            origin="lower",
+            extent=(10, 25, -15, 20),
+            aspect="auto",
+        )
+        ax.set_xlabel("room [°C]")
+        ax.set_title(f"window {'open' if k else 'closed'}", fontsize=10)
+    figure.axes[0].set_ylabel("outdoor [°C]")
+    patches = [Rectangle((0, 0), 1, 1, facecolor=LABELS[k + 1]) for k in range(2)]
+    figure.legend(patches, ["off", "on"], loc="outside right center", frameon=False)
+    return figure
+
+
+DRAWN = (
+    interface,
+    boat,
+    table,
+    strategy,
+    trees,
+    exports,
+    loop,
+    entries,
+    stairs,
+    cluster,
+    insertion,
+    sizes,
+)
 
 
 def draw(names=()):

@@ -183,11 +183,16 @@ def _format(path: str) -> str:
         text = ""
     if text.startswith("#SCOTS") or ending == ".scs":
         return "scots"
+    if "\nState: (" in text:
+        raise ProblemError(
+            f"'{path}' is a strategy of UPPAAL as text; learn it with Stratego, and save it as "
+            "JSON with saveStrategy"
+        )
     if text.startswith("{"):
         return "stratego"
     if text.startswith("["):
         return "storm"
-    lines = [line.strip() for line in text.splitlines()]
+    lines = [" ".join(line.split()) for line in text.splitlines()]
     first = next((line for line in lines if line and not line.startswith("#")), "")
     comma = "," in first and not first.startswith("(") and not re.match(r"\d+,\d+\s*[:=]", first)
     if ending != ".csv" and (

@@ -12,11 +12,14 @@ from typing import Any, NoReturn
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.validation import describe
 
 MOST_BYTES = 1 << 30
 """Largest file that is read."""
+SMALL = 1 << 20
+"""Bytes of a file that may be read whatever the memory."""
 MARKS = {
     codecs.BOM_UTF8: "utf-8",
     codecs.BOM_UTF32_LE: "utf-32-le",  # before UTF-16, whose mark it begins with
@@ -55,6 +58,15 @@ def read_bytes(path: str) -> bytes:
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
         reason = getattr(error, "strerror", None) or error
         raise ProblemError(f"cannot read '{path}': {reason}") from None
+
+
+def check_room(path: str, size: int, factor: int) -> None:
+    """Raise `ProblemError` where `factor` bytes of memory for each of `size` are too much.
+
+    For a small file nobody asks how much there is.
+    """
+    if size > SMALL:
+        check_memory(factor * size, f"the table in '{path}'")
 
 
 def decoded(path: str, data: bytes) -> str:

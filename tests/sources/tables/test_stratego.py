@@ -173,11 +173,11 @@ def with_regressor(tree, key="(1)"):
         ({}, "expected 'state->regressor' for 'type'; got None"),
         (stratego() | {"type": "state->zone"}, "expected 'state->regressor' for 'type'"),
         (stratego() | {"representation": "list"}, "expected 'map' for 'representation'"),
-        (stratego() | {"statevars": [3]}, "expected a list of texts for 'statevars'; got [3]"),
+        (stratego() | {"statevars": [3]}, "a list of texts for 'statevars'; got a list of 1"),
         (stratego() | {"pointvars": [str(k) for k in range(15)]}, "expected 1 to 16 variables"),
         (stratego() | {"actions": {"0": 1}}, "expected an object of texts for 'actions'"),
         (stratego() | {"actions": {}}, "expected an action of 'actions'; got "),
-        (stratego() | {"regressors": {}}, "expected an object for 'regressors'; got {}"),
+        (stratego() | {"regressors": {}}, "expected an object for 'regressors'"),
         (stratego() | {"regressors": {"(0,1)": 1}}, "regressor '(0,1)': expected an object with"),
         (with_regressor(1.0, "(2)"), "expected (1), where there are no discrete variables"),
         (with_regressor("low"), "a number, or an object with var, bound, low and high"),
@@ -213,9 +213,34 @@ def test_the_command_imports_a_strategy(file, tmp_path):
         (["--domain", "Ball[0].p=2"], "--domain must be NAME=LOW:HIGH; got 'Ball[0].p=2'"),
         (
             ["--domain", "Ball[0].p=2:2"],
-            "must have a lower bound below the upper one for 'Ball[0].p'",
+            "must have a lower bound below the upper for 'Ball[0].p'",
         ),
         (["--inputs", "u"], "`inputs` (--inputs) is for files of format csv only"),
         (["--format", "storm"], "must be a list of states, as Storm writes it"),
     ):
         assert words in error_of("import", path, "-o", made, *options)
+
+
+def test_actions_may_have_one_text_and_names_that_are_taken(file):
+    plain = stratego(((1,), (2,)), depth=0)
+    plain["actions"] = {"0": "default", "1": "a { tau }", "2": "a  { tau }", "3": "b"}
+    for k, entry in enumerate(plain["regressors"].values()):
+        entry["regressor"] = {str(k): 1.0, str(k + 1): 1.0, "3": 2.0}
+    strategy = read_stratego(file(plain))
+    assert strategy.alphabet.names == ("default_", "a { tau } #1", "a { tau } #2", "b")
+    assert strategy([[1, 0.0, 0.0], [2, 0.0, 0.0], [3, 0.0, 0.0]]).tolist() == [0, 1, -1]
+
+
+def test_bounds_may_be_near_each_other(file):
+    """Where floating point is not as fine as the lattice, it has fewer steps."""
+    bounds = 1e9 + 1e-6 * np.arange(40)
+    tree = 39.0
+    for k in range(39):
+        tree = {"var": 0, "bound": bounds[38 - k], "low": float(38 - k), "high": tree}
+    plain = with_regressor(tree)
+    plain["regressors"]["(1)"]["regressor"]["1"] = 19.5
+    strategy = read_stratego(file(plain))
+    tree = strategy.policy()
+    states = np.column_stack([bounds, np.zeros(40)])
+    assert texts(tree, tree(states)) == expected(plain, states, 0)
+    assert tree.cells.counts[0] < 1 << 30

@@ -17,6 +17,8 @@ COUNTED = re.compile(r"(.*?)[\s_]*[\[(]?(\d+)[\])]?")
 """A name that ends in a number, as those of several inputs do."""
 UNIT = re.compile(r"(.*?)(?:\s*\[([^\]]*)\]|\s+\(([^)]*)\))")
 """A name with a unit in brackets."""
+MOST_CHARACTERS = 200
+"""Most characters of a name that is looked into."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def columns_of(lines: Lines, inputs: Sequence[str] | None = None) -> Columns:
 
 def _unit(head: str) -> tuple[str, str]:
     """Return name and unit of a column."""
-    match = UNIT.fullmatch(head)
+    match = UNIT.fullmatch(head) if len(head) <= MOST_CHARACTERS else None
     unit = (match[2] if match[2] is not None else match[3]) if match else ""
     if match is None or not match[1] or unit.isdecimal():  # x[0] is a name
         return head, ""
@@ -111,17 +113,22 @@ def _named(
     return found
 
 
+def _counted(name: str) -> re.Match[str] | None:
+    """Return the parts of a name that ends in a number."""
+    return COUNTED.fullmatch(name) if len(name) <= MOST_CHARACTERS else None
+
+
 def _last(names: dict[int, str]) -> list[int]:
     """Return the places of the columns that are inputs by their names; the last of them is."""
     places = list(names)
     said = [k for k in places if names[k].lower().startswith("input")]
     if said and places[-1] in said and len(said) < len(places):
         return said
-    last = COUNTED.fullmatch(names[places[-1]])
+    last = _counted(names[places[-1]])
     found = [places[-1]]
     if last is not None:
         for k in reversed(places[:-1]):
-            match = COUNTED.fullmatch(names[k])
+            match = _counted(names[k])
             if match is None or match[1] != last[1]:
                 break
             found.insert(0, k)

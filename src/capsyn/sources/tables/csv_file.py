@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import LARGEST
 from capsyn.sources.table import MOST_POINTS, Table, check_points
@@ -28,13 +27,23 @@ from capsyn.sources.tables.lines import Lines, lines_of
 from capsyn.sources.tables.numbers import numbers
 from capsyn.sources.tables.points import MISSING, Points
 from capsyn.sources.tables.symbols import Coder, one_input, several_inputs
-from capsyn.sources.text import check_alphabet, decoded, fail, naming, path_text, read_bytes
+from capsyn.sources.text import (
+    check_alphabet,
+    check_room,
+    decoded,
+    fail,
+    naming,
+    path_text,
+    read_bytes,
+)
 from capsyn.validation import describe, one_of
 
 PERMISSIVE = re.compile(r"\s*#(NON-)?PERMISSIVE\b", re.IGNORECASE)
 """How dtControl's files begin."""
-BEGIN = re.compile(r"^\s*#BEGIN\s+(\d{1,9})\s+(\d{1,9})\s*$", re.IGNORECASE | re.MULTILINE)
+BEGIN = re.compile(r"^#BEGIN +(\d{1,9}) +(\d{1,9})\b", re.IGNORECASE | re.MULTILINE)
 """Numbers of states and inputs in dtControl's files."""
+HEAD = 1 << 16
+"""Characters in which these must be."""
 MEMORY = 24
 """Bytes that reading takes for each of the file, at most."""
 
@@ -85,7 +94,7 @@ def read_csv(
     ):
         raise ProblemError(f"`inputs` must be names of columns; got {describe(inputs)}")
     data = read_bytes(path)
-    check_memory(MEMORY * len(data), f"the table in '{path}'")
+    check_room(path, len(data), MEMORY)
     text = decoded(path, data)
     lines = lines_of(path, text)
     if PERMISSIVE.match(text):
@@ -100,7 +109,7 @@ def read_csv(
 
 def _of_dtcontrol(path: str, text: str, lines: Lines) -> Columns:
     """Return the columns that the head of dtControl's file tells."""
-    begin = BEGIN.search(text)
+    begin = BEGIN.search(text, 0, HEAD)
     if begin is None:
         fail(path, 2, "#BEGIN, the number of states, and that of inputs", None)
     n, m = int(begin[1]), int(begin[2])

@@ -7,8 +7,7 @@ import math
 from typing import Any, NoReturn
 
 from capsyn.errors import ProblemError
-from capsyn.execution.memory import check_memory
-from capsyn.sources.text import decoded, read_bytes
+from capsyn.sources.text import check_room, decoded, read_bytes
 from capsyn.validation import describe, one_line
 
 MEMORY = 32
@@ -31,7 +30,7 @@ def read_json(path: str) -> Any:
         finite.
     """
     data = read_bytes(path)
-    check_memory(MEMORY * len(data), f"the table in '{path}'")
+    check_room(path, len(data), MEMORY)
     text = decoded(path, data)
     try:
         return json.loads(
@@ -71,6 +70,13 @@ def _int(text: str) -> int:
 
 def _constant(text: str) -> NoReturn:
     raise _Refused(f"numbers must be finite; got {text}")
+
+
+def told(value: Any) -> str:
+    """Return a short text of a value, however deep it is."""
+    if isinstance(value, dict):
+        return f"an object with {len(value)} keys"
+    return f"a list of {len(value)}" if isinstance(value, list) else describe(value)
 
 
 def is_real(value: Any) -> bool:

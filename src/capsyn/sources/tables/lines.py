@@ -25,7 +25,7 @@ SAMPLE = 20
 """Lines that the separator is chosen by."""
 CHUNK = 1 << 16
 """Rows that are read at a time."""
-WORD = re.compile(r'"[^"]*"|[^\s"]+(?:\s+[\[(][^\])]*[\])])?')
+WORD = re.compile(r'"[^"]*"|[^\s"]+(?:\s+[\[(][^\])]{0,40}[\])])?')
 """A name between blanks, with a unit in brackets."""
 
 

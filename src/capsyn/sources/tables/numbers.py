@@ -9,6 +9,8 @@ import numpy as np
 
 NONE = {"", "nan", "na", "n/a", "#n/a", "<na>", "null", "none"}
 """Texts that say that there is nothing, in lower case."""
+MOST_CHARACTERS = 400
+"""Most characters of a number."""
 PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -20,6 +22,8 @@ def is_none(text: str) -> bool:
 def number(text: str) -> float:
     """Return the number that a text is, with a decimal point or comma; NaN where it is none."""
     text = text.strip()
+    if len(text) > MOST_CHARACTERS:
+        return np.nan
     if text.count(",") == 1 and "." not in text:
         text = text.replace(",", ".")
     return float(text) if PLAIN.fullmatch(text) else np.nan

@@ -17,13 +17,20 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
-from capsyn.execution.memory import check_memory
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.sources.table import MOST_POINTS, Table, check_points
 from capsyn.sources.tables.numbers import number
 from capsyn.sources.tables.points import Points
 from capsyn.sources.tables.symbols import Coder, named
-from capsyn.sources.text import check_alphabet, decoded, fail, naming, path_text, read_bytes
+from capsyn.sources.text import (
+    check_alphabet,
+    check_room,
+    decoded,
+    fail,
+    naming,
+    path_text,
+    read_bytes,
+)
 
 CHOICE = re.compile(r"(\d{1,15}|\([^()]*\))\s*(?:,\s*(\d{1,15}))?\s*[:=]\s*(.*)", re.ASCII)
 """A state, a memory state, and an action."""
@@ -107,10 +114,10 @@ def read_prism(
 def _rows(path: str) -> Iterator[tuple[int, str]]:
     """Yield the lines of a file that are not blank and no comments, and their numbers."""
     data = read_bytes(path)
-    check_memory(MEMORY * len(data), f"'{path}'")
+    check_room(path, len(data), MEMORY)
     text = decoded(path, data).replace("\r\n", "\n").replace("\r", "\n")
     for k, line in enumerate(text.split("\n")):
-        line = line.strip()
+        line = " ".join(line.split())
         if line and not line.startswith("#"):
             if k >= 4 * MOST_POINTS:
                 raise ProblemError(f"'{path}' must have at most {4 * MOST_POINTS:,} lines")

@@ -14,8 +14,7 @@ import numpy as np
 
 from capsyn.cells.split_tree import LEAF, SplitTree, depth_first
 from capsyn.errors import ProblemError
-from capsyn.sources.tables.json_text import is_real
-from capsyn.validation import describe
+from capsyn.sources.tables.json_text import is_real, told
 
 MOST_NODES = 1 << 21
 """Most nodes of all trees of a file, and of the tree that is made of them."""
@@ -70,7 +69,7 @@ class Refuse:
 
     def __call__(self, wanted: str, got: Any) -> NoReturn:
         """Raise it: what is expected, and what there is instead."""
-        raise ProblemError(f"{self.where}: expected {wanted}; got {describe(got)}")
+        raise ProblemError(f"{self.where}: expected {wanted}; got {told(got)}")
 
 
 def regressor_of(tree: Any, axes: int, sign: float, refuse: Refuse, room: int) -> Regressor:

@@ -17,11 +17,10 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.sources.table import MOST_POINTS, Table, check_points
-from capsyn.sources.tables.json_text import is_real, read_json
+from capsyn.sources.tables.json_text import is_real, read_json, told
 from capsyn.sources.tables.points import Points
 from capsyn.sources.tables.symbols import Coder, named
 from capsyn.sources.text import check_alphabet, naming, path_text
-from capsyn.validation import describe
 
 NO_CHOICE = "loop"
 """The symbol of a choice that comes from no command: Storm adds it where a state has none."""
@@ -119,7 +118,10 @@ def _choice(path: str, k: int, choices: Any, unnamed: dict[str, str]) -> str:
         return _text(path, k, ",".join(labels))
     if not origin:
         return NO_CHOICE
-    text = json.dumps(origin, sort_keys=True)
+    try:
+        text = json.dumps(origin, sort_keys=True)
+    except RecursionError:
+        _fail(path, k, "an origin that is not nested so deeply", origin)
     return unnamed.setdefault(text, f"command {len(unnamed) + 1}")
 
 
@@ -132,5 +134,5 @@ def _text(path: str, k: int, text: str) -> str:
 
 def _fail(path: str, k: int, wanted: str, got: Any) -> NoReturn:
     """Raise the error of an entry that is not what was expected."""
-    told = got if isinstance(got, str) and " " in got else describe(got)
-    raise ProblemError(f"'{path}', state {k + 1} of the list: expected {wanted}; got {told}")
+    instead = got if isinstance(got, str) and " " in got else told(got)
+    raise ProblemError(f"'{path}', state {k + 1} of the list: expected {wanted}; got {instead}")

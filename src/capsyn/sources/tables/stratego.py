@@ -135,7 +135,8 @@ class Strategy:
         outside = check_outside(outside, self.alphabet)
         around = int(outside == "nearest")
         domain, n = self.box(around), self.discrete
-        counts = tuple(int(width) for width in domain.widths[:n]) + (STEPS,) * len(self.bounds)
+        counts = tuple(int(width) for width in domain.widths[:n])
+        counts += tuple(_steps(low, high) for low, high in self.bounds)
         domain.check_resolution(counts)
         keyed = {}
         for key, trees in self.regressors.items():
@@ -194,6 +195,14 @@ class Strategy:
         return cuts.tolist()
 
 
+def _steps(low: float, high: float) -> int:
+    """Return `STEPS`, or as many fewer as floating point can tell apart between bounds."""
+    count, finest = STEPS, max(32 * np.spacing(max(abs(low), abs(high))), 1e-299)
+    while count > 2 and (high - low) / count < finest:
+        count //= 2
+    return count
+
+
 def read_stratego(
     path: str | os.PathLike[str],
     alphabet: Alphabet | None = None,
@@ -243,6 +252,7 @@ def read_stratego(
     if not used:
         refuse("an action with a number at some state", "none")
     texts = [" ".join(actions[action].split()) for action in used]
+    texts = [f"{t} #{a}" if texts.count(t) > 1 else t for t, a in zip(texts, used)]
     known, alphabet = of_names(path, texts, alphabet)
     if len(alphabet) > MOST_SYMBOLS:
         refuse(f"at most {MOST_SYMBOLS} actions", len(alphabet))
@@ -352,7 +362,7 @@ def _bounds(
             low, high = (finite_number(f"domain[{name!r}]", end) for end in domain[name])
             if not low < high:
                 raise ProblemError(
-                    f"`domain` (--domain) must have a lower bound below the upper one for '{name}'; "
+                    f"`domain` (--domain) must have a lower bound below the upper for '{name}'; "
                     f"got {low!r} and {high!r}"
                 )
             bounds.append((low, high))

@@ -13,6 +13,9 @@ from capsyn.sources.tables.numbers import is_none, is_number, number
 from capsyn.sources.text import fail, naming
 from capsyn.validation import describe, one_line
 
+RESERVED = {"error", "nearest", "default"}
+"""Names that no symbol may have: `_` is added."""
+
 
 class Coder:
     """Codes of texts, each the number of the first text like it."""
@@ -96,7 +99,9 @@ def of_names(
     """Return which symbol each of some names is, and the alphabet; see `named`."""
     if alphabet is None:
         with naming(path):
-            alphabet = Alphabet(np.arange(len(names)), list(names))
+            own = [f"{name}_" if name in RESERVED else name for name in names]
+            alphabet = Alphabet(np.arange(len(names)), own)
+        return {name: k for k, name in enumerate(names)}, alphabet
     if set(names) <= set(alphabet.names):
         return {name: k for k, name in enumerate(alphabet.names)}, alphabet
     if len(names) == len(alphabet) and not set(names) & set(alphabet.names):
