@@ -62,6 +62,9 @@ def save_guide_pictures():
     for name in ("choosing", "good", "references", "switching", "limits", "evidence"):
         getattr(loops, name)(HERE / f"{name}.png")
     loops.dwell(HERE / "dwell.png", of_page("dwell.md", "room.py")["problem"])
+    loops.discrete_time(
+        HERE / "discrete-time.png", of_page("discrete-time.md", "stock.py")["problem"]
+    )
     loops.coordinates(HERE / "coordinates.png", of_page("coordinates.md", "axes.py"))
     loops.actuators(
         HERE / "actuators.png", lambda name: of_page("actuators.md", f"{name}.py")["problem"]

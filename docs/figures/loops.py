@@ -13,6 +13,7 @@ import capsyn
 from capsyn import problems
 from capsyn.plots.optimum import plot_optimum
 from capsyn.plots.policy import plot_policy
+from capsyn.sources.finite_control_set import finite_control_set
 
 ROOT = Path(__file__).parents[2]
 INK, GOAL, FIRST, SECOND = "#333333", "#888888", "#0072B2", "#D55E00"
@@ -147,6 +148,36 @@ def dwell(path, room):
     ax.annotate("end of the domain", (10, 26), ha="right", va="bottom", color=INK)
     ax.set(xlabel="time [min]", ylabel="temperature [degC]", xlim=(0, 10))
     ax.legend(frameon=False, loc="upper left")
+    save(figure, path)
+
+
+def discrete_time(path, problem):
+    """Draw loops of a harvested stock, and the harvests that three rules choose."""
+    policy = capsyn.synthesize(problem)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.2), layout="constrained")
+    for start, color in ((0.1, FIRST), (1.3, SECOND)):
+        run = capsyn.simulate(policy, [start], 6)
+        left.plot(run.times, run.states[:, 0], "o-", ms=4, lw=0.8, color=color)
+    left.axhline(0.7, color=GOAL, ls="--", lw=1)
+    left.set(xlabel="time [d]", ylabel="stock")
+    x = problem.domain.sample(4000, 0)[:, 0]
+    x.sort()
+    first = dataclasses.replace(problem.settings, sensitivity="first order")
+    rules = {
+        "brute force": finite_control_set(problem, 4),
+        "exact": policy,
+        "first order": capsyn.synthesize(problem, settings=first),
+    }
+    for k, chosen in enumerate(rules.values()):
+        symbols = chosen(x[:, None])
+        for symbol, color in enumerate((INK, FIRST, SECOND)):
+            there = np.where(symbols == symbol, 1.0, np.nan)
+            right.plot(x, -k * there, lw=14, color=color, solid_capstyle="butt")
+    for name, color in zip(problem.alphabet.names, (INK, FIRST, SECOND)):
+        right.plot([], [], lw=6, color=color, label=name)
+    right.set(xlabel="stock", yticks=[0, -1, -2], ylim=(-2.7, 1.1))
+    right.set_yticklabels(rules)
+    right.legend(frameon=False, ncols=3, loc="upper center", title="harvest")
     save(figure, path)
 
 

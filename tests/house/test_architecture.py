@@ -22,9 +22,9 @@ errors validation random_streams statistics version
 programs: operations program texts builder patterns ends intervals interval_text
     expansion continuity model step_doubling
 native: compiler build compiled source bounds
-modelling: domain alphabet exogenous settings targets grid time_unit switching
+modelling: domain alphabet exogenous settings targets grid time_unit switching discrete
 modelling.tails: tail equilibrium riccati
-modelling: interpolants problem transcription
+modelling: interpolants expressions problem transcription
 execution: files interrupts processors memory answers checkpoint cluster
 problems: cart_pendulum cart_pole double_tank planar_quadrotor spacecraft double_pendulum
     boost_converter inverter building docking quadrotor
@@ -33,7 +33,7 @@ cells: masks row_table affine_leaves boxes cell_tree split_tree feature_tree cut
 limits: kept
 policies: lookup guarantee evidence colors in_force picture checks file cut derived policy
     report
-controllers: command formulation solver steps ssac action_kernel actions sac online
+controllers: command formulation solver steps one_step ssac action_kernel actions sac online
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
 automata: rectangles regions face_rates row_faces switching automaton
@@ -102,7 +102,12 @@ IMPORT_BY_NAME = {
     "cli.doctor",  # what capsyn needs
 }
 
-CASADI = {"modelling.interpolants", "modelling.problem", "modelling.transcription"}
+CASADI = {
+    "modelling.interpolants",
+    "modelling.expressions",
+    "modelling.problem",
+    "modelling.transcription",
+}
 """The border, with the built-in problems behind it: the only places that know CasADi."""
 
 MAX_LINES, MAX_CODE, MAX_FILES, MAX_PARAMETERS, MAX_TEST_LINES = 400, 60, 14, 8, 800

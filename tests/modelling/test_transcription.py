@@ -196,7 +196,7 @@ def kernel_source(model: Model) -> str:
     programs = [getattr(model, name) for name in names]
     lanes = [p.to_c(name, uniform=["dt", "rounding"]) for name, p in zip(names, programs)]
     sizes = f"#define STATES {model.step.outputs[0][1]}\n"
-    sizes += f"#define SYMBOLS {model.insertion.outputs[0][1]}\n"
+    sizes += f"#define SYMBOLS {model.insertion.outputs[0][1]}\n#define FIRST 0\n"
     return (
         declarations(programs, "double", 64)
         + sizes

@@ -53,6 +53,7 @@ from capsyn.automata.row_faces import Rows, Sides
 from capsyn.cells.boxes import Boxes, ragged
 from capsyn.cells.faces import Faces, shared_faces
 from capsyn.errors import ProblemError
+from capsyn.modelling.discrete import refuse_map
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
 
@@ -123,10 +124,11 @@ class SlidingFace:
 def known_switching(policy: Policy) -> Switching | None:
     """Return which switches the vector field excludes; None where that says nothing.
 
-    That is so without a model, and where inputs have least times of their own: while some are held
-    the loop takes other symbols than the policy wants.
+    That is so without a model, of a map, which jumps over faces, and where inputs have least times
+    of their own: while some are held the loop takes other symbols than the policy wants.
     """
-    known = policy.model is not None and not policy.rules.input_holds.any()
+    known = policy.model is not None and not policy.discrete
+    known = known and not policy.rules.input_holds.any()
     return switching(policy) if known else None
 
 
@@ -143,6 +145,7 @@ def switching(policy: Policy) -> Switching:
         raise ProblemError(
             f"`policy` must have a model to follow; '{policy.name}' was made without one"
         )
+    refuse_map(policy, "policy", "its loop jumps over the faces between symbols")
     cells, domain, number = policy.cells, policy.space, len(policy.alphabet) + 1
     boxes, rows = cells.boxes(), Rows.of(policy)
     row_at = np.zeros(boxes.places.max() + 1, dtype=np.int64)

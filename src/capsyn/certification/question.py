@@ -13,6 +13,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.execution.memory import available_memory
+from capsyn.modelling.discrete import refuse_map
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.exogenous import of_states
 from capsyn.modelling.targets import (
@@ -121,6 +122,8 @@ def question(policy: Policy, asked: Asked, threads: int | None, seed: int) -> Qu
         policy, asked = _cut(policy, asked)
     ranges = _ranges("parameters", asked.parameters)
     plant = plant_of(policy, asked.model, tuple(ranges))
+    if plant.sample_time is not None:
+        refuse_map(policy if policy.discrete else asked.model, "policy", "proofs follow flows")
     delay = plant.delay if asked.delay is None else finite_number("delay", asked.delay, least=0.0)
     if asked.target is None and policy.target is None:
         raise ProblemError("`target` must be given: neither policy nor problem has one")

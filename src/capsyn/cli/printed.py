@@ -148,7 +148,7 @@ def print_automaton(data: dict[str, Any]) -> None:
     print_table(edges)
     switching = data["switching"]
     if switching is None:
-        print_line("switches", "not known: the policy has no model")
+        print_line("switches", "not known: no model, a map, or inputs with least times")
         return
     print_line(
         "switches",
@@ -219,7 +219,11 @@ def print_report(data: dict[str, Any]) -> None:
     if statistics.get("sample"):
         _print_sample(statistics["sample"])
     if data["settings"] and data["horizon"] is not None:
-        _print_settings(data["settings"], f"{data['horizon']} {unit}")
+        horizon = f"{data['horizon']} {unit} in {data['settings']['steps']} steps"
+        if data.get("discrete"):
+            time = f"{data['settings']['sample_time']:g} {unit}"
+            horizon = f"{data['horizon']:g} samples of a discrete-time model, each {time}"
+        _print_settings(data["settings"], horizon)
     if data["target"]:
         print_line("target", data["target"])
     rule = data["outside"] + (", at once" if data.get("outside_at_once") else "")
@@ -374,6 +378,6 @@ def _print_settings(settings: dict[str, Any], horizon: str) -> None:
     goal = f", {wanted} {settings[wanted]:g}" if rule == "schedule" else ""
     print_line(
         "settings",
-        f"horizon {horizon} in {settings['steps']} steps, rule {rule}{goal}, "
+        f"horizon {horizon}, rule {rule}{goal}, "
         f"control weight {settings['control_weight']}, {settings['precision']} precision",
     )

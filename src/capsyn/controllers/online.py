@@ -31,6 +31,7 @@ from capsyn.controllers.solver import TIE
 from capsyn.controllers.ssac import batch_controller
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.discrete import refuse_map
 from capsyn.modelling.domain import Box
 from capsyn.modelling.exogenous import readings
 from capsyn.modelling.problem import Problem
@@ -311,6 +312,7 @@ def online_controller(
     else:
         got = describe(source)
         raise ProblemError(f"`source` must be a Problem or a Policy with a model; got {got}")
+    refuse_map(source, "source", "whole actions begin and end between samples")
     horizon = source.horizon if horizon is None else finite_number("horizon", horizon, above=0.0)
     said = source.settings if settings is None and isinstance(source, Problem) else settings
     settings = source.settings if settings is None else settings

@@ -52,7 +52,7 @@ class SsacKernel:
         source = "\n".join(
             [
                 declarations(programs.values(), precision, lanes),
-                f"#define STATES {n}\n#define SYMBOLS {symbols}",
+                f"#define STATES {n}\n#define SYMBOLS {symbols}\n#define FIRST {first_step(model)}",
                 *(
                     program.to_c(name, uniform=["dt", "rounding"])
                     for name, program in programs.items()
@@ -80,6 +80,11 @@ class SsacKernel:
         if self.function(count, pointer(states), horizon, steps, self.rounding, *outputs):
             raise MemoryError(f"no memory for {steps} integration steps")
         return cost, gradients.T, scales.T
+
+
+def first_step(model: Model) -> int:
+    """Return after how many steps the adjoint is taken: 0, or 1 of a map, whose first is free."""
+    return 0 if model.sample_time is None else 1
 
 
 def bind_default(model: Model, default: np.ndarray) -> Model:
@@ -142,7 +147,7 @@ class NumpySolver:
                 total += cost[0]
             cost, rho = model.terminal_cost.evaluate(path[-1], dtype=dtype)
             total += cost[0]
-            for state in reversed(path[:-1]):
+            for state in reversed(path[first_step(model) : -1]):
                 (rho,) = model.adjoint.evaluate(state, dt, rho, dtype=dtype)
             gradients, scales = model.insertion.evaluate(
                 path[0], rho, total[None, :], [self.rounding], dtype=dtype

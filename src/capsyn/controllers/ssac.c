@@ -1,6 +1,7 @@
 /* Steps 1 and 2 of sSAC (Section III-A of the paper) at t0, for blocks of LANES states.
  *
- * Needs STATES, SYMBOLS and the programs step, adjoint, terminal_cost and insertion before it.
+ * Needs STATES, SYMBOLS, FIRST and the programs step, adjoint, terminal_cost and insertion before
+ * it; the insertion gets the adjoint after FIRST steps.
  * The last block is filled up with its last state, so that every state runs through the very same
  * instructions whatever its place in the batch.
  */
@@ -37,9 +38,9 @@ int capsyn_ssac(const int64_t count, const double *restrict states, const double
         EACH_LANE {
             total[0][lane] += part[0][lane];
         }
-        for (int k = steps - 1, from = 0; k >= 0; --k, from = !from)
+        for (int k = steps - 1, from = 0; k >= FIRST; --k, from = !from)
             adjoint(path[k], dt, rho[from], rho[!from]);
-        insertion(path[0], rho[steps % 2], total, noise, gradient, scale);
+        insertion(path[0], rho[(steps - FIRST) % 2], total, noise, gradient, scale);
         for (int lane = 0; lane < used; ++lane) {
             cost[start + lane] = (double)total[0][lane];
             for (int i = 0; i < SYMBOLS; ++i) {

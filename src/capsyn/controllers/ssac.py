@@ -10,6 +10,7 @@ import numpy as np
 
 from capsyn.cells.masks import empty, masks_of_members, preferred, priced_sets, word_count
 from capsyn.controllers.formulation import Formulation
+from capsyn.controllers.one_step import one_step_solver
 from capsyn.controllers.solver import TIE, Solver, bind_default, make_solver
 from capsyn.controllers.steps import choose_steps
 from capsyn.modelling.settings import SsacSettings
@@ -25,7 +26,8 @@ class Solution:
     """Steps 1 and 2 of sSAC at t0 for B states and N symbols."""
 
     cost: np.ndarray  # (B,): ``J0`` of the default prediction, eq. (3)
-    gradients: np.ndarray  # (B, N): ``dJ/dlambda+`` at t0, eq. (6) [cost / time unit]
+    gradients: np.ndarray  # (B, N): ``dJ/dlambda+`` at t0, eq. (6) [cost / time unit]; of a map
+    # what one sample changes [cost]
     scales: np.ndarray  # (B, N): largest sizes, given the adjoint and the change of dynamics
 
 
@@ -279,11 +281,17 @@ def batch_controller(
     """Return the controller of a formulation, with its kernel built and its steps chosen.
 
     Steps that are not given are chosen by `choose_steps`, at states drawn from the domain with a
-    seed. Backends are those of `compiled`.
+    seed; those of a map are the samples of its horizon. Backends are those of `compiled`.
     """
     default, settings = formulation.default, formulation.settings
-    bound = bind_default(formulation.model, default)
-    solver, used = make_solver(bound, settings.precision, backend)
+    bound, mapped = bind_default(formulation.model, default), formulation.model.sample_time
+    if mapped is not None:
+        settings = dataclasses.replace(settings, steps=round(formulation.horizon))
+        formulation = dataclasses.replace(formulation, settings=settings)
+    if mapped is not None and settings.sensitivity != "first order":
+        solver, used = one_step_solver(formulation, backend)
+    else:
+        solver, used = make_solver(bound, settings.precision, backend)
     efforts = settings.efforts(np.vstack([formulation.values, default]))
     preference = tuple(int(k) for k in np.argsort(efforts, kind="stable"))
     controller = BatchController(solver, used, formulation, efforts[:-1], preference)
@@ -305,11 +313,13 @@ def policy_controller(policy: Policy, backend: str = "auto") -> BatchController 
 def flow(formulation: Formulation, states: np.ndarray, control: np.ndarray) -> np.ndarray:
     """Return where states (B, n) are after the delay, under a control (m,) that is held.
 
-    Runge-Kutta steps are no longer than those of the prediction, and at least `DELAY_STEPS`.
+    Runge-Kutta steps are no longer than those of the prediction, and at least `DELAY_STEPS`. A map
+    takes one for each sample.
     """
-    settings, delay = formulation.settings, formulation.delay
+    settings, delay, period = formulation.settings, formulation.delay, formulation.model.sample_time
     assert settings.steps is not None
     count = max(DELAY_STEPS, math.ceil(delay / formulation.horizon * settings.steps))
+    count = count if period is None else round(delay / period)
     step = bind(formulation.model.step, u=control)
     x = np.ascontiguousarray(states.T)
     with np.errstate(all="ignore"):

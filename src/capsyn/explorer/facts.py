@@ -79,9 +79,9 @@ def _solves(statistics: dict[str, Any]) -> list[Row]:
 
 def _controller(data: dict[str, Any], switching: Sequence[Row]) -> list[Row]:
     rows: list[Row] = []
-    settings, unit = data["settings"], data.get("time_unit", "s")
+    settings, unit, mapped = data["settings"], data.get("time_unit", "s"), "discrete" in data
     if data["horizon"] is not None:
-        rows.append(("horizon", f"{data['horizon']:g} {unit}"))
+        rows.append(("horizon", f"{data['horizon']:g} {'samples' if mapped else unit}"))
     if settings:
         rows.append(("rule", settings["rule"]))
         if settings["rule"] == "schedule":
@@ -94,6 +94,8 @@ def _controller(data: dict[str, Any], switching: Sequence[Row]) -> list[Row]:
             ("integration", f"{how}, {settings['precision']} precision"),
             ("sample time", f"{settings['sample_time']:g} {unit}"),
         ]
+        if mapped:
+            rows[-2] = ("model", f"a map, once a sample, {settings['precision']} precision")
     if data["target"]:
         rows.append(("target", data["target"]))
     at_once = ", at once" if data.get("outside_at_once") else ""

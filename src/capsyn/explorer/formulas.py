@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 
 from capsyn.explorer.expression import Expression, expressions, number, signed
 from capsyn.policies.policy import Policy
+from capsyn.programs.model import Model
 from capsyn.programs.program import Program
 
 LONGEST = 250
@@ -48,11 +49,12 @@ def formulas(policy: Policy) -> dict[str, list[str]]:
     if policy.model is None:
         return {}
     names, inputs, model = policy.space.names, policy.alphabet.inputs, policy.model
-    rates = [_rate(name) for name in policy.domain.names]
+    side = _rate if model.sample_time is None else _next
+    rates = [side(name) for name in policy.domain.names]
     told = "" if policy.exogenous is None else "<mo>,</mo><mi>w</mi>"
     topics = {
         "dynamics": _equations(model.dynamics, rates, (*names, *inputs)),
-        "cost": _cost(model.running_cost, model.terminal_cost, names, told),
+        "cost": _cost(model, names, told),
     }
     if isinstance(policy.target, Program):
         topics["target"] = _equations(policy.target, [""], names)
@@ -94,6 +96,14 @@ def _rate(name: str) -> str:
     return f"<msub>{dotted}{_letter(below)}</msub>" if below else dotted
 
 
+def _next(name: str) -> str:
+    """Return the left side of a map's equation: the state one sample later."""
+    base, below = _split(name)
+    if below:
+        return f"<msubsup>{_letter(base)}{_letter(below)}<mo>+</mo></msubsup>"
+    return f"<msup>{_letter(base)}<mo>+</mo></msup>"
+
+
 def _math(*parts: str) -> str:
     return f"<math display='block'><mrow>{''.join(parts)}</mrow></math>"
 
@@ -132,13 +142,21 @@ def _abbreviations(taken: Sequence[str]) -> Iterator[Expression]:
         yield ("name", f"<msub><mi>{letter}</mi><mn>{k}</mn></msub>")
 
 
-def _cost(running: Program, terminal: Program, names: Sequence[str], told: str) -> list[str]:
+def _cost(model: Model, names: Sequence[str], told: str) -> list[str]:
     """Return eq. (3) with the costs that there are, and then these; `told` is beside x in them."""
+    running, terminal = model.running_cost, model.terminal_cost
     horizon = "<mrow><msub><mi>t</mi><mn>0</mn></msub><mo>+</mo><mi>T</mi></mrow>"
     end = f"<mrow><mi>x</mi><mo>(</mo>{horizon}<mo>)</mo></mrow>"
     integral = f"<msubsup><mo>∫</mo><msub><mi>t</mi><mn>0</mn></msub>{horizon}</msubsup>"
+    along = f"{integral}{_of('ℓ', f'<mi>x</mi>{told}')}{THIN}<mi>d</mi><mi>t</mi>"
+    if model.sample_time is not None:
+        first = "<mrow><mi>k</mi><mo>=</mo><mn>0</mn></mrow>"
+        last = "<mrow><mi>T</mi><mo>−</mo><mn>1</mn></mrow>"
+        at = "<msub><mi>x</mi><mi>k</mi></msub>"
+        end = "<msub><mi>x</mi><mi>T</mi></msub>"
+        along = f"<munderover><mo>∑</mo>{first}{last}</munderover>{_of('ℓ', f'{at}{told}')}"
     both = [
-        (running, "ℓ", f"{integral}{_of('ℓ', f'<mi>x</mi>{told}')}{THIN}<mi>d</mi><mi>t</mi>"),
+        (running, "ℓ", along),
         (terminal, "m", _of("m", f"{end}{told}")),
     ]
     parts, lines = [], []

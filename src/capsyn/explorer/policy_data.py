@@ -9,6 +9,7 @@ import numpy as np
 from capsyn.cells.cell_tree import CellTree
 from capsyn.explorer.memory_data import memory_data, needs_memory, one_hold
 from capsyn.explorer.packed import packed_array
+from capsyn.modelling.discrete import horizon_time
 from capsyn.policies.file import content_of
 from capsyn.policies.policy import Policy
 from capsyn.programs.continuity import rate_kinks
@@ -44,10 +45,12 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
     - ``tree``: arrays of a decision tree, else None;
     - ``features``: names and thresholds of a tree's features, or None; see `features_javascript`;
+    - ``discrete``, only where it is true: the model is a map, once a sample;
+    - ``horizon``: of the prediction as a time, or None;
     - ``rate``: sample rate [1 / time unit] of closed loops for which none is given;
     - ``slack``: samples by which a time that should be a whole number of them may be off;
     - ``sampled``: what the steps of closed loops are chosen by, see `choose_substeps`; None where
-      there is no model;
+      there is no model, or a map;
     - ``memory``, of policies that `needs_memory` names: see `memory_data`. There ``min_dwell``
       is the least time of all symbols where they have the same.
 
@@ -71,6 +74,8 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         data |= {"memory": memory_data(policy), "min_dwell": one_hold(policy)}
     if policy.model is not None and policy.model.prediction is not None:
         data["law"] = True
+    if policy.discrete:
+        data |= {"discrete": True, "horizon": horizon_time(policy)}
     return data | {
         "domain": policy.space.to_json(),
         "symbols": [*policy.alphabet.names, "outside" if policy.gaps else "default"],
@@ -87,7 +92,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
 
 def _sampled(policy: Policy) -> dict[str, Any] | None:
     """Return what the page chooses the steps of closed loops by, as `choose_substeps` does."""
-    if (model := policy.model) is None:
+    if (model := policy.model) is None or policy.discrete:
         return None
     return {
         "states": packed_array(policy.space.sample(SAMPLES, 0)),

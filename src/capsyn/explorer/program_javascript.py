@@ -38,7 +38,8 @@ def model_javascript(policy: Policy) -> str:
     ``model`` is null where the policy has none, else it holds ``dynamics(x, u, xdot)``,
     ``runningCost(x, cost)``, ``terminalCost(x, cost, gradient)``, ``inside(x, inside)``, which
     tells whether a state is in the target, and ``kinks(x, u, sides)``, whose sides are constant
-    where rates and cost are smooth. Exogenous inputs come after the states in x.
+    where rates and cost are smooth. Exogenous inputs come after the states in x. Of a map ``xdot``
+    is the state one sample later.
     """
     model = policy.model
     if model is None:

@@ -17,6 +17,7 @@ from capsyn.errors import ProblemError
 from capsyn.exports.crossings import reading_factors
 from capsyn.exports.text import kind, price, with_unit
 from capsyn.modelling.alphabet import Alphabet, check_outside
+from capsyn.modelling.discrete import horizon_text
 from capsyn.modelling.switching import DEFAULT
 from capsyn.modelling.time_unit import to_seconds
 from capsyn.policies.file import content_hash
@@ -311,8 +312,7 @@ class Plan:
                 f"Made by sSAC: rule {settings.rule}, "
                 + (f"{wanted}, " if settings.rule == "schedule" else "")
                 + f"control weight {weight!r}, {settings.on_no_descent} where none descends, "
-                f"horizon {policy.horizon!r} {policy.time_unit}, {settings.steps} steps, "
-                f"{settings.precision} precision"
+                f"{horizon_text(policy)}, {settings.precision} precision"
             )
         lines.append(_structure(self))
         if isinstance(policy.cells, FeatureTree):

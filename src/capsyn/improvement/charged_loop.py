@@ -11,6 +11,7 @@ import numpy as np
 from capsyn.controllers.command import TIME
 from capsyn.execution.processors import pool_of
 from capsyn.modelling.alphabet import Outside, check_outside
+from capsyn.modelling.discrete import check_period
 from capsyn.modelling.targets import target_program
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import gathered_cost
@@ -56,6 +57,7 @@ class ChargedLoop:
         end = plant.terminal_cost.first if cost is plant.running_cost else None
         plant = dataclasses.replace(plant, running_cost=cost)
         period, rules = 1 / rate, policy.rules
+        check_period(plant.sample_time, plant.time_unit, "rate", period)
         none = np.zeros((0, 1))
         loop = Loop(
             period,
@@ -77,10 +79,15 @@ class ChargedLoop:
         prices = np.where(
             np.isfinite(known), scale * np.where(np.isfinite(known), known, 0.0), np.inf
         )
-        paid = paid_by(self.policy, scale) * self.loop.period
+        paid = paid_by(self.policy, scale) * self.charged_time
         return dataclasses.replace(
             self, loop=dataclasses.replace(self.loop, paid=paid), prices=prices
         )
+
+    @property
+    def charged_time(self) -> float:
+        """What costs per time unit count over a sample."""
+        return self.plant.charged_time(self.loop.period)
 
     def new(self, states: np.ndarray) -> np.ndarray:
         """Return trials (B,) before their first sample, from readings (B, n)."""

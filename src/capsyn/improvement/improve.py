@@ -17,6 +17,7 @@ from capsyn.improvement.judged import Comparison
 from capsyn.improvement.refits import Refits, plan_like
 from capsyn.improvement.rollouts import charged_scale
 from capsyn.improvement.rounds import Round, Rounds
+from capsyn.modelling.discrete import horizon_time
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.targets import check_initial
 from capsyn.policies.policy import Policy, cell_tree
@@ -247,7 +248,7 @@ def _rate(policy: Policy, rate: float | None) -> float:
 def _horizons(policy: Policy, horizons: Any, rate: float) -> tuple[float, tuple[float, ...]]:
     """Return the horizon of a policy and those to try [time unit], ascending."""
     # of one with a tail that was improved before, which is short: that of the policy it came from
-    own = policy.statistics.get("improve", {}).get("horizon") or policy.horizon
+    own = policy.statistics.get("improve", {}).get("horizon") or horizon_time(policy)
     if horizons is None:
         if own is None:
             raise ProblemError("`horizons` must be given for a policy without a horizon")

@@ -16,6 +16,7 @@ from capsyn.controllers.ssac import batch_controller
 from capsyn.errors import ProblemError, SynthesisError, warn
 from capsyn.improvement.charged_loop import ChargedLoop
 from capsyn.improvement.quadratic_fit import Starts, costs_to_go, fitted
+from capsyn.modelling.discrete import horizon_time
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.exogenous import joined
 from capsyn.modelling.grid import Grid
@@ -93,8 +94,8 @@ class Refits:
 
         The default time of a loop is `TIME` horizons of a policy, `TAIL_TIME` of a problem.
         """
-        horizon, settings = source.horizon, source.settings
-        assert horizon is not None and settings is not None
+        horizon, time, settings = source.horizon, horizon_time(source), source.settings
+        assert horizon is not None and time is not None and settings is not None
         system: System
         if isinstance(source, Policy):
             system, times = system_of(source), TIME
@@ -106,7 +107,7 @@ class Refits:
             rounds,
             loops_for(source.domain.n) if loops is None else loops,
             1 / settings.sample_time if rate is None else rate,
-            times * horizon if duration is None else duration,
+            times * time if duration is None else duration,
             delta,
             seed,
             backend,
@@ -279,7 +280,12 @@ def remade(
     """Return the policy of the controller of a policy with another terminal cost and horizon."""
     assert policy.model is not None
     model = dataclasses.replace(policy.model, terminal_cost=terminal)
-    source = dataclasses.replace(policy, model=model, horizon=horizon, evidence={})
+    settings = policy.settings
+    if policy.discrete and settings is not None:
+        settings = dataclasses.replace(settings, steps=None)  # the samples of the horizon
+    source = dataclasses.replace(
+        policy, model=model, horizon=horizon, settings=settings, evidence={}
+    )
     controller = batch_controller(Formulation.of(source, model), backend, plan.seed)
     prices = controller.formulation.prices
     labelling = Labelling(

@@ -84,7 +84,7 @@ class Rollouts:
         starts, table = self._plan
         found = np.stack([self._from(states, start) for start in starts], axis=1)[:, table]
         if self.in_force > 1:
-            found += self.loop.prices[:, list(self.labels)] * self.loop.loop.period
+            found += self.loop.prices[:, list(self.labels)] * self.loop.charged_time
         return np.asarray(found)
 
     def _from(self, states: np.ndarray, start: Start) -> np.ndarray:
@@ -123,7 +123,7 @@ class Rollouts:
         entering = costs[:, -1]
         with np.errstate(invalid="ignore"):
             saved = entering.mean(axis=1, keepdims=True) - entering
-        scores = saved[:, None] / self.loop.loop.period
+        scores = saved[:, None] / self.loop.charged_time
         return (masks[:, 0] if self.in_force == 1 else masks), scores
 
     def _own(self, states: np.ndarray, good: np.ndarray, lost: np.ndarray) -> np.ndarray:
@@ -155,6 +155,6 @@ def charged_scale(loop: ChargedLoop, samples: int) -> float:
     own = controller.spread(controller.solve(states))
     rollouts = Rollouts.of(dataclasses.replace(loop, end=None), samples)
     costs = rollouts.costs(states)[:, -1]
-    spreads = np.ptp(costs[np.isfinite(costs).all(axis=1)], axis=1) / loop.loop.period
+    spreads = np.ptp(costs[np.isfinite(costs).all(axis=1)], axis=1) / loop.charged_time
     scale = float(np.median(spreads)) / own if spreads.size and own > 0 else 1.0
     return scale if np.isfinite(scale) and scale > 0 else 1.0

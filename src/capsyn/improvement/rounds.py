@@ -148,7 +148,9 @@ class Rounds:
         if self.refits is not None:
             refits = dataclasses.replace(self.refits, seed=derived_seed(self.seed, number, FITS))
             for horizon in self.horizons:
-                for _, made in refits.candidates(policy, horizon):
+                samples = float(max(1, round(horizon / self.loop.loop.period)))
+                own = samples if policy.discrete else horizon
+                for _, made in refits.candidates(policy, own):
                     yield Tried(horizon, False, made, refits.judged(made))
             return
         states = self._states(number, CHOICE)
@@ -182,7 +184,7 @@ class Rounds:
             prices=PriceRatios.of(loop.prices) if rollouts.in_force > 1 else None,
         )
         made = carry_out(plan, labelling, policy.space, policy.alphabet, policy.outside)
-        settings = policy.settings or SsacSettings()
+        settings, period = policy.settings or SsacSettings(), loop.plant.sample_time
         new = dataclasses.replace(
             policy,
             cells=made.cells,
@@ -191,7 +193,7 @@ class Rounds:
             timings=made.timings,
             evidence={},
             horizon=None,
-            settings=dataclasses.replace(settings, sample_time=loop.loop.period),
+            settings=dataclasses.replace(settings, sample_time=period or loop.loop.period),
         )
         return Tried(horizon, terminal, new, self._costs(new, states))
 

@@ -111,6 +111,7 @@ def plant_system(
             "`model` must have no delay, which this system would not have; got "
             f"{plant.delay:g} {plant.time_unit}: take `replace(delay=0)` and a delay before it"
         )
+    plant.check_loop("dt", dt, substeps)
     if substeps is not None:
         substeps = whole_number("substeps", substeps, least=1)
         if not dt:

@@ -14,6 +14,7 @@ from capsyn.errors import ProblemError
 from capsyn.integrations.evaluation import Evaluation
 from capsyn.integrations.single_lookup import single_lookup
 from capsyn.integrations.stepping import has_holds, has_memory, stepper
+from capsyn.modelling.discrete import horizon_time
 from capsyn.modelling.exogenous import one_exogenous
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import target_program
@@ -264,6 +265,7 @@ class Environment(gymnasium.Env):
         self._plant = plant_of(lambda time, states: states, problem)
         self._inside = target_program(self._plant.target, space)
         self.period, self._samples = 1 / rate, max(1, round(duration * rate))
+        self._plant.check_loop("rate", self.period, substeps)
         whole = math.floor(problem.delay * rate + SLACK)
         self._rest = max(0.0, problem.delay - whole * self.period)
         held = min(whole, self._samples) + 2
@@ -381,12 +383,11 @@ def environment(
     """
     if not isinstance(problem, Problem):
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
-    rate = 1 / problem.settings.sample_time if rate is None else rate
-    duration = HORIZONS * problem.horizon if duration is None else duration
     if substeps is not None:
         substeps = whole_number("substeps", substeps, least=1, most=1_000_000)
-    rate = finite_number("rate", rate, above=0.0)
-    duration = finite_number("duration", duration, above=0.0)
+    own, usual = 1 / problem.settings.sample_time, HORIZONS * (horizon_time(problem) or 0.0)
+    rate = finite_number("rate", own if rate is None else rate, above=0.0)
+    duration = finite_number("duration", usual if duration is None else duration, above=0.0)
     finite_number("1 / rate", 1 / rate)
     if duration * rate > MOST_SAMPLES:
         raise ProblemError(

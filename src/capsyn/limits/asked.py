@@ -12,6 +12,7 @@ import numpy as np
 from capsyn.errors import ProblemError, warn
 from capsyn.limits.invariant import LimitedLoop
 from capsyn.limits.tubes import Flow
+from capsyn.modelling.discrete import refuse_map
 from capsyn.modelling.grid import MAX_COUNT
 from capsyn.modelling.transcription import user_program
 from capsyn.native.bounds import box_bounds
@@ -102,6 +103,7 @@ def check_limits(problem: Any, asked: Any) -> KeepLimits | None:
     asked = KeepLimits() if asked is True else asked
     if problem.limits is None:
         raise ProblemError("`keep_limits` needs a problem with `limits`; this one has none")
+    refuse_map(problem, "keep_limits", "enclosures follow what happens between samples")
     unit, period, delay = problem.time_unit, problem.settings.sample_time, problem.delay
     if delay > period:
         raise ProblemError(

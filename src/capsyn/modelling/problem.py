@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,17 +13,18 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
+from capsyn.modelling.discrete import check_discrete, check_samples
 from capsyn.modelling.domain import Ball, Box
 from capsyn.modelling.exogenous import check_exogenous, joined, of_states
+from capsyn.modelling.expressions import casadi_function, expression, split_reading
 from capsyn.modelling.grid import LEAVES, Grid
-from capsyn.modelling.interpolants import without_calls
 from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.switching import Switching, check_switching
 from capsyn.modelling.tails.riccati import FIT, NO_RUNNING_COST, riccati_tail, tail_effort
 from capsyn.modelling.tails.tail import Tail
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
-from capsyn.validation import describe, finite_number, keep, one_line, one_of, true_or_false
+from capsyn.validation import describe, finite_number, keep, one_of, true_or_false
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +92,13 @@ class Problem:
     limits : callable ``x -> components``, or ``(x, w)``, optional
         Functions that must stay <= 0, each component of them. The policy keeps the limits by
         construction if `synthesize` is told ``keep_limits``. The policy's model carries them.
+    discrete : bool
+        Whether the dynamics are a map ``x+ = F(x, u)``, the states one sample later [state unit].
+        Then `horizon` is a whole number of samples, and running costs are summed over samples.
+        Effort and prices, too, are per sample instead of per time unit.
+    sample_time : float, optional
+        Sample time of closed loops [time unit], in place of that of `settings`. A `discrete`
+        problem must give that of its map, and its loops have no other.
 
     Raises
     ------
@@ -124,6 +130,8 @@ class Problem:
     leaves: str = "constant"
     tail: Any = None
     limits: Callable[..., Any] | None = None
+    discrete: bool = False
+    sample_time: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip() or not self.name.isprintable():
@@ -146,6 +154,7 @@ class Problem:
                 f"`settings` must be a capsyn.SsacSettings; got {describe(self.settings)}"
             )
         self.settings.efforts(self.alphabet.values)
+        check_discrete(self)
         if self.has_law and self.settings.on_no_descent == "default":
             raise ProblemError(
                 "`on_no_descent` must be 'best' where `default` is a law: a policy gives symbols; "
@@ -178,6 +187,7 @@ class Problem:
             if self.horizon is None and isinstance(terminal, Tail):
                 keep(self, horizon=terminal.horizon)
         keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
+        check_samples(self)
         if callable(self.target):
             arguments = split_reading(ca.SX.sym("z", self.space.n), {}, self.domain.n)
             expression("target", self.target, arguments, 1)
@@ -235,8 +245,8 @@ class Problem:
     def functions(self) -> dict[str, ca.Function]:
         """Return the problem's CasADi functions of the reading z = (x, w), by name.
 
-        Without exogenous inputs, z is the state. The functions are ``dynamics(z, u)`` (with rates 0
-        for w), ``running_cost(z)`` and ``terminal_cost(z)``, which is the tail if there is one.
+        Without exogenous inputs, z is the state. The functions are ``dynamics(z, u)`` (under which
+        w stays), ``running_cost(z)`` and ``terminal_cost(z)``, which is the tail if there is one.
         There may also be ``default(z)`` for a law, and ``limits(z)``. A cost that is None is the
         constant 0.
         """
@@ -247,7 +257,7 @@ class Problem:
         return {**self.system(), "terminal_cost": casadi_function("terminal_cost", [z], terminal)}
 
     def system(self) -> dict[str, ca.Function]:
-        """Return the same functions as `functions`, without the terminal cost."""
+        """Return the `functions` but the terminal cost, and the ``motion(z, u)`` of tails."""
         z, u = ca.SX.sym("z", self.space.n), ca.SX.sym("u", self.alphabet.m)
         n, told = self.domain.n, self.space.n - self.domain.n
         arguments = split_reading(z, {}, n)
@@ -258,17 +268,16 @@ class Problem:
         if self.limits is not None:
             values["limits"] = expression("limits", self.limits, arguments, None)
         functions = {name: casadi_function(name, [z], value) for name, value in values.items()}
-        with_control = split_reading(z, {"u": u}, n)
-        rates = expression("dynamics", self.dynamics, with_control, n, rates=True)
-        rates = ca.vertcat(rates, ca.SX.zeros(told))
+        rates = expression("dynamics", self.dynamics, split_reading(z, {"u": u}, n), n, rates=True)
+        rates = ca.vertcat(rates, z[n:] if told and self.discrete else ca.SX.zeros(told))
+        functions["motion"] = casadi_function("dynamics", [z, u], rates - self.discrete * z)
         return {"dynamics": casadi_function("dynamics", [z, u], rates), **functions}
 
     def replace(self, **changes: Any) -> Problem:
         """Return the problem with some fields replaced, as in ``replace(horizon=2.0)``.
 
         `changes` gives the new fields by name. The result is checked like a new problem. A grid
-        that has the
-        same numbers along all axes has them along those of another space, too.
+        that has the same numbers along all axes has them along those of another space, too.
 
         Raises
         ------
@@ -287,108 +296,6 @@ class Problem:
 
 
 _OF_TAILS = frozenset(
-    "dynamics domain alphabet exogenous running_cost terminal_cost target tail".split()
+    "dynamics domain alphabet exogenous running_cost terminal_cost target tail discrete".split()
 )
 """Fields that a terminal cost, or a tail in its place, depends on."""
-
-
-@contextlib.contextmanager
-def _numpy_functions() -> Iterator[None]:
-    """Let NumPy ufuncs on CasADi values give CasADi values, without a warning, for a while."""
-    options = ca.GlobalOptions
-    before = options.getNumpyMode()
-    options.setNumpyMode(-1)
-    try:
-        yield
-    finally:
-        options.setNumpyMode(before)
-
-
-_MEANINGS = (
-    ("truth value", "a symbol is neither true nor false: use casadi.if_else, fmin and fmax"),
-    ("not iterable", "CasADi vectors cannot be unpacked: use x[0], x[1]"),
-    ("Out of bounds", "an index is out of range"),
-    ("out of bounds", "an index is out of range"),
-    ("SX_get", "CasADi vectors are indexed by numbers: use x[0]"),
-    (
-        "'eval_sx' not defined",
-        "it calls a CasADi function that has no symbolic form: make interpolants by "
-        "casadi.interpolant, without `inline`",
-    ),
-)
-"""What beginners' mistakes make CasADi and Python say, and what it means."""
-
-
-def split_reading(z: ca.SX, inputs: Mapping[str, ca.SX], n: int) -> dict[str, ca.SX]:
-    """Return the arguments of a user's function by name: x, `inputs` but p, w if any, and p."""
-    told = {"w": z[n:]} if z.numel() > n else {}
-    own = {name: value for name, value in inputs.items() if name != "p"}
-    return {"x": z[:n], **own, **told, **{k: v for k, v in inputs.items() if k == "p"}}
-
-
-def expression(
-    name: str,
-    function: Callable[..., Any],
-    arguments: Mapping[str, ca.SX],
-    size: int | None,
-    *,
-    rates: bool = False,
-    parameters: bool = False,
-) -> ca.SX:
-    """Return what a user's function gives on symbols, as a dense column of `size` components.
-
-    A `size` of None stands for any but 0.
-
-    The arguments are CasADi columns by name (x, u, w, p), as many as the function takes, in order.
-    `rates` says that the components are rates, one for each state; `parameters`, that the function
-    may take parameters p that the user names elsewhere. Where it fails, or returns something else,
-    a `ProblemError` names it in one line.
-    """
-    try:
-        with _numpy_functions():
-            value = function(*arguments.values())
-    except Exception as error:  # whatever a user's function raises becomes one line
-        reason = one_line(str(error)) or type(error).__name__
-        reason = re.sub(r"^(Error in .*? at )?\S+\.[ch]pp:\d+: ", "", reason)  # CasADi's own places
-        reason = next((text for words, text in _MEANINGS if words in reason), reason)
-        if "positional argument" in reason:
-            said = parameters and "p" not in arguments
-            reason = f"it must be a function of {' and '.join(arguments)}" + (
-                ("" if "w" in arguments else ", and of w where there is `exogenous`")
-                + (", and of p where there are `parameters`" if said else "")
-            )
-        shapes = ", ".join(
-            f"{symbol}: {argument.numel()}" for symbol, argument in arguments.items()
-        )
-        if parameters and "out of range" in reason:
-            reason += "; it may take more parameters (`parameters`, --parameter) than are given"
-        raise ProblemError(
-            f"`{name}` failed on symbols with sizes ({shapes}): {one_line(reason)}"
-        ) from error
-    wanted = "a scalar" if size == 1 else f"{size or 'one or more'} components"
-    wanted = f"{size} component(s), one per state" if rates else wanted
-    try:
-        with _numpy_functions():
-            column = value
-            if isinstance(value, (list, tuple, np.ndarray)):
-                column = ca.vertcat(*list(value))
-            column = ca.SX(column)
-    except Exception:  # CasADi raises several types
-        raise ProblemError(f"`{name}` must return {wanted}; got {describe(value)}") from None
-    size = max(column.shape) if size is None else size
-    if column.shape == (1, size):
-        column = column.T
-    if column.shape != (size, 1) or not size:
-        raise ProblemError(f"`{name}` must return {wanted}; got shape {column.shape}")
-    return without_calls(name, ca.densify(column), list(arguments.values()))
-
-
-def casadi_function(name: str, arguments: Sequence[ca.SX], value: ca.SX) -> ca.Function:
-    """Return the function of an `expression`; `ProblemError` if it uses other symbols."""
-    function = ca.Function(name, list(arguments), [value], {"allow_free": True})
-    foreign = function.get_free()
-    if foreign:
-        raise ProblemError(
-            f"`{name}` must use only its arguments; it uses the undeclared symbol '{foreign[0]}'"
-        )
-    return function

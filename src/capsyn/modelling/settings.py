@@ -58,6 +58,11 @@ class SsacSettings:
         action must save.
     sample_time : float
         Sample time of closed loops that are given no other [time unit].
+    sensitivity : "exact" or "first order", optional
+        For a discrete-time problem only, what stands in place of ``dJ_dlam``: the change of the
+        cost by one sample under a symbol that the default control follows [cost]. "exact", the
+        default there, is this change. "first order" is ``rho_1 . (F(x, u_i) - F(x, u_default))``
+        with the adjoint after one sample.
 
     Raises
     ------
@@ -79,6 +84,7 @@ class SsacSettings:
     max_backtracks: int = 4
     descent: float = 0.01
     sample_time: float = 0.001
+    sensitivity: str | None = None
 
     def __post_init__(self) -> None:
         keep(self, gamma=finite_number("gamma", self.gamma))
@@ -107,6 +113,8 @@ class SsacSettings:
         one_of("rule", self.rule, ["schedule", "steepest"])
         one_of("on_no_descent", self.on_no_descent, ["best", "default"])
         one_of("precision", self.precision, ["double", "single"])
+        if self.sensitivity is not None:
+            one_of("sensitivity", self.sensitivity, ["exact", "first order"])
         if self.steps is not None:
             keep(self, steps=whole_number("steps", self.steps, least=1, most=MAX_STEPS))
         one_of("application_time", self.application_time, ["now", "search"])
@@ -147,5 +155,6 @@ class SsacSettings:
         return self.gamma * costs
 
     def to_json(self) -> dict[str, Any]:
-        """Return the settings as plain data."""
-        return dataclasses.asdict(self)
+        """Return the settings as plain data; a sensitivity that is not said is left out."""
+        data = dataclasses.asdict(self)
+        return data if self.sensitivity else {k: v for k, v in data.items() if k != "sensitivity"}

@@ -13,7 +13,8 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.problem import Problem, casadi_function, expression, split_reading
+from capsyn.modelling.expressions import casadi_function, expression, split_reading
+from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import INSIDE, Target
 from capsyn.programs.builder import ProgramBuilder
 from capsyn.programs.model import Model, Prediction, gathered_cost, model_ports
@@ -138,11 +139,17 @@ class ModelSystem:
         return cost if gathered_cost(cost, end) is cost else None
 
     def system(self) -> dict[str, ca.Function]:
-        """Return ``dynamics(z, u)`` and ``running_cost(z)``, as those of a problem."""
-        return {
-            name: casadi_from_program(getattr(self.model, name))
-            for name in ("dynamics", "running_cost")
-        }
+        """Return ``motion(z, u)`` and ``running_cost(z)``, as those of a problem."""
+        motion = casadi_from_program(self.model.dynamics)
+        if self.discrete:
+            z, u = (ca.SX.sym(name, size) for name, size in self.model.dynamics.inputs)
+            motion = ca.Function("dynamics", [z, u], [motion(z, u) - z])
+        return {"motion": motion, "running_cost": casadi_from_program(self.model.running_cost)}
+
+    @property
+    def discrete(self) -> bool:
+        """Whether the dynamics are a map."""
+        return self.model.sample_time is not None
 
 
 def user_program(
@@ -154,21 +161,23 @@ def user_program(
     told: int = 0,
     rates: bool = False,
     parameters: bool = False,
+    discrete: bool = False,
 ) -> Program:
     """Return the program of a user's function, such as another plant's dynamics, or a set.
 
     The function takes one CasADi column per input and returns as many components as the first
     output has; a second output, if there is one, is the gradient of a scalar value with respect to
     the first input. The last `told` components of the first input, x, are exogenous: the function
-    takes them as w, and returns no rates of them, which are 0. `name`, `rates`, `parameters` and
-    errors are those of `expression`.
+    takes them as w, and returns no rates of them, which are 0, or if `discrete` no next ones: they
+    stay. `name`, `rates`, `parameters` and errors are those of `expression`.
     """
     symbols = {port: ca.SX.sym(port, size) for port, size in inputs}
     (z, *_), n = symbols.values(), inputs[0][1] - told
     arguments = split_reading(z, {k: v for k, v in symbols.items() if v is not z}, n)
     size = outputs[0][1] - (told if rates else 0)
     value = expression(name, function, arguments, size, rates=rates, parameters=parameters)
-    value = ca.vertcat(value, ca.SX.zeros(told)) if rates else value
+    if rates:
+        value = ca.vertcat(value, z[n:] if told and discrete else ca.SX.zeros(told))
     casadi_function(name, list(symbols.values()), value)  # no foreign symbols
     results = [ca.densify(value)] + ([_gradient(value, z)] if len(outputs) > 1 else [])
     whole = ca.Function(name, list(symbols.values()), results)
@@ -259,7 +268,7 @@ def transcribe(problem: Problem) -> Model:
     with the state. The adjoint is the reverse derivative of that very step, so that the adjoint at
     t0 is the gradient of the discretised cost; that of exogenous inputs, whose rate is 0, stays 0
     and takes no work. Under a default law the prediction has programs of its own, with the total
-    derivative of ``f(x, default(x, w), w)``.
+    derivative of ``f(x, default(x, w), w)``. Of a discrete-time problem a step is its map.
     """
     functions, m, symbols = problem.functions(), problem.alphabet.m, len(problem.alphabet)
     arguments, values = _programs(problem, functions, ca.SX.sym("u", m))
@@ -274,7 +283,8 @@ def transcribe(problem: Problem) -> Model:
     if "limits" in functions:
         size = (("limits", functions["limits"].numel_out(0)),)
         limits = program_from_casadi("limits", functions["limits"], (("x", problem.space.n),), size)
-    return Model(**programs, prediction=prediction, limits=limits)
+    time = problem.sample_time if problem.discrete else None
+    return Model(**programs, prediction=prediction, limits=limits, sample_time=time)
 
 
 def _transcribed(
@@ -307,7 +317,10 @@ def _programs(
         dynamics = ca.Function("predicted", [z], [given(z, law(z))])
     else:
         law, inputs, dynamics = None, [u], given
-    end, cost = runge_kutta_step(dynamics, running, z, inputs, dt)
+    if problem.discrete:
+        end, cost = dynamics(z, *inputs), running(z)
+    else:
+        end, cost = runge_kutta_step(dynamics, running, z, inputs, dt)
     terminal, rates = functions["terminal_cost"](z), dynamics(z, *inputs)
     change = [given(z, ca.DM(value)) - rates for value in problem.alphabet.values]
     widths = ca.DM(problem.space.widths)

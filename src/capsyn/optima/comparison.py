@@ -119,9 +119,10 @@ def compared(
                 f"`controller` must have {task.alphabet.m} input(s) like the optimum; got "
                 f"{controller.alphabet.m}"
             )
+    substeps = None if task.plant.sample_time is not None else task.substeps
     trajectory = simulate(
         controller, starts, optimum.duration, 1 / task.period, model=task, outside=outside,
-        target=task.target, stop_at_target=task.stop, substeps=task.substeps, backend=backend,
+        target=task.target, stop_at_target=task.stop, substeps=substeps, backend=backend,
         threads=threads,
     )  # fmt: skip
     costs = np.take_along_axis(trajectory.costs, trajectory.last[:, None], axis=1)[:, 0]

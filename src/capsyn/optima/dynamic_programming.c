@@ -1,8 +1,9 @@
 /* Dynamic programming over symbols on a grid of states: what each symbol leads to, and sweeps.
  *
- * Needs AXES, INPUTS, LANES and the programs dynamics, running_cost and inside before it. States
- * are handled in blocks of LANES; of each block and symbol there are entries of values, weights
- * between them and costs, so that a sweep reads them in order. `numpy_sweeps.py` does the same.
+ * Needs AXES, INPUTS, LANES, DISCRETE (whether the dynamics are a map) and the programs dynamics,
+ * running_cost and inside before it. States are handled in blocks of LANES; of each block and symbol
+ * there are entries of values, weights between them and costs, so that a sweep reads them in order.
+ * `numpy_sweeps.py` does the same.
  */
 #define CORNERS (1 << AXES)
 #define HUGE_COST 1e30
@@ -27,6 +28,27 @@ static void slope(const lanes_of_states x, const double u[INPUTS][LANES], lanes_
     running_cost(x, cost);
 }
 
+#if DISCRETE
+/* The samples of the map, in place; the cost that they gather. */
+static void advance(const lattice *g, lanes_of_states x, const double u[INPUTS][LANES], lanes total)
+{
+    _Alignas(64) lanes_of_states next;
+    _Alignas(64) double cost[1][LANES];
+    EACH_LANE {
+        total[lane] = 0;
+    }
+    for (int64_t s = 0; s < g->steps; ++s) {
+        slope(x, u, next, cost);
+        for (int i = 0; i < AXES; ++i)
+            EACH_LANE {
+                x[i][lane] = next[i][lane];
+            }
+        EACH_LANE {
+            total[lane] += cost[0][lane];
+        }
+    }
+}
+#else
 static inline void along(const lanes_of_states x, const lanes_of_states k, const double h,
                          lanes_of_states out)
 {
@@ -62,6 +84,8 @@ static void advance(const lattice *g, lanes_of_states x, const double u[INPUTS][
         }
     }
 }
+
+#endif
 
 /* Load a block of states (count, AXES); what is missing is its last. */
 static int load_block(const int64_t count, const double *states, const int64_t start,

@@ -236,6 +236,7 @@ class CompiledSweeps:
             [
                 declarations(programs.values(), "double", LANES),
                 f"#define AXES {plant.n}\n#define INPUTS {plant.m}",
+                f"#define DISCRETE {int(plant.sample_time is not None)}",
                 *(program.to_c(name) for name, program in programs.items()),
                 hand_written("optima/dynamic_programming.c"),
             ]

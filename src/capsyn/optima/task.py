@@ -11,6 +11,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.discrete import check_period
 from capsyn.modelling.domain import Box
 from capsyn.modelling.exogenous import exogenous_text, one_exogenous
 from capsyn.modelling.problem import Problem
@@ -130,6 +131,8 @@ def task_of(
     if stop and target is None:
         raise ProblemError("`stop_at_target` needs a target; there is none")
     period = _period(source, rate)
+    check_period(model.sample_time, source.time_unit, "rate", period)
+    charged = period if model.sample_time is None else 1.0  # a map's costs are per sample
     model, objective = _gathering(model, source.time_unit)
     alphabet = source.alphabet
     warn_of_parts(rules, period, source.time_unit)
@@ -145,7 +148,8 @@ def task_of(
     objective += ", and effort" if efforts.any() else ""
     return Task(
         source.name, model, source.domain, alphabet, source.default_control, target,
-        source.time_unit, objective, stop, period, efforts, rules.prices[:, :-1] * period,
+        source.time_unit, objective, stop, period, efforts * (charged / period),
+        rules.prices[:, :-1] * charged,
         np.maximum(holds.symbols[:-1], 1), switching, None if source.exogenous is None else w,
     )  # fmt: skip
 
@@ -161,6 +165,7 @@ def _period(source: Problem | Policy, rate: float | None) -> float:
 
 def _gathering(model: Model, time_unit: str) -> tuple[Model, str]:
     """Return a model whose running cost is what loops gather, and that in words."""
+    time_unit = time_unit if model.sample_time is None else "samples"
     cost = gathered_cost(model.running_cost, model.terminal_cost)
     if cost is model.running_cost:
         return model, f"running cost, over {time_unit}"

@@ -10,6 +10,7 @@ from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.errors import PolicyFormatError, ProblemError
 from capsyn.limits.kept import Kept
 from capsyn.modelling.alphabet import Alphabet, check_outside
+from capsyn.modelling.discrete import check_map
 from capsyn.modelling.exogenous import check_exogenous, of_states
 from capsyn.modelling.switching import DEFAULT, check_switching
 from capsyn.modelling.targets import check_target
@@ -66,6 +67,7 @@ def check_fields(policy: Any, structure: type) -> None:
         )
     check_switching(policy)
     keep(policy, delay=finite_number("delay", policy.delay, least=0.0))
+    check_map(policy)
     keep(policy, transitions=_checked_transitions(policy.transitions, len(policy.alphabet) + 1))
     policy.cells.check(len(policy.alphabet) + 1, policy.transitions)
     _check_forbidden(policy)

@@ -16,6 +16,7 @@ from capsyn.modelling.switching import SwitchRules
 from capsyn.policies.checks import labels_in_force
 from capsyn.policies.in_force import volume_shares
 from capsyn.policies.lookup import row_numbers
+from capsyn.programs.model import Model
 from capsyn.validation import read_only
 
 
@@ -30,6 +31,7 @@ class Derived:
     cells: Any
     transitions: Any
     kept: Kept | None
+    model: Model | None
 
     @functools.cached_property
     def space(self) -> Box:
@@ -43,6 +45,11 @@ class Derived:
     def default_control(self) -> np.ndarray:
         """The default control (m,) [input units], as of a problem."""
         return self.default
+
+    @property
+    def discrete(self) -> bool:
+        """Whether it comes from a discrete-time problem: a map, and a horizon in samples."""
+        return self.model is not None and self.model.sample_time is not None
 
     @property
     def remembers(self) -> bool:

@@ -42,13 +42,13 @@ from capsyn.validation import describe, whole_numbers
 Made = TypeVar("Made")
 
 FORMAT = "capsyn-policy"
-VERSION = 12
+VERSION = 13
 """Newest version: cells are 1, decision trees 2, affine leaves 3, any of them with gaps 4, cells
 split along some axes only 5, another unit of time than the second, or `outside_at_once`, 6, trees
 with features 7, more than 63 symbols, or some of equal control, 8, what depends on the symbol in
 force, has prices or least times of its own, or compensates a delay, 9, what is told exogenous
 inputs, was cut at some, or predicts under a default law, 10, trees judged by closed loops 11,
-models with limits, and policies that keep them, 12."""
+models with limits, and policies that keep them, 12, models in discrete time 13."""
 CELL_ENTRIES = ("entries", "mixed_cells")
 """The arrays of all cells, whatever is known of the mixed ones."""
 TRANSITIONS = {"transitions": np.uint16}
@@ -153,6 +153,7 @@ def _least_version(arrays: dict[str, np.ndarray], content: dict[str, Any]) -> in
     model = content["model"] if isinstance(content["model"], dict) else {}
     news = {"transitions", "row_prices", "mixed_sets"} & set(arrays)
     needed = {
+        13: "sample_time" in model,
         12: "kept" in content or "limits" in model,
         11: "loop" in content.get("guarantee", {}),
         10: "exogenous" in content

@@ -57,7 +57,8 @@ class Policy(Derived):
     target : Ball, Box or Program, optional
         The states that count as arrived. For a program, these are the states where it is not 0.
     horizon : float, optional
-        Prediction horizon T [time unit] of the controller that the policy came from.
+        Prediction horizon T [time unit] of the controller that the policy came from; samples where
+        it is `discrete`.
     settings : SsacSettings, optional
         Settings of that controller. Without a horizon, only their sample time counts.
     model : Model, optional

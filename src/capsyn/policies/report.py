@@ -58,6 +58,7 @@ def report(policy: Policy) -> dict[str, Any]:
         **_memory(policy),
         **({} if policy.kept is None else {"limits": _limits(policy)}),
         "horizon": policy.horizon,
+        **({"discrete": True} if policy.discrete else {}),
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "statistics": policy.statistics,
         "evidence": policy.evidence if policy.evidence.get("sha256") == digest else {},
@@ -257,6 +258,8 @@ def _solve_hints(policy: Policy) -> Iterator[str]:
 def _descent_hints(policy: Policy, sample: dict[str, Any]) -> Iterator[str]:
     """Yield what keeps the cost from falling at random states."""
     settings = policy.settings
+    exact = policy.discrete and settings is not None and settings.sensitivity != "first order"
+    order = "" if exact else " to first order"
     by_gamma = settings and settings.rule == "schedule" and settings.alpha_d is None
     if by_gamma and sample["negative_cost"] > 0:
         yield (
@@ -265,13 +268,13 @@ def _descent_hints(policy: Policy, sample: dict[str, Any]) -> Iterator[str]:
         )
     if sample["held_back"] > 0.05:
         yield (
-            f"in {sample['held_back']:.0%} of the volume the chosen symbol does not lower the cost "
-            f"to first order though another would: {_holds_back(settings)}"
+            f"in {sample['held_back']:.0%} of the volume the chosen symbol does not lower the "
+            f"cost{order} though another would: {_holds_back(settings)}"
         )
     if sample["no_descent"] - sample["held_back"] > 0.05:
         yield (
             f"in {sample['no_descent'] - sample['held_back']:.0%} of the volume no symbol lowers "
-            "the cost to first order: the alphabet may be too weak there, or the horizon too short"
+            f"the cost{order}: the alphabet may be too weak there, or the horizon too short"
         )
     if sample["indifferent"] > 0.05:
         yield (

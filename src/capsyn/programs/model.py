@@ -12,6 +12,7 @@ import numpy as np
 from capsyn.errors import PolicyFormatError
 from capsyn.programs.builder import restricted
 from capsyn.programs.program import Program
+from capsyn.validation import finite_number
 
 
 @dataclass(frozen=True)
@@ -60,12 +61,15 @@ class Model:
     insertion: Program  # (x, u, rho, cost, rounding) -> (gradients, scales)
     prediction: Prediction | None = None  # under a default law
     limits: Program | None = None  # x -> limits, each <= 0 where x is allowed
+    sample_time: float | None = None  # of a map [time unit]; None: the dynamics are rates
 
     def to_json(self) -> dict[str, Any]:
-        """Return the model as plain data; of a default law and limits only where there are some."""
+        """Return the model as plain data; of what not every model has only what there is."""
         plain = _plain(self, [f.name for f in dataclasses.fields(self) if f.name not in RARE])
         if self.limits is not None:
             plain["limits"] = self.limits.to_json()
+        if self.sample_time is not None:
+            plain["sample_time"] = self.sample_time
         if self.prediction is not None:
             names = [f.name for f in dataclasses.fields(self.prediction)]
             plain["prediction"] = _plain(self.prediction, names)
@@ -92,7 +96,7 @@ class Model:
         if limits is not None:
             limits = restricted(limits, (("x", n),), limits.outputs, {"x": exogenous})
         programs: dict[str, Any] = fixed(self, model_ports(n, m, symbols))
-        return Model(**programs, prediction=prediction, limits=limits)
+        return dataclasses.replace(self, **programs, prediction=prediction, limits=limits)
 
     @staticmethod
     def from_json(data: Any, n: int, m: int, symbols: int) -> Model:
@@ -106,11 +110,13 @@ class Model:
             rare["prediction"] = Prediction(**own)
         if "limits" in rare:
             rare["limits"] = _limits(rare["limits"], n)
+        if "sample_time" in rare:
+            finite_number("sample_time", rare["sample_time"], above=0.0)
         programs: dict[str, Any] = _programs(data, model_ports(n, m, symbols))
         return Model(**programs, **rare)
 
 
-RARE = ("prediction", "limits")
+RARE = ("prediction", "limits", "sample_time")
 """What not every model has."""
 
 

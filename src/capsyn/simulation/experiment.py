@@ -16,6 +16,7 @@ from capsyn.execution.cluster import check_client
 from capsyn.execution.memory import check_memory
 from capsyn.execution.processors import processors
 from capsyn.modelling.alphabet import Outside, check_outside
+from capsyn.modelling.discrete import check_period, whole_samples
 from capsyn.modelling.exogenous import of_states
 from capsyn.modelling.switching import SwitchRules
 from capsyn.modelling.targets import Target, check_target, target_program
@@ -61,6 +62,9 @@ class Experiment:
         push = np.zeros_like(states) if push is None else push
         queue = 16 * self.plant.m * (float(delays.max(initial=0)) * self.rate + 2)
         check_memory(len(states) * min(queue, 32 * self.loop.samples), "`delay` times `rate`")
+        if self.plant.sample_time is not None:
+            for delay in np.unique(delays):
+                whole_samples("delay", float(delay), self.plant.sample_time)
         longest = self.loop.samples * self.loop.period  # whatever comes later never arrives
         delays = np.minimum(delays, longest)
         return new_trials(states, self.plant.m, delays, parameters, push, self.loop.period)
@@ -98,7 +102,13 @@ def set_up(
     ProblemError
         Options that do not fit the controller or the plant.
     """
-    rate, samples = sampling(controller, options)
+    rate, samples = sampling(controller, options, plant)
+    plant.check_loop("rate", 1 / rate, options.substeps)
+    if plant.sample_time is not None and isinstance(controller, OnlineController):
+        raise ProblemError(
+            "`controller` must give symbols or controls at samples where the model is a map; an "
+            "online controller acts between them"
+        )
     if options.executor is not None:
         if not isinstance(controller, Policy):
             raise ProblemError(
@@ -158,9 +168,13 @@ def described(controller: Any) -> Policy | OnlineController | None:
     return controller if isinstance(controller, (Policy, OnlineController)) else None
 
 
-def sampling(controller: Any, options: LoopOptions) -> tuple[float, int]:
-    """Return the samples per time unit, and how many there are."""
+def sampling(controller: Any, options: LoopOptions, plant: Plant) -> tuple[float, int]:
+    """Return the samples per time unit, and how many there are. Those of a map are its own."""
     rate = options.rate
+    if plant.sample_time is not None:
+        if rate is not None:
+            check_period(plant.sample_time, plant.time_unit, "rate", 1 / rate)
+        rate = 1 / plant.sample_time
     if rate is None:
         own = described(controller)
         if own is None or own.settings is None:

@@ -64,11 +64,12 @@ class SimulationKernel:
 
     @staticmethod
     def build(
-        dynamics: Program, running_cost: Program, inside: Program, queue: int
+        dynamics: Program, running_cost: Program, inside: Program, queue: int, discrete: bool
     ) -> SimulationKernel:
         """Return the kernel of a plant and a target; `KernelBuildError` if it fails.
 
-        A trial remembers `queue` controls: one more than samples of delay, at least 2.
+        A trial remembers `queue` controls: one more than samples of delay, at least 2. Of a
+        `discrete` plant the dynamics are a map.
         """
         sizes = dict(dynamics.inputs)
         programs = {"dynamics": dynamics, "running_cost": running_cost, "inside": inside}
@@ -77,6 +78,7 @@ class SimulationKernel:
                 declarations(programs.values(), "double", SIMULATION_LANES),
                 f"#define STATES {sizes['x']}\n#define INPUTS {sizes['u']}",
                 f"#define PARAMETERS {sizes.get('p', 0)}\n#define QUEUE {queue}",
+                f"#define DISCRETE {int(discrete)}",
                 *(program.to_c(name) for name, program in programs.items()),
                 hand_written("policies/lookup.c"),
                 hand_written("simulation/simulate.c"),

@@ -12,6 +12,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError, warn
 from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.discrete import check_period, whole_samples
 from capsyn.modelling.domain import Box
 from capsyn.modelling.exogenous import joined
 from capsyn.modelling.problem import Problem
@@ -46,8 +47,9 @@ PERCENTILE = 95
 class Plant:
     """A system for closed loops, as programs."""
 
-    dynamics: Program  # (x, u) -> xdot, or (x, u, p) -> xdot: its rates [state unit / time unit]
-    running_cost: Program  # x -> cost that a trajectory gathers [cost / time unit]
+    dynamics: Program  # (x, u) -> xdot, or (x, u, p) -> xdot: its rates [state unit / time unit],
+    # or of a map, which has a `sample_time`, the state one sample later [state unit]
+    running_cost: Program  # x -> cost that a trajectory gathers [cost / time unit, or / sample]
     terminal_cost: Program  # x -> (cost of the state where it ends, gradient)
     domain: Box  # names and units of its states
     alphabet: Alphabet  # names and units of its inputs, and the controls that steps are chosen for
@@ -57,6 +59,7 @@ class Plant:
     time_unit: str = "s"  # what its rates are per
     delay: float = 0.0  # input delay that is known [time unit]
     exogenous: Box | None = None  # names and units of what it is told, after the states in x
+    sample_time: float | None = None  # of a map [time unit]; None: its dynamics are rates
 
     @functools.cached_property
     def space(self) -> Box:
@@ -106,8 +109,11 @@ class Plant:
         """Return states (n, B) and costs (B,) after durations (B,) of `substeps` steps each.
 
         They are those of the classical Runge-Kutta method under controls (m, B), parameters (P, B),
-        and a push (n, B) that is added to the rates; durations are in the plant's time unit.
+        and a push (n, B) that is added to the rates; durations are in the plant's time unit. Those
+        of a map are so many samples each, or 0, and the push is added after each.
         """
+        if self.sample_time is not None:
+            return self._iterated(x, cost, u, p, push, duration > 0, substeps)
 
         def slope(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return self.rates(y, u, p) + push, self.running_cost.evaluate(y)[0][0]
@@ -123,13 +129,43 @@ class Plant:
                 cost = cost + h / 6 * (c1 + 2 * c2 + 2 * c3 + c4)
         return x, cost
 
+    def _iterated(
+        self,
+        x: np.ndarray,
+        cost: np.ndarray,
+        u: np.ndarray,
+        p: np.ndarray,
+        push: np.ndarray,
+        moves: np.ndarray,
+        samples: int,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return states (n, B) and costs (B,) of those that move after so many samples of a map."""
+        with np.errstate(all="ignore"):
+            for _ in range(samples):
+                cost = np.where(moves, cost + self.running_cost.evaluate(x)[0][0], cost)
+                x = np.where(moves, self.rates(x, u, p) + push, x)
+        return x, cost
+
+    def charged_time(self, period: float) -> float:
+        """Return what a cost per time unit counts over a sample; of a map, per sample: once."""
+        return period if self.sample_time is None else 1.0
+
+    def check_loop(self, name: str, period: float, substeps: int | None) -> None:
+        """Raise where a map's loop is asked for another sample time, as `name`, or for substeps."""
+        check_period(self.sample_time, self.time_unit, name, period)
+        if self.sample_time is not None and substeps is not None:
+            raise ProblemError(
+                "`substeps` must be left out: the model is a map, which takes one step a sample; "
+                f"got {substeps}"
+            )
+
 
 def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ()) -> Plant:
     """Return the plant for a controller: its own model where no other is given.
 
-    Costs and names of a model that is a function are those of the controller's own; it takes w
-    where the controller is told exogenous inputs, and `p` only where there are names of
-    `parameters`, which the controller is not told.
+    Costs and names of a model that is a function are those of the controller's own, and it is a map
+    where that is one. It takes w where the controller is told exogenous inputs, and `p` only where
+    there are names of `parameters`, which the controller is not told.
 
     Raises
     ------
@@ -151,8 +187,7 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
                 f"got {describe(model)}"
             )
         raise ProblemError(
-            "`model` must be a Problem, or a Policy with a model, for a controller without one, "
-            "such as an imported policy"
+            "`model` must be a Problem, or a Policy with a model, for a controller without one"
         )
     target = transcribe_target(source) if isinstance(source, Problem) else source.target
     plant = Plant(
@@ -166,6 +201,7 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
         time_unit=source.time_unit,
         delay=getattr(source, "delay", 0.0),
         exogenous=getattr(source, "exogenous", None),
+        sample_time=programs.sample_time,
     )
     if function:
         inputs: Ports = (("x", plant.n), ("u", plant.m))
@@ -178,6 +214,7 @@ def plant_of(controller: Any, model: Any = None, parameters: Sequence[str] = ())
             told=plant.told,
             rates=True,
             parameters=True,
+            discrete=plant.sample_time is not None,
         )
         used = dynamics.used_inputs()
         for k, name in enumerate(parameters):
@@ -233,8 +270,10 @@ def choose_substeps(
     period [time unit]: to the state in widths of the domain, or if that is more, to the cost
     relative to the mean of all states, over `COST_ACCURACY`. It counts `KINKED` where the model
     has a kink on the way. Where it stops falling (a jump in the dynamics), the best steps so far
-    are taken.
+    are taken. Of a map they are the samples in the period, which must be whole.
     """
+    if plant.sample_time is not None:
+        return whole_samples("period", period, plant.sample_time, least=1)
     states = plant.space.sample(SAMPLES, 0).T
     u = controls[np.arange(SAMPLES) % len(controls)].T
     p = parameters[:, np.arange(SAMPLES) % parameters.shape[1]]

@@ -41,7 +41,8 @@ def run_policy(
 def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> SimulationKernel:
     """Return the kernel that runs trials of this kind; `KernelBuildError` if it fails."""
     queue = trials.dtype["queue"].shape[0]
-    return SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue)
+    discrete = plant.sample_time is not None
+    return SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue, discrete)
 
 
 def policy_decide(policy: Policy, outside: Outside) -> Decide:

@@ -1,8 +1,8 @@
 /* The closed loop of a policy and a plant at a sample rate, for blocks of LANES trials.
  *
- * Needs lookup.c, STATES, INPUTS, PARAMETERS, QUEUE and the programs dynamics, running_cost and
- * inside before it, and -ffp-contract=off. `closed_loop.py` says what happens at a sample, and
- * does the same in NumPy. Trials do not see each other, and each goes through the same
+ * Needs lookup.c, STATES, INPUTS, PARAMETERS, QUEUE, DISCRETE (whether the dynamics are a map) and
+ * the programs dynamics, running_cost and inside before it, and -ffp-contract=off.
+ * `closed_loop.py` says what happens at a sample, and does the same in NumPy. Trials do not see each other, and each goes through the same
  * instructions whatever its place, so that results do not depend on how trials are grouped.
  */
 enum { NONE = -2, RUNNING = 0, ARRIVED = 1, LEFT_DOMAIN = 2, NOT_A_STATE = 3 };
@@ -60,6 +60,24 @@ static inline void slope(const block *b, const lanes_of_states x, const lanes_of
         }
 }
 
+#if DISCRETE
+/* So many samples of the map, in every lane whose duration is not 0. */
+static void advance(block *b, const lanes_of_inputs u, const lanes duration, const int64_t samples)
+{
+    _Alignas(64) lanes_of_states next;
+    _Alignas(64) double cost[1][LANES];
+    for (int64_t s = 0; s < samples; ++s) {
+        slope(b, b->x, u, next, cost);
+        for (int i = 0; i < STATES; ++i)
+            EACH_LANE {
+                b->x[i][lane] = duration[lane] > 0 ? next[i][lane] : b->x[i][lane];
+            }
+        EACH_LANE {
+            b->cost[lane] += duration[lane] > 0 ? cost[0][lane] : 0.0;
+        }
+    }
+}
+#else
 static inline void along(const lanes_of_states x, const lanes_of_states k, const lanes h,
                          const double factor, lanes_of_states out)
 {
@@ -97,6 +115,8 @@ static void advance(block *b, const lanes_of_inputs u, const lanes duration, con
         }
     }
 }
+
+#endif
 
 /* The label that is taken while `now` is in force and another is wanted: that, or `now` while it is
  * held, or, while some inputs are held, the first with their values and else those that are wanted. */

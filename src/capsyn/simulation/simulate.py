@@ -233,16 +233,18 @@ def simulate(
         Time to simulate, rounded to whole samples [time unit of the plant, as all times here].
     rate : float, optional
         Samples per time unit. The control is held between samples. Default: 1 over the
-        ``sample_time`` of the controller's settings.
+        ``sample_time`` of the controller's settings. A discrete-time model takes no other rate than
+        that of its map.
     model : Problem, Policy or callable ``(x, u) -> xdot`` or ``(x, u, p) -> xdot``, optional
         A plant that differs from the controller's own model. With exogenous inputs, it is a
-        function of ``(x, u, w)`` or ``(x, u, w, p)``.
+        function of ``(x, u, w)`` or ``(x, u, w, p)``. If the controller comes from a discrete-time
+        problem, a function is a map, too.
     parameters : mapping of name to float, optional
         The components of `p`, in order. The plant has these parameters, and the controller is not
         told them.
     disturbance : (n,) or callable ``time -> (n,)``, optional
-        A term added to the rates of the states [state units / time unit]. The value of a callable
-        is held over each sample.
+        A term added to the rates of the states [state units / time unit], or to the next state of a
+        map [state units]. The value of a callable is held over each sample.
     noise : float or (n,) or (n + k,), optional
         Standard deviation of Gaussian noise on the measured states [state units]. With n + k
         numbers, also on the exogenous inputs that the controller is told.
@@ -261,7 +263,8 @@ def simulate(
     stop_at_target : bool
         Whether a trajectory ends when it reaches the target.
     substeps : int, optional
-        Runge-Kutta steps per sample. Default: as many as a step-doubling check asks for.
+        Runge-Kutta steps per sample. Default: as many as a step-doubling check asks for. A map
+        takes none.
     seed : int
         Seed of the noise. Each trajectory has a random stream of its own.
     backend : "auto", "c" or "numpy"
@@ -313,7 +316,7 @@ def trajectories(controller: Any, x0: Any, options: LoopOptions) -> Trajectory:
     n, m = plant.states, plant.m
     if x0.ndim == 0 or x0.shape[-1] != n or not np.isfinite(x0).all():
         raise ProblemError(f"`x0` must be finite numbers of shape (..., {n}); got {describe(x0)}")
-    rate, samples = sampling(controller, options)
+    rate, samples = sampling(controller, options, plant)
     told = exogenous_signal(options.exogenous, plant.exogenous, x0.shape[:-1], 1 / rate, samples)
     states = np.hstack([x0.reshape(-1, n), told.start])
     count = len(states)

@@ -85,7 +85,7 @@ def _job(
         {
             "policy": file,
             "outside": outside,
-            "plant": programs | {"parameters": plant.parameters},
+            "plant": programs | {"parameters": plant.parameters, "sample_time": plant.sample_time},
             "loop": vars(loop) | {"inside": loop.inside.to_json()},
             "probe": first,
             "backend": backend,
@@ -114,6 +114,7 @@ def build(
         default=policy.default,
         target=None,
         parameters=tuple(plain["plant"]["parameters"]),
+        sample_time=plain["plant"]["sample_time"],
     )
     loop = Loop(**{**plain["loop"], "inside": Program.from_json(plain["loop"]["inside"])})
 

@@ -190,7 +190,7 @@ def finite_control_set(
     problem: Problem,
     depth: int,
     *,
-    sample_time: float,
+    sample_time: float | None = None,
     blocks: Any = 1,
     steps: int = 1,
     control_weight: Any = None,
@@ -203,7 +203,8 @@ def finite_control_set(
     At a state, the controller tries all sequences of `depth` symbols. Each symbol is held for its
     block of samples. A sequence costs the problem's running cost along the prediction, plus the
     effort ``u^T R u`` times the time that each symbol is held, plus the problem's terminal cost at
-    the end. The problem's own horizon is not used.
+    the end. For a discrete-time problem, running costs and efforts are summed over samples. The
+    problem's own horizon is not used.
 
     Parameters
     ----------
@@ -211,12 +212,13 @@ def finite_control_set(
         The problem: its system, costs and alphabet.
     depth : int
         Number of moves of a sequence, 1 to `MOST_DEPTH`.
-    sample_time : float
-        Time of a sample [time unit of the problem].
+    sample_time : float, optional
+        Time of a sample [time unit of the problem]. It must be given, unless the problem is in
+        discrete time and has its own.
     blocks : int or (depth,) ints
         Number of samples for which each move is held (move blocking).
     steps : int
-        Runge-Kutta steps per sample.
+        Runge-Kutta steps per sample; 1 of a discrete-time problem.
     control_weight : float or (m, m), optional
         Weight R of the effort [cost / (input unit^2 time unit)]. Default: the weight of the
         problem's settings.
@@ -247,9 +249,9 @@ def finite_control_set(
             f"`depth` must give at most {MOST_SEQUENCES:,} sequences; got {depth}, {count}^{depth} "
             "of them: hold moves longer with `blocks`"
         )
-    period = finite_number("sample_time", sample_time, above=0.0)
-    held = np.array(whole_numbers("blocks", blocks, depth, least=1, most=1_000_000))
     steps = whole_number("steps", steps, least=1, most=1_000_000)
+    period = _period(problem, sample_time, steps)
+    held = np.array(whole_numbers("blocks", blocks, depth, least=1, most=1_000_000))
     settings = problem.settings
     if control_weight is not None:
         settings = dataclasses.replace(settings, control_weight=control_weight)
@@ -270,10 +272,27 @@ def finite_control_set(
     return _priced(control, period)
 
 
+def _period(problem: Problem, sample_time: float | None, steps: int) -> float:
+    """Return the time over which costs per time unit count for a sample: 1, of a map."""
+    if not problem.discrete:
+        if sample_time is None:
+            raise ProblemError("`sample_time` must be given for dynamics that are rates; got None")
+        return finite_number("sample_time", sample_time, above=0.0)
+    own = problem.sample_time
+    if sample_time not in (None, own):
+        raise ProblemError(
+            f"`sample_time` must be left out, or be {own:g}, that of the problem's map; got "
+            + describe(sample_time)
+        )
+    if steps != 1:
+        raise ProblemError(f"`steps` must be 1 for a map, which is iterated; got {steps}")
+    return 1.0
+
+
 def _priced(control: FiniteControlSet, period: float) -> FiniteControlSet:
     """Return predictive control that pays for switching as its problem says, of one that does not.
 
-    `period` is the sample time [time unit].
+    `period` is that of `_period`.
     """
     problem, spread = control.problem, 0.0
     if problem.switching is not None and problem.switching.has_share:

@@ -342,7 +342,9 @@ def sample_statistics(controller: BatchController, domain: Box, seed: int) -> di
             "effort_over_choice": median(
                 np.ptp(controller.efforts) / np.ptp(scores - controller.efforts, axis=1)
             ),
-            "reach": median(best * controller.horizon / np.abs(cost)),
+            "reach": median(best * controller.horizon / np.abs(cost))
+            if controller.formulation.model.sample_time is None
+            else None,  # a symbol that acts all along is not so many times one that acts once
         }
     return {
         "states": SAMPLES,

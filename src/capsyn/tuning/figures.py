@@ -152,7 +152,8 @@ def figures_of(policy: Policy, options: TrialOptions, charges: Charges) -> Figur
     """
     test = prepared(policy, options)
     efforts = charges.efforts(policy.controls)
-    paid = np.tile(efforts * test.experiment.loop.period, (len(efforts), 1))
+    charged = test.experiment.plant.charged_time(test.experiment.loop.period)
+    paid = np.tile(efforts * charged, (len(efforts), 1))
     trials, other = test.trials.copy(), test.trials.copy()
     test.charging(charges.cost).run(trials, test.noise, None)
     test.charging(charges.nothing, paid).run(other, test.noise, None)

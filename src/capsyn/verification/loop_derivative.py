@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.errors import ProblemError
+from capsyn.modelling.discrete import refuse_map
 from capsyn.modelling.transcription import user_program
 from capsyn.policies.policy import Policy
 from capsyn.programs.builder import ProgramBuilder
@@ -50,6 +51,7 @@ class LoopDerivative:
             raise ProblemError(
                 f"`policy` must have a model to follow; '{policy.name}' was made without one"
             )
+        refuse_map(policy, "policy", "V has no time derivative")
         if policy.gaps:
             raise ProblemError(f"`policy` must have no gaps; '{policy.name}' has some")
         if not callable(V):

@@ -201,7 +201,7 @@ def prepared(controller: Any, options: TrialOptions) -> Prepared:
     if options.track is not None:
         names = plant.space.names
         check_followed(options.track, names[: plant.states], names[plant.states :])
-    rate, samples = sampling(controller, options.loop)
+    rate, samples = sampling(controller, options.loop, plant)
     told = drawn_exogenous(options, plant.exogenous, 1 / rate, samples)
     drawn = draw(options, plant, parameters, told.start)
     disturbance = options.loop.disturbance

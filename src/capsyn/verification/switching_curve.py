@@ -15,6 +15,7 @@ from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.ssac import BatchController, policy_controller
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.execution.processors import processors
+from capsyn.modelling.discrete import horizon_time
 from capsyn.modelling.switching import Switching
 from capsyn.modelling.time_unit import NAMES
 from capsyn.policies.policy import Policy, cell_tree
@@ -157,7 +158,7 @@ def _loops(
     """Return the states (B, n) that loops start from, and how they run."""
     trials = whole_number("trials", trials, least=1)
     if duration is None:
-        duration = HORIZONS * (policy.horizon or 1.0)
+        duration = HORIZONS * (horizon_time(policy) or 1.0)
     options = LoopOptions(duration, rate, seed=seed, backend=backend, threads=threads)
     return policy.space.sample(trials, [seed, 6]), options
 

@@ -10,6 +10,7 @@ from capsyn.cli.console import print_line
 from capsyn.cli.loop import loop_options
 from capsyn.cli.options import number, starts, whole_number_list
 from capsyn.errors import ProblemError
+from capsyn.modelling.discrete import horizon_time
 from capsyn.verification.sentences import vector
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def compare_with_optimum(policy: Policy, options: Any, client: Any) -> dict[str,
         check_writable(options.output)
     duration = options.duration
     if duration is None:
-        duration = HORIZONS * (policy.horizon or 1.0)
+        duration = HORIZONS * (horizon_time(policy) or 1.0)
     loop = loop_options(policy, dataclasses.replace(options, duration=duration))
     best = optimum(
         policy,
@@ -126,7 +127,11 @@ def optimal_policy(
         raise ProblemError(
             f"--source optimum is for at most {MOST_STATES} states; got {problem.domain.n}"
         )
-    duration = number("--source optimum:T, its T,", text) if colon else HORIZONS * problem.horizon
+    duration = (
+        number("--source optimum:T, its T,", text)
+        if colon
+        else HORIZONS * (horizon_time(problem) or 0.0)
+    )
     given = {key: value for key, value in options.items() if value is not None}
     backend, threads = given.pop("backend"), processors(given.get("threads"))
     best = optimum(problem, duration, backend=backend, threads=threads)

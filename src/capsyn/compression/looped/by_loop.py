@@ -12,6 +12,7 @@ from capsyn.compression.looped.fitting import fit_candidates
 from capsyn.compression.looped.loops import Loops
 from capsyn.compression.trees import FREE_PRICES, proved_free_trees
 from capsyn.errors import ProblemError, warn
+from capsyn.modelling.discrete import horizon_time
 from capsyn.policies.guarantee import LOSS, LoopFigures
 from capsyn.policies.policy import DecisionTree, Policy
 from capsyn.validation import describe, one_of, whole_number
@@ -57,7 +58,7 @@ def trial_options(
     policy: Policy, seed: int, backend: str, given: Mapping[str, Any]
 ) -> TrialOptions:
     """Return how loops run that judge trees of a policy, with arguments of `capsyn.monte_carlo`."""
-    duration = HORIZONS * policy.horizon if policy.horizon else DURATION
+    duration = HORIZONS * time if (time := horizon_time(policy)) else DURATION
     known = {"duration": duration, "trials": TRIALS} | dict(given)
     own = {"seed": seed, "backend": backend}
     for name in own:

@@ -87,7 +87,8 @@ class Loops:
         test = prepared(self.policy, dataclasses.replace(self.options, loop=loop))
         plant = test.experiment.plant
         cost = gathered_cost(plant.running_cost, plant.terminal_cost)
-        paid = paid_by(self.policy, self.scale) * test.experiment.loop.period
+        charged = plant.charged_time(test.experiment.loop.period)
+        paid = paid_by(self.policy, self.scale) * charged
         self.tests[purpose] = test, test.charging(cost, paid)
         return self.tests[purpose]
 

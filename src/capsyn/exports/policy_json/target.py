@@ -192,6 +192,7 @@ def document(plan: Plan) -> dict[str, Any]:
         **(_memory(plan) if plan.has_state else {"min_dwell": plan.dwell}),
         "at_once": list(plan.at_once),
         "horizon": policy.horizon,
+        **({"discrete": True} if policy.discrete else {}),
         "settings": None if policy.settings is None else policy.settings.to_json(),
         "guarantee": plan.guarantee.to_json() | {"text": plan.guarantee.text},
         "quantiser": [*(TOLD if told else ()), *QUANTISER, *(RANKS if features else ())],

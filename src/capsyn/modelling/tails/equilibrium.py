@@ -43,12 +43,19 @@ class System(Protocol):
         """What "arrived" means."""
 
     def system(self) -> dict[str, Any]:
-        """Return CasADi functions of the reading: ``dynamics(z, u)`` and ``running_cost(z)``."""
+        """Return CasADi functions of the reading: ``motion(z, u)`` and ``running_cost(z)``.
+
+        The motion is the rates, or of a map what a sample adds to the state.
+        """
+
+    @property
+    def discrete(self) -> bool:
+        """Whether the dynamics are a map."""
 
 
 def rates(system: System, x: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Return the rates (N, n) at a state under each symbol [state units / time unit]."""
-    function, n = system.system()["dynamics"], system.domain.n
+    """Return the motion (N, n) at a state under each symbol [state units / time unit or sample]."""
+    function, n = system.system()["motion"], system.domain.n
     return np.array(function(np.concatenate([x, w]), system.alphabet.values.T)).T[:, :n]
 
 
@@ -89,7 +96,7 @@ def cheapest_rest(
             f"{MOST_SYMBOLS} symbols; got {count}"
         )
     functions = system.system()
-    cost, dynamics = functions["running_cost"], functions["dynamics"]
+    cost, dynamics = functions["running_cost"], functions["motion"]
     slope, change = cost.jacobian(), dynamics.jacobian()
     lower, widths = domain.lower, domain.widths
 

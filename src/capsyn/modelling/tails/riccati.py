@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +43,9 @@ def riccati_tail(problem: System, effort: float = 1.0, goal: Any = None) -> Tail
     rates ``f_i`` at the goal. The terminal cost is ``(x - goal)^T P (x - goal)``, the cost to go of
     a linear system whose inputs are the shares of the symbols. For inputs that are each at one of
     two values, s from their mean, these inputs have the effort ``r du_i^2 / s^2``. P does not
-    depend on the units of the inputs. It depends on the unit of the cost only by its own unit.
+    depend on the units of the inputs. It depends on the unit of the cost only by its own unit. For
+    a discrete-time problem, P solves the equation of discrete time, and ``f_i`` is ``F(x, u_i) -
+    x``.
 
     Parameters
     ----------
@@ -74,13 +77,17 @@ def riccati_tail(problem: System, effort: float = 1.0, goal: Any = None) -> Tail
     a, q = _linearised(problem, np.concatenate([place, w]), shares)
     a, q = a * half / half[:, None], q * np.outer(half, half)
     moves = rates(problem, place, w) / half
-    p, loop = _solution(a, moves, q, effort * np.trace(q) / 10)
+    r = effort * np.trace(q) / 10
+    if problem.discrete:
+        p, horizon = _solution_of_map(a + np.eye(domain.n), _inputs(moves), q, r)
+    else:
+        p, horizon = _solution(a, _inputs(moves), q, r)
     return Tail(
         matrix=read_only(p / np.outer(half, half)),
         goal=goal,
         control=read_only(shares @ problem.alphabet.values),
         effort=effort,
-        horizon=_horizon(loop),
+        horizon=horizon,
         periods=read_only(domain.periods),
     )
 
@@ -194,7 +201,7 @@ def _linearised(
     Both are (n, n), at a reading z.
     """
     functions, n = problem.system(), problem.domain.n
-    change = functions["dynamics"].jacobian()
+    change = functions["motion"].jacobian()
     used = [(s, u) for s, u in zip(shares, problem.alphabet.values) if s]
     a = sum(s * np.array(change(z, u, 0)[0])[:n, :n] for s, u in used)
     second = functions["running_cost"].jacobian().jacobian()
@@ -207,48 +214,85 @@ def _linearised(
     return a, q
 
 
-def _solution(
-    a: np.ndarray, moves: np.ndarray, q: np.ndarray, r: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return P and the closed loop's matrix, both (n, n), in scaled states; checked."""
-    from scipy.linalg import LinAlgError, solve_continuous_are
+def _inputs(moves: np.ndarray) -> np.ndarray:
+    """Return ``b`` whose ``b b^T`` is the mean of ``f f^T`` over motions f (N, n)."""
+    _, size, axes = np.linalg.svd(moves / np.sqrt(len(moves)), full_matrices=False)
+    return np.asarray(axes.T * size)
 
+
+def _solution(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: float) -> tuple[np.ndarray, float]:
+    """Return P (n, n), in scaled states, and the proposed horizon [time unit]; checked.
+
+    That is half of the shortest time constant of the closed loop.
+    """
+    from scipy.linalg import solve_continuous_are
+
+    scale = max(np.abs(a).max(), np.abs(b).max())
+    _check_modes(a, b, q, scale, lambda mode: mode.real / scale, "exp({:.3g} t)")
+    p = _symmetric(lambda: solve_continuous_are(a, b, q, r * np.eye(b.shape[1])))
+    loop = a - b @ b.T @ p / r
+    return p, float(f"{0.5 / np.abs(np.linalg.eigvals(loop)).max():.2g}")
+
+
+def _solution_of_map(
+    a: np.ndarray, b: np.ndarray, q: np.ndarray, r: float
+) -> tuple[np.ndarray, float]:
+    """Return P (n, n) of a map ``x+ = a x + b v``, and the proposed horizon in samples, 1 or more.
+
+    That is half of the shortest time constant of the closed loop, too.
+    """
+    from scipy.linalg import solve_discrete_are
+
+    scale = max(np.abs(a).max(), np.abs(b).max(), 1.0)
+    _check_modes(a, b, q, scale, lambda mode: abs(mode) - 1, "({:.3g})^k")
+    weight = r * np.eye(b.shape[1])
+    p = _symmetric(lambda: solve_discrete_are(a, b, q, weight))
+    loop = a - b @ np.linalg.solve(weight + b.T @ p @ b, b.T @ p @ a)
+    fastest = np.abs(np.linalg.eigvals(loop)).min()
+    return p, float(max(1, round(-0.5 / np.log(fastest)))) if 0 < fastest < 1 else 1.0
+
+
+def _check_modes(
+    a: np.ndarray,
+    b: np.ndarray,
+    q: np.ndarray,
+    scale: float,
+    growth: Callable[[complex], float],
+    text: str,
+) -> None:
+    """Raise unless there is a solution; modes of growth below 0 decay, and all move as `text`."""
     least = np.linalg.eigvalsh(q)[0]
     if not np.trace(q) > 0 or least < -SMALL * np.trace(q):
         raise ProblemError(
             "`tail` needs a running cost that has its least value at the goal: its second "
             f"derivatives there must be positive semidefinite and not 0; least eigenvalue {least:g}"
         )
-    _, size, axes = np.linalg.svd(moves / np.sqrt(len(moves)), full_matrices=False)
-    b = axes.T * size  # b b^T is the mean of f f^T
-    scale = max(np.abs(a).max(), np.abs(b).max())
-    identity = np.eye(len(a))
     for mode in np.linalg.eigvals(a):
-        shifted = a - mode * identity
-        if mode.real > -SMALL * scale and _deficient(np.hstack([shifted, b]), scale):
+        shifted = a - mode * np.eye(len(a))
+        if growth(mode) > -SMALL and _deficient(np.hstack([shifted, b]), scale):
             raise ProblemError(
                 "`tail` needs a goal that the symbols stabilise: what moves there as "
-                f"exp({mode:.3g} t) no symbol changes"
+                f"{text.format(mode)} no symbol changes"
             )
         weighed = np.vstack([shifted, q / np.trace(q) * scale])
-        if abs(mode.real) <= SMALL * scale and _deficient(weighed, scale):
+        if abs(growth(mode)) <= SMALL and _deficient(weighed, scale):
             raise ProblemError(
                 "`tail` needs a running cost of all that does not decay: what moves at the goal as "
-                f"exp({mode:.3g} t) costs nothing"
+                f"{text.format(mode)} costs nothing"
             )
+
+
+def _symmetric(solve: Callable[[], np.ndarray]) -> np.ndarray:
+    """Return the solution of a Riccati equation, symmetric; `ProblemError` where there is none."""
+    from scipy.linalg import LinAlgError
+
     try:
-        p = solve_continuous_are(a, b, q, r * np.eye(b.shape[1]))
+        p = solve()
     except (LinAlgError, ValueError) as error:
         raise ProblemError(f"`tail` has no Riccati solution: {one_line(str(error))}") from error
-    p = (p + p.T) / 2
-    return p, a - b @ b.T @ p / r
+    return np.asarray((p + p.T) / 2)
 
 
 def _deficient(matrix: np.ndarray, scale: float) -> bool:
     """Return whether a matrix has not full rank."""
     return bool(np.linalg.svd(matrix, compute_uv=False)[-1] <= SMALL * scale)
-
-
-def _horizon(loop: np.ndarray) -> float:
-    """Return the proposed horizon: half of the shortest time constant of the closed loop."""
-    return float(f"{0.5 / np.abs(np.linalg.eigvals(loop)).max():.2g}")

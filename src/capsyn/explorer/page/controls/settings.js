@@ -58,7 +58,7 @@ function makeField(form, name, value) {
   const input = form.fields[name] = element("input", {
     id: `set-${name}`, type: "number", value, min: 0, step: "any", required: true, title,
     oninput: () => optionsOf(form), onchange: () => rerun(form.app), "data-name": text,
-    "aria-describedby": "problem",
+    "aria-describedby": "problem", disabled: name === "rate" && form.app.data.discrete === true,
   });
   return labelled(text, input, element("span", { class: "unit" }, unit));
 }
@@ -102,6 +102,10 @@ function optionsOf(form) {
     const text = `duration × sample rate must be 1 to ${whole(MOST_SAMPLES)} samples`;
     return complain(form, text, ...POSITIVE);
   }
+  const late = delay / delayUnit(timeUnit(app.data))[1];
+  if (app.data.discrete && Math.abs(late * rate - Math.round(late * rate)) > app.data.slack) {
+    return complain(form, "delay must be whole samples of the discrete-time model", "delay");
+  }
   const { steps } = app.loop.substeps(rate);
   if (samples * steps > MOST_STEPS) {
     const size = `${whole(Math.round(samples))} samples of ${steps} integration steps`;
@@ -113,7 +117,7 @@ function optionsOf(form) {
     duration,
     rate,
     noise: lower.map((low, i) => (i < states ? (noise / 100) * (upper[i] - low) : 0)),
-    delay: delay / delayUnit(timeUnit(app.data))[1],
+    delay: late,
     minDwell: dwell,
     outside: rule === "error" || rule === "nearest" ? rule : Number(rule),
     outsideAtOnce: atOnce.checked,

@@ -1,5 +1,6 @@
 import { INSIDE, NONE, NOT_FINITE } from "../policy/symbols.js";
 import { gaussian } from "./noise.js";
+import { makeMapStep } from "./map_step.js";
 import { makeAdvance } from "./runge_kutta.js";
 import { makeSubsteps } from "./substeps.js";
 
@@ -21,12 +22,15 @@ const MOST_SAMPLES = 1e7;
  * samples until it ended, matrices row by row; `ended` is "time", "target", "left the domain" or
  * "not finite"; `arrived` is NaN if it did not.
  *
- * substeps(rate): see `makeSubsteps`.
+ * substeps(rate): see `makeSubsteps`. A map takes one step a sample, at its own rate, and a delay of
+ * whole samples.
  */
 export function makeLoop(data, lookup, model) {
   const widths = data.domain.lower.map((low, i) => data.domain.upper[i] - low);
-  const advance = makeAdvance(model, lookup.n);
-  const substeps = makeSubsteps(data, widths, advance, model.kinks);
+  const advance = (data.discrete ? makeMapStep : makeAdvance)(model, lookup.n);
+  const substeps = data.discrete
+    ? () => ({ steps: 1, resolved: true })
+    : makeSubsteps(data, widths, advance, model.kinks);
   const system = { data, lookup, model, widths, advance, substeps };
   return { rate: data.rate, run: (x0, options) => run(system, x0, options), substeps };
 }
@@ -55,6 +59,9 @@ function settled({ data, lookup: { n }, widths, substeps: choose }, x0, {
   if (x0.length !== n) throw new RangeError(`a state is ${n} numbers; got ${x0.length}`);
   const late = Math.min(delay, samples * period), whole = Math.floor(late / period + slack);
   const left = late - whole * period, rest = left < slack * period ? 0 : left, now = period - rest;
+  if (data.discrete && (rate !== data.rate || rest > 0)) {
+    throw new RangeError("a map has its own rate, and a delay of whole samples");
+  }
   const deviations = widths.map((_, i) => (typeof noise === "number" ? noise : noise[i]));
   return {
     samples, rate, outside, outsideAtOnce, stopAtTarget, deviations,
