@@ -48,7 +48,7 @@ class Edge:
 class Automaton:
     """A policy as a finite state machine ``<U, L, T>`` (Definition 2 of the paper).
 
-    The vertices are the V symbols that the policy uses. They have V^2 edges, with regions as
+    The vertices are the V symbols that the policy uses. There are V^2 edges, with regions as
     guards. For a policy that remembers, the vertices are the symbols that may be in force. Its
     edges are the switches that the policy makes somewhere, each with a region of its own.
 

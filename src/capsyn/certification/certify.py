@@ -55,15 +55,15 @@ def certify(
     """Return what is proved about the sampled loop of a policy from a set of starts.
 
     The proof encloses every loop that begins at a sample in a state of `initial`, with the default
-    control in force. It encloses the loop until it arrives, and from the target on for ever.
+    control in force. The enclosure lasts until the loop arrives, and from the target on for ever.
     Rounding, sensor error and unknown parameters are included. See the guide "What is proved, and
     what is not".
 
     Parameters
     ----------
     policy : Policy
-        A policy of cells, or a `DecisionTree`. The proof is about its own symbols. Its model is the
-        plant.
+        A policy of cells, or a `DecisionTree`. The proof is about its own symbols. The policy's
+        model is the plant.
     initial : Ball or Box, optional
         The set of starts [state units]. Default: the domain.
     target, tolerance : as in `capsyn.monte_carlo`
@@ -78,8 +78,8 @@ def certify(
     noise : float or (n,), optional
         Largest error of a measured state [state units]. The error may differ from sample to sample.
     parameters : mapping of name to float or (low, high), optional
-        The components of the model's `p`, in order. They may take any values in these ranges,
-        constant or not.
+        The components of the model's `p`, in order. The components may take any values in these
+        ranges, constant or not.
     exogenous : mapping of name to float or (low, high), or (k,), optional
         Exogenous inputs, constant along a loop. An input that is not given may be anywhere in its
         box.

@@ -100,16 +100,16 @@ def compress(
     seed : int
         Seed of all random numbers. The same seed gives the same tree.
     controller : callable, optional
-        The controller that trees are fitted to and judged by. It is a function of states (B, n), or
-        readings, that returns symbol indices (B,), -1 for the default, whatever symbol is in force.
-        It may also be a policy, which may remember. Default: sSAC with the policy's own model, or
-        the policy itself if it has no model.
+        The controller that trees are fitted to and judged by. The controller is a function of
+        states (B, n), or readings, that returns symbol indices (B,), -1 for the default, whatever
+        symbol is in force. The controller may also be a policy, which may remember. Default: sSAC
+        with the policy's own model, or the policy itself if it has no model.
     features : dict of functions, optional
         Functions of the state by name that splits may compare beside the states: ``{"energy":
-        lambda x: ...}``, or ``lambda x, w: ...`` for a policy that is told exogenous inputs. They
-        take CasADi columns, like the functions of a problem. They are evaluated at the centres of
-        the lattice steps of the tree. Features that a tree does not use are dropped. Features
-        exclude `level`, `node_price` and, in mode ``freedom``, `agreement`.
+        lambda x: ...}``, or ``lambda x, w: ...`` for a policy that is told exogenous inputs.
+        Features take CasADi columns, like the functions of a problem, and are evaluated at the
+        centres of the lattice steps of the tree. Features that a tree does not use are dropped.
+        Features exclude `level`, `node_price` and, in mode ``freedom``, `agreement`.
     backend : "auto", "c" or "numpy"
         How sSAC is solved and loops are simulated: compiled if possible ("auto"), or as told.
     judge : "volume" or "loop"

@@ -281,9 +281,9 @@ def online_controller(
         (Lambda + R)^-1 (Lambda u_default + h^T rho alpha_d)`` with ``Lambda = h^T rho rho^T h``,
         for ``f = g(x) + h(x) u``.
     default : (m,), callable ``time -> (m,)`` or Policy, optional
-        Default control of the prediction, which also acts if nothing is better. It must be given if
-        the problem's default is a law. Under a policy, the prediction has at least `POLICY_STEPS`
-        steps, unless `settings` give their number.
+        Default control of the prediction, which also acts if nothing is better. The default must be
+        given here if the problem's default is a law. Under a policy, the prediction has at least
+        `POLICY_STEPS` steps, unless `settings` give their number.
     horizon : float, optional
         Prediction horizon T [time unit].
     settings : SsacSettings, optional

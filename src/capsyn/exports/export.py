@@ -97,9 +97,9 @@ def export(
 ) -> tuple[Path, ...]:
     """Write a policy or a decision tree in another language, and return the files.
 
-    For a policy that keeps limits, the folder ``limits`` gets a second controller. Its symbol is 1
-    for a state from which limits are kept, and otherwise 0. Its name is "limits" followed by the
-    policy's name.
+    For a policy that keeps limits, the folder ``limits`` gets a second controller. The symbol of
+    the second controller is 1 for a state from which limits are kept, and otherwise 0. The name of
+    the second controller is "limits" followed by the policy's name.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ def export(
     directory : path
         Folder for the files, which is made if need be. Files of the same names are replaced, and
         other files are left alone. If anything fails, everything is as it was. A killed process may
-        leave a hidden folder ``.capsyn-*``. It may also leave files of two exports, which the
-        SHA-256 of the certificate tells apart.
+        leave a hidden folder ``.capsyn-*``. A killed process may also leave files of two exports,
+        which the SHA-256 of the certificate tells apart.
     safe : symbol index or name, optional
         Symbol for states that have no other symbol. Default: the policy's own safe symbol, or the
         default control.

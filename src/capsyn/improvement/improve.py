@@ -50,8 +50,8 @@ class Improvement:
     Parameters
     ----------
     policy : Policy
-        The best policy: the policy of the last round that was kept, or the given one. Its
-        ``statistics["improve"]`` lists the rounds that made it.
+        The best policy: the policy of the last round that was kept, or the given one.
+        ``policy.statistics["improve"]`` lists the rounds that made the policy.
     rounds : tuple of Round
         What each round did.
     result : Comparison
@@ -124,15 +124,15 @@ def improve(
     policy.
 
     A closed loop costs its running cost, or its terminal cost as a rate if there is no running
-    cost. It also costs its effort beyond the effort of the cheapest symbol, and for each switch the
-    price times a sample. The settings weigh effort and prices against costs over the policy's
-    horizon, with its terminal cost. They are therefore charged times `scale`, so that they weigh as
-    much against the differences between symbols in closed loop.
+    cost. A loop also costs its effort beyond the effort of the cheapest symbol, and for each switch
+    the price times a sample. The settings weigh effort and prices against costs over the policy's
+    horizon, with its terminal cost. Effort and prices are therefore charged times `scale`, so that
+    they weigh as much against the differences between symbols in closed loop.
 
     Parameters
     ----------
     policy : Policy
-        A policy of cells with its model. It must not be a decision tree.
+        A policy of cells with its model. The policy must not be a decision tree.
     rounds : int
         Largest number of rounds.
     horizons : number or sequence, optional

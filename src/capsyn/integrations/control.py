@@ -30,10 +30,10 @@ def policy_system(
     """Return a policy as a system: states, then exogenous inputs, are inputs; controls are outputs.
 
     The system is static, unless the policy depends on the symbol in force or its `Switching` has
-    least times. It then has these states, all 0 at the start. ``in_force`` is 0 before the first
-    decision, and then 1 more than the symbol, or N + 1 for the default control. ``held`` counts the
-    samples for which the symbol has been held. ``held_INPUT`` counts the samples for which each
-    input has been held.
+    least times. Such a system has these states, all 0 at the start. ``in_force`` is 0 before the
+    first decision, and then 1 more than the symbol, or N + 1 for the default control. ``held``
+    counts the samples for which the symbol has been held. ``held_INPUT`` counts the samples for
+    which each input has been held.
 
     Parameters
     ----------
@@ -84,13 +84,13 @@ def plant_system(
 ) -> control.NonlinearIOSystem:
     """Return the plant of a problem or policy as a system: controls are inputs, states are outputs.
 
-    Exogenous inputs are further inputs after the controls, with their names. They are held over a
-    sample.
+    Exogenous inputs are further inputs after the controls, with their names. Exogenous inputs are
+    held over a sample.
 
     Parameters
     ----------
     model : Problem or Policy
-        The problem, or policy with a model, that has the dynamics. It must have no delay.
+        The problem, or policy with a model, that has the dynamics. The model must have no delay.
     dt : float
         Sample time [time unit of the model], or 0 for a system in continuous time. Over a sample,
         the control is held and the state integrated, as `capsyn.simulate` does.

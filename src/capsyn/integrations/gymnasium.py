@@ -357,11 +357,12 @@ def environment(
 
     An action is a symbol, held over a sample. An episode begins anywhere in the domain. The
     observation is the state, brought into the period of periodic axes and to the nearest state of
-    the domain; ``info`` has the state itself. Exogenous inputs follow in the observation. They are
-    constant in an episode, and drawn from their box, unless ``reset(options={"exogenous": w})``
-    gives them. An episode ends if the state or cost is not finite, or if the state leaves the
-    domain of a problem whose `outside` is ``"error"``. A control acts after the problem's delay,
-    and the default control acts before. The problem's switching is left to whoever acts.
+    the domain; ``info`` has the state itself. Exogenous inputs follow in the observation. Exogenous
+    inputs are constant in an episode, and drawn from their box, unless
+    ``reset(options={"exogenous": w})`` gives them. An episode ends if the state or cost is not
+    finite, or if the state leaves the domain of a problem whose `outside` is ``"error"``. A control
+    acts after the problem's delay, and the default control acts before. The problem's switching is
+    left to whoever acts.
 
     Parameters
     ----------

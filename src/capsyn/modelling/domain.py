@@ -259,7 +259,7 @@ class Ball:
     def sample(self, count: int, seed: int | Sequence[int] = 0) -> np.ndarray:
         """Return `count` states (count, n), drawn uniformly from the ball, the same for a `seed`.
 
-        The first of them do not depend on how many there are.
+        The first states do not depend on `count`.
         """
         # streams of their own: the first points do not depend on how many there are
         direction, distance = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(2))

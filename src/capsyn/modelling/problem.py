@@ -44,8 +44,9 @@ class Problem:
     alphabet : Alphabet, or (N, m) or (N,) numbers
         The symbols [input units].
     default : (m,) or float, or callable ``x -> u`` or ``(x, w) -> u``
-        The control that predictions use [input units]. It need not be a symbol. A prediction
-        follows a law at every instant, and its adjoint belongs to ``f(x, default(x, w), w)``.
+        The control that predictions use [input units]. The default need not be a symbol. A
+        prediction follows a law at every instant, and its adjoint belongs to ``f(x, default(x, w),
+        w)``.
     horizon : float
         Prediction horizon T > 0 [time unit]. None takes the horizon that a Riccati tail proposes.
     running_cost, terminal_cost : callables ``x -> scalar``, or ``(x, w)``, optional
@@ -55,8 +56,8 @@ class Problem:
     outside : "error", "nearest" or symbol
         What a state outside the domain gets. The policy carries this rule.
     min_dwell : float
-        Least time between switches [time unit], which the policy carries. It is short for one
-        ``hold`` for all symbols, in a policy that does not depend on the symbol in force.
+        Least time between switches [time unit], which the policy carries. `min_dwell` is short for
+        one ``hold`` for all symbols; the policy then does not depend on the symbol in force.
     settings : SsacSettings
         Options of the controller.
     partitions, refinement : int or (n,), or (n + k,) with k exogenous inputs
@@ -72,7 +73,7 @@ class Problem:
         `min_dwell`. The symbol of a state that is not finite never waits. The policy carries this.
     switching : Switching, optional
         Prices on switching, least times and forbidden transitions. The policy carries them, and
-        then depends on the symbol in force. This symbol stays if it ties with the best.
+        then depends on the symbol in force. The symbol in force stays if it ties with the best.
     delay : float
         Known time from a sample until its control acts [time unit]. The policy compensates the
         delay: it decides for the state to which the symbol in force leads during the delay.
@@ -86,8 +87,8 @@ class Problem:
         are affine in the state. Affine leaves take far fewer solves and cells from three dimensions
         on, see `subdivide`. `partitions` and `max_level` belong to the leaves chosen here.
     tail : "riccati", "riccati:EFFORT", "fit" or callable ``x -> scalar``, or ``(x, w)``, optional
-        A terminal cost that stands for the cost after the horizon, in place of `terminal_cost`. It
-        is made by `riccati_tail`, or is a function. For "fit", `synthesize` finds it with
+        A terminal cost that stands for the cost after the horizon, in place of `terminal_cost`. A
+        tail is a function, or is made by `riccati_tail`. For "fit", `synthesize` finds it with
         `fitted_tail`. Give a short horizon with a tail.
     limits : callable ``x -> components``, or ``(x, w)``, optional
         Functions that must stay <= 0, each component of them. The policy keeps the limits by

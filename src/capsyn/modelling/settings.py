@@ -32,7 +32,8 @@ class SsacSettings:
     gamma : float
         Wanted sensitivity relative to the cost: ``alpha_d = gamma * J0``, eq. (8); <= 0.
     alpha_d : float, optional
-        Wanted sensitivity as an absolute value [cost / time unit], <= 0. It replaces `gamma`.
+        Wanted sensitivity as an absolute value [cost / time unit], <= 0. `alpha_d` replaces
+        `gamma`.
     control_weight : float or (m, m)
         Weight R of the control effort ``u^T R u``, symmetric positive semidefinite.
     rule : "schedule" or "steepest"

@@ -40,8 +40,8 @@ class Switching:
         has times by names of symbols, ``"default"`` for the default control, and names of inputs. A
         symbol is held for its time once it is entered. An input is held for its time once it has
         changed, and other inputs may change meanwhile. The policy then depends on the symbol in
-        force, which stays if it ties with the best. This differs from ``min_dwell``, the short form
-        of one time for all.
+        force, which stays if it ties with the best. A single ``min_dwell`` for all symbols does not
+        have this effect.
     forbidden : pairs of names
         Transitions that must not be taken, as pairs (from, to) of names of symbols. The name
         ``"default"`` stands for the start.

@@ -36,7 +36,7 @@ class OptimumComparison:
         Index of the start that costs most beyond the least. If loops are lost, it is one of their
         starts.
     bound : bool
-        Whether the optimum is a bound; see `Optimum`. It is no bound if `beaten` is true.
+        Whether the optimum is a bound; see `Optimum`. The optimum is no bound if `beaten` is true.
     names : n strings
         Names of the states.
     """

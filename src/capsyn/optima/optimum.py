@@ -198,7 +198,8 @@ class Optimum:
         Parameters
         ----------
         controller : Policy or callable ``(time, states (B, n)) -> controls (B, m)``
-            The controller to compare. It is told the same exogenous inputs as the optimum.
+            The controller to compare. The controller is told the same exogenous inputs as the
+            optimum.
         options
             Options ``outside``, ``backend`` and ``threads`` of `capsyn.simulate`, and the
             ``confidence`` of the interval (0.95 by default).
@@ -266,11 +267,12 @@ def optimum(
     """Return the least cost of closed loops with the symbols, by dynamic programming on a grid.
 
     At every sample, the optimum takes the symbol of least total cost, and holds it for the sample.
-    This is what the best controller would do that knows the state at this rate. A loop costs its
-    running cost, or its terminal cost over time if there is no running cost. Each change of symbol
-    costs its price times a sample. Least times and forbidden transitions are kept. Values between
-    nodes are interpolated linearly, with a correction for the curvature along each axis. The values
-    are therefore approximate, so comparisons use the costs of loops of the optimum's own policy.
+    The optimum thus does what the best controller would do that knows the state at this rate. A
+    loop costs its running cost, or its terminal cost over time if there is no running cost. Each
+    change of symbol costs its price times a sample. Least times and forbidden transitions are kept.
+    Values between nodes are interpolated linearly, with a correction for the curvature along each
+    axis. The values are therefore approximate, so comparisons use the costs of loops of the
+    optimum's own policy.
 
     Parameters
     ----------
@@ -292,7 +294,8 @@ def optimum(
     seed : int
         Seed of the initial states.
     exogenous : (k,), or mapping of name to number, optional
-        Exogenous inputs, constant along all loops. They must be given if the problem has some.
+        Exogenous inputs, constant along all loops. Exogenous inputs must be given if the problem
+        has some.
     control_weight : float or (m, m)
         Weight R of an effort ``u^T R u`` that is added to the cost.
     stop_at_target : bool

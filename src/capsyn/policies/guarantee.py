@@ -176,7 +176,7 @@ class Guarantee:
 
     For a policy that remembers, the comparison is about rows: the next symbol for each symbol in
     force. "The same symbol" then means the same for every symbol in force, including the default
-    control. "Another symbol" means another for any of them. This is stricter than
+    control. "Another symbol" means another for any of them. The comparison of rows is stricter than
     `capsyn.agreement`, which takes the mean over the symbols in force.
 
     Parameters
@@ -184,15 +184,15 @@ class Guarantee:
     mode : "exact", "freedom" or "linear"
         ``exact``: every state has the policy's symbol. ``freedom``: every state of a cell whose
         test points agreed has the policy's symbol, and every other state has a symbol that was seen
-        in its cell. Both are proved cell by cell. ``linear``: no single state is sure, see
-        `agreeing`.
+        in its cell. The guarantees of both modes are proved cell by cell. ``linear``: no single
+        state is sure, see `agreeing`.
     source : str
         SHA-256 of the policy's content, as in its file.
     level : int, optional
         Level below which cells were merged first. Modes and proofs are about the merged cells.
     changed : float
-        Share of the volume in which the symbol differs from the policy's. It is proved, except for
-        ``linear``, where it is estimated at the `states`.
+        Share of the volume in which the symbol differs from the policy's. The share is proved,
+        except for ``linear``, where it is estimated at the `states`.
     controller : "ssac", "function", "policy" or ""
         What the tree was judged against: sSAC with the policy's own model, a given function, or the
         policy itself.
@@ -248,7 +248,7 @@ class Guarantee:
     def interval(self) -> tuple[float, float]:
         """Clopper-Pearson interval (`CONFIDENCE`) of the share of the volume that agrees.
 
-        It is (0, 1) if the tree was judged at no states.
+        The interval is (0, 1) if the tree was judged at no states.
         """
         if not self.states:
             return 0.0, 1.0

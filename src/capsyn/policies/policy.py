@@ -221,7 +221,7 @@ class Policy(Derived):
     def covers(self, states: Any, exogenous: Any = None) -> Any:
         """Return whether states (..., n) are in the domain and in no gap, booleans (...).
 
-        `exogenous` is that of a call of the policy. Its values must be in their box, too.
+        `exogenous` is that of a call of the policy. The exogenous inputs must be in their box, too.
 
         Raises
         ------
@@ -248,8 +248,9 @@ class Policy(Derived):
     def at(self, exogenous: Any) -> Policy:
         """Return the policy of the states alone, for exogenous inputs that stay fixed.
 
-        Its symbols are exactly those of this policy at `exogenous` (k,), or a mapping of names. Its
-        cells are the cut through these cells, and its model has the inputs fixed.
+        The new policy has exactly the symbols of this policy at `exogenous` (k,), or a mapping of
+        names. The new cells are the cut through these cells, and the new model has the inputs
+        fixed.
 
         Raises
         ------

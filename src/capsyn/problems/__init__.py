@@ -43,8 +43,8 @@ def names() -> list[str]:
 def plain(name: str) -> Problem:
     """Return a built-in problem without its `Switching` and its tail, as in the paper.
 
-    The policy of this problem does not depend on the symbol in force. Its horizon is longer,
-    because it has no tail.
+    The policy of this problem does not depend on the symbol in force. The horizon of this problem
+    is longer, because it has no tail.
 
     Raises
     ------

@@ -84,7 +84,7 @@ class FiniteControlSet:
         """Return the least costs (B, N) of the sequences from states (B, n), by first symbol.
 
         A cost is infinite if no sequence has a finite cost. The costs leave out the price of the
-        first symbol, which depends on the symbol in force. They also leave out the delay.
+        first symbol, which depends on the symbol in force. The costs also leave out the delay.
 
         Raises
         ------

@@ -94,8 +94,8 @@ def subdivide(
         notes.
     refine : "isotropic" or "adaptive"
         "isotropic" splits cells along all axes. "adaptive" splits a cell only along the axes along
-        which its labels, or the errors of its rows, vary. This saves solves, most of all with
-        affine leaves from three dimensions on. It takes at most 16 axes.
+        which its labels, or the errors of its rows, vary. Adaptive splits save solves, most of all
+        with affine leaves from three dimensions on. They take at most 16 axes.
     test_points : str
         The points of a cell that are labelled: ``"vertices+center"``, or ``"center+faces"`` without
         the 2^n vertices. Add ``+edge_midpoints``, ``+faces`` (centres of faces) or ``+random:R`` as
@@ -151,20 +151,20 @@ def subdivide(
 
     Notes
     -----
-    A cell is uniform if one symbol could be best at all its test points. It takes the most
-    preferred of such symbols. A tie must not hide a switching surface, so there is a quarter rule.
-    Above the finest level, it moves a test point (not a random one) where several symbols of a
-    uniform cell tie. The point moves a quarter of the way to the cell's centre, and must agree
+    A cell is uniform if one symbol could be best at all its test points. A uniform cell takes the
+    most preferred of such symbols. A tie must not hide a switching surface, so there is a quarter
+    rule. Above the finest level, it moves a test point (not a random one) where several symbols of
+    a uniform cell tie. The point moves a quarter of the way to the cell's centre, and must agree
     there, too. A mixed cell of the finest level takes the symbol that most of its points could
     have, among the symbols that some point determines alone.
 
-    With affine leaves, a cell that is not uniform is accepted under two conditions. Its rows give
-    all its test points a symbol that could be best there. And its estimated error is at most
-    `leaf_error`: the mean over the test points of ``min(1, rho / margin)^2`` (Chebyshev's
-    inequality). `margin` is the difference of the two largest rows. `rho` is the root mean square
-    of how much this difference misses the difference of the scores. Other cells are split, so
-    refinement follows the curvature of surfaces. Rows are fitted to the centre and other fixed
-    points, and the centre has half the weight.
+    With affine leaves, a cell that is not uniform is accepted under two conditions. First, the
+    cell's rows give all test points a symbol that could be best there. Second, the estimated error
+    is at most `leaf_error`: the mean over the test points of ``min(1, rho / margin)^2``
+    (Chebyshev's inequality). `margin` is the difference of the two largest rows. `rho` is the root
+    mean square of how much this difference misses the difference of the scores. Other cells are
+    split, so refinement follows the curvature of surfaces. Rows are fitted to the centre and other
+    fixed points, and the centre has half the weight.
 
     An adaptive split of constant leaves is along the axes along which two neighbouring test points
     have no symbol in common. An adaptive split of affine leaves is along the axes along which the

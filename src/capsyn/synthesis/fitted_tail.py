@@ -66,8 +66,8 @@ def fitted_tail(
     rate : float, optional
         Samples of the loops per time unit. Default: 1 over the sample time of the settings.
     duration : float, optional
-        Time of each loop [time unit]. It should suffice to arrive, and be little more. Default: 30
-        horizons of a problem, 10 of a policy.
+        Time of each loop [time unit]. The time should suffice to arrive, and be little more.
+        Default: 30 horizons of a problem, 10 of a policy.
     delta : float
         The number ``delta`` of the least squares above, > 0.
     max_solves : int, optional

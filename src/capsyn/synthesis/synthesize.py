@@ -96,8 +96,8 @@ def synthesize(
         Largest estimated share of an affine leaf in which its rows may be wrong; see `subdivide`.
     refine : "isotropic" or "adaptive"
         "isotropic" splits cells along all axes. "adaptive" splits a cell only along the axes along
-        which its labels, or the errors of its rows, vary. This takes fewer solves from three
-        dimensions on; see `subdivide`.
+        which its labels, or the errors of its rows, vary. Adaptive splits take fewer solves from
+        three dimensions on; see `subdivide`.
     test_points : str
         The points of a cell that are solved: ``"vertices+center"``, or ``"center+faces"`` without
         the 2^n vertices. Add ``+edge_midpoints``, ``+faces`` or ``+random:R`` as wanted.

@@ -136,23 +136,24 @@ def tune(
 
     Each trial makes the policy for other settings, and runs its closed loops from random starts.
     All trials have the same starts. The first trial takes the middle of the ranges, and some more
-    are spread over the ranges. The others follow what was found (a tree-structured Parzen
+    are spread over the ranges. The other trials follow what was found (a tree-structured Parzen
     estimator, by Optuna). A quick stage, with one level less and a fifth of the starts, decides
     which settings are judged in full. The best few settings are then judged on other starts. The
-    best settings that meet the goal there are judged on yet other starts, which gives `figures`.
-    They should meet the goal by a standard deviation of the successes, if any settings do.
+    best settings that meet the goal there are judged on yet other starts, which gives `figures`. If
+    possible, these settings meet the goal by a standard deviation of the successes.
 
     Parameters
     ----------
     problem : Problem, or function that returns one
         The problem, or a function whose free arguments have a `Free` as their default.
     free : mapping of name to Free, optional
-        Further free settings by name. They are arguments of the function, or for any problem
-        ``horizon``, ``control_weight``, ``gamma``, ``rule``, ``price`` of a switch and ``tail``.
-        The numbers of ``tail`` are the effort of a Riccati tail, which brings its own horizon.
+        Further free settings by name. Free settings are arguments of the function, or for any
+        problem ``horizon``, ``control_weight``, ``gamma``, ``rule``, ``price`` of a switch and
+        ``tail``. The numbers of ``tail`` are the effort of a Riccati tail, which brings its own
+        horizon.
     success : float, optional
-        Least share of loops that must succeed, as `capsyn.monte_carlo` defines success. It needs a
-        target.
+        Least share of loops that must succeed, as `capsyn.monte_carlo` defines success. A share of
+        successes needs a target.
     least : "cost", "effort", "switches", "nodes" or "knee", optional
         The figure that is to be least among the settings that succeed. Default: "cost" if `success`
         is given. "nodes" are the nodes of the exact tree. "knee" has the fewest switches at 3 %

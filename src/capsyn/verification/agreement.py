@@ -182,9 +182,9 @@ def agreement(
         Number of states, drawn uniformly from the policy's space (its domain and exogenous inputs).
     controller : callable, optional
         What the policy is compared with. A function takes states (B, n), or readings, and returns
-        symbol indices (B,), -1 for the default, whatever symbol is in force. It may also be another
-        policy, or a `FiniteControlSet`. Default: sSAC with the policy's own model, horizon,
-        settings, prices and delay.
+        symbol indices (B,), -1 for the default, whatever symbol is in force. The controller may
+        also be another policy, or a `FiniteControlSet`. Default: sSAC with the policy's own model,
+        horizon, settings, prices and delay.
     seed : int
         Seed of the states.
     confidence : float

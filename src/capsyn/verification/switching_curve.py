@@ -103,7 +103,7 @@ def switching_curve(
     """Return what prices and least times do to the closed loops of a policy that sSAC made.
 
     For each price, the policy is made anew, with the settings and forbidden transitions that it
-    carries. All loops start from the same random states of the domain. They are told the same
+    carries. All loops start from the same random states of the domain. All loops are told the same
     exogenous inputs, which are drawn from their box and constant along a loop.
 
     Parameters

@@ -19,8 +19,8 @@ from capsyn.validation import one_of
 class CodeSize:
     """A function that counts the bytes of flash of a decision as C, in style table.
 
-    It counts code and tables from lattice steps on, which an export reports as ``decision``. The
-    code that makes steps of readings is not counted, because all trees of a policy share it.
+    The count is of code and tables from lattice steps on, which an export reports as ``decision``.
+    The code that makes steps of readings is not counted, because all trees of a policy share it.
 
     Parameters
     ----------

@@ -43,9 +43,9 @@ def riccati_tail(problem: System, effort: float = 1.0, goal: Any = None) -> Tail
     rates ``f_i`` at the goal. The terminal cost is ``(x - goal)^T P (x - goal)``, the cost to go of
     a linear system whose inputs are the shares of the symbols. For inputs that are each at one of
     two values, s from their mean, these inputs have the effort ``r du_i^2 / s^2``. P does not
-    depend on the units of the inputs. It depends on the unit of the cost only by its own unit. For
-    a discrete-time problem, P solves the equation of discrete time, and ``f_i`` is ``F(x, u_i) -
-    x``.
+    depend on the units of the inputs. P depends on the unit of the cost only by its own unit. For
+    a discrete-time problem, P solves the equation of discrete time, and ``f_i`` is
+    ``F(x, u_i) - x``.
 
     Parameters
     ----------

@@ -13,10 +13,10 @@ import numpy as np
 class Tail:
     """A terminal cost ``V = d^T P d`` that stands for the cost to go near a goal.
 
-    `riccati_tail` and `fitted_tail` return it. Here d is the distance from the goal. A periodic
-    axis of period L has the angle ``a = 2 pi d / L`` and ``s = L / (2 pi)``. On this axis d is ``s
-    sin a``, and ``P[i, i] s^2 (1 - cos a)^2`` is added to V. V is therefore smooth everywhere, is 0
-    only at the goal, and has the same second derivatives there.
+    `riccati_tail` and `fitted_tail` return it. In the formula, d is the distance from the goal. A
+    periodic axis of period L has the angle ``a = 2 pi d / L`` and ``s = L / (2 pi)``. On this axis
+    d is ``s sin a``, and ``P[i, i] s^2 (1 - cos a)^2`` is added to V. V is therefore smooth
+    everywhere, is 0 only at the goal, and has the same second derivatives there.
 
     Parameters
     ----------
