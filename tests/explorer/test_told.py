@@ -9,7 +9,7 @@ import pytest
 from capsyn import Alphabet, Box, Problem, SsacSettings, Switching, compress, simulate, synthesize
 from capsyn.explorer.explore import page
 from support.explorer.node import BEGIN, node
-from support.explorer.page import OUTPUT, synthesized
+from support.explorer.page import OUTPUT, json_of, synthesized
 
 LOOP = (
     'import { makeLookup } from "#page/policy/lookup.js";'
@@ -283,7 +283,7 @@ def test_it_has_room_and_is_looked_at(show, width, scheme):
 
 def test_other_pages_have_no_such_sliders(show):
     policy = synthesized("cart-pendulum", max_level=1)
-    assert '"exogenous"' not in page(policy).split('id="data"')[1].split("</script>")[0]
+    assert "exogenous" not in json_of(page(policy))
     shown = show(policy)
     assert not shown.page.locator("#told").count()
     assert "least running cost" not in shown.text("#legend")

@@ -108,7 +108,7 @@ def test_loops_and_pages(policy):
     found = monte_carlo(policy, 5, duration=1, rate=20, target=Ball([0, 0], 0.5))
     assert found.to_json()["trials"] == 5
     data = policy_data(policy)
-    assert data["cells"]["mixed_labels"]["shape"][1] == 2 * word_count(129)
+    assert data["cells"]["mixed_labels"].shape[1] == 2 * word_count(129)
 
 
 def test_settings_of_equal_controls_are_told_apart_by_names():

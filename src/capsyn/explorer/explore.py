@@ -5,17 +5,16 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
-import json
 import os
 import re
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
 from capsyn.explorer.formulas import formulas
 from capsyn.explorer.memory_data import needs_memory
+from capsyn.explorer.packed import pack
 from capsyn.explorer.page_data import page_data
 from capsyn.explorer.program_javascript import features_javascript, model_javascript
 from capsyn.policies.policy import Policy
@@ -65,7 +64,7 @@ def page(policy: Policy, drawing: str | None = None) -> str:
     notice = f"/* With uPlot:\n{_resource('vendor/uPlot.LICENSE').strip()} */"
     code = _resource(f"{bundle}.js").strip()
     features = features_javascript(policy).removeprefix("export ").strip()
-    begin = f"capsynPage.start(model{', features' if features else ''});"
+    begin = f"await capsynPage.start(model{', features' if features else ''});"
     script = "\n".join(filter(None, [notice, model, features, code, begin]))
     parts = {
         "TITLE": html.escape(f"{policy.name} - capsyn"),
@@ -73,7 +72,7 @@ def page(policy: Policy, drawing: str | None = None) -> str:
             POLICY.format(script=_digest(script), style=_digest(style), nothing=NOTHING)
         ),
         "FORMULAS": _formulas(policy),
-        "DATA": _json(page_data(policy, drawing)),
+        "DATA": pack(page_data(policy, drawing)),
         "STYLE": style,
         "SCRIPT": script,
     }
@@ -92,9 +91,3 @@ def _resource(name: str) -> str:
 
 def _digest(text: str) -> str:
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
-
-
-def _json(data: Any) -> str:
-    """Return JSON that no text in it can end, whatever it says."""
-    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

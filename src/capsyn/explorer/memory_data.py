@@ -8,7 +8,6 @@ import numpy as np
 
 from capsyn.automata.automaton import edges_between
 from capsyn.cells.cell_tree import CellTree
-from capsyn.explorer.packed import packed_array
 from capsyn.policies.in_force import followers, reachable
 from capsyn.policies.policy import Policy
 
@@ -26,8 +25,8 @@ def memory_data(policy: Policy) -> dict[str, Any]:
 
     Labels are symbols, and N for the default control, which is in force before the first decision:
 
-    - ``transitions`` (R - N - 1, N + 1), packed: which label follows each, of the rows that are not
-      constant, whose numbers begin with N + 1;
+    - ``transitions`` (R - N - 1, N + 1), an array: which label follows each, of the rows that are
+      not constant, whose numbers begin with N + 1;
     - ``in_force``: the labels that may ever be in force, but for the start;
     - ``kinds`` (N + 1): equal where a change is no switch;
     - ``forbidden`` (N + 1, N + 1): whether a change must not be, from each to each;
@@ -35,7 +34,7 @@ def memory_data(policy: Policy) -> dict[str, Any]:
     """
     rules = policy.rules
     return {
-        "transitions": packed_array(policy.transitions[len(policy.alphabet) + 1 :]),
+        "transitions": policy.transitions[len(policy.alphabet) + 1 :],
         "in_force": reachable(policy).tolist(),
         "kinds": rules.kinds.tolist(),
         "forbidden": rules.forbidden.tolist(),

@@ -8,7 +8,6 @@ import numpy as np
 
 from capsyn.cells.cell_tree import CellTree
 from capsyn.explorer.memory_data import memory_data, needs_memory, one_hold
-from capsyn.explorer.packed import packed_array
 from capsyn.modelling.discrete import horizon_time
 from capsyn.policies.file import content_of
 from capsyn.policies.policy import Policy
@@ -31,7 +30,7 @@ STRUCTURE = ("partitions", "refinement", "max_level")
 
 
 def policy_data(policy: Policy) -> dict[str, Any]:
-    """Return a policy as plain data, which ``json.dumps`` takes.
+    """Return a policy as plain data with arrays, which `pack` takes.
 
     It is what the policy's file holds (see docs/policy-format.md) but for the programs, which go to
     the page as JavaScript (`model_javascript`), with
@@ -42,7 +41,8 @@ def policy_data(policy: Policy) -> dict[str, Any]:
       name is "outside" where cells of it are gaps;
     - ``law``, only where it is true: the default is a law, and its control that of the middle;
     - ``counts``: steps of the lattice along each axis;
-    - ``cells``: partitions, refinement, max_level and arrays; None of a decision tree;
+    - ``cells``: partitions, refinement, max_level and arrays, those of affine rows symbol by
+      symbol; None of a decision tree;
     - ``tree``: arrays of a decision tree, else None;
     - ``features``: names and thresholds of a tree's features, or None; see `features_javascript`;
     - ``discrete``, only where it is true: the model is a map, once a sample;
@@ -54,8 +54,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     - ``memory``, of policies that `needs_memory` names: see `memory_data`. There ``min_dwell``
       is the least time of all symbols where they have the same.
 
-    Arrays are ``{"dtype", "shape", "base64"}``, little-endian, in the smallest integers that hold
-    them. The sets of labels seen in mixed cells are bit masks of 32-bit words, lowest word first.
+    The sets of labels seen in mixed cells are bit masks of 32-bit words, lowest word first.
     """
     data = {"features": None} | content_of(policy)
     if data["features"]:
@@ -66,7 +65,9 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     if isinstance(policy.cells, CellTree):
         seen = np.bitwise_or.reduce(policy.cells.mixed_labels, axis=1)  # whatever is in force
         arrays["mixed_labels"] = _words(seen, len(policy.alphabet) + 1)
-    packed = {name: packed_array(array) for name, array in arrays.items()}
+    if "row_symbols" in arrays:  # what is alike stands together
+        order = np.argsort(arrays["row_symbols"], kind="stable")
+        arrays |= {name: arrays[name][order] for name in ("row_constants", "row_slopes")}
     settings = policy.settings
     if isinstance(data["target"], dict) and "program" in data["target"]:
         data["target"] = {"program": None}
@@ -83,7 +84,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         "counts": list(policy.cells.counts),
         "cells": None,
         "tree": None,
-        policy.cells.kind: structure | packed,
+        policy.cells.kind: structure | arrays,
         "rate": RATE if settings is None else 1 / settings.sample_time,
         "slack": SLACK,
         "sampled": _sampled(policy),
@@ -95,7 +96,7 @@ def _sampled(policy: Policy) -> dict[str, Any] | None:
     if (model := policy.model) is None or policy.discrete:
         return None
     return {
-        "states": packed_array(policy.space.sample(SAMPLES, 0)),
+        "states": policy.space.sample(SAMPLES, 0),
         "accuracy": ACCURACY,
         "cost_accuracy": COST_ACCURACY,
         "percentile": PERCENTILE,

@@ -9,6 +9,7 @@ import pytest
 
 import capsyn.explorer
 from capsyn.explorer.memory_data import needs_memory
+from capsyn.explorer.packed import pack
 from capsyn.explorer.policy_data import policy_data
 from capsyn.explorer.program_javascript import features_javascript, model_javascript
 
@@ -16,7 +17,9 @@ NODE = shutil.which("node")
 HOME = Path(capsyn.explorer.__file__).parents[1]
 BEGIN = """
 import { readFileSync } from "node:fs";
+import { unpacked } from "./explorer/page/policy/packed.js";
 const input = JSON.parse(readFileSync(process.argv[2], "utf8"));
+input.policy = await unpacked(input.policy);
 const numbers = rows => rows.map(row => row.map(v => (v === "nan" ? NaN : Number(v))));
 const print = value => console.log(JSON.stringify(value, (_, v) =>
   ArrayBuffer.isView(v) ? Array.from(v) : Number.isNaN(v) ? null : v));
@@ -48,7 +51,9 @@ def node(directory, code, policy, **inputs):
     package = {"type": "module", "imports": {"#page/*": modules}}
     (directory / "package.json").write_text(json.dumps(package))
     (directory / "run.js").write_text(code)
-    (directory / "input.json").write_text(json.dumps({"policy": policy_data(policy), **inputs}))
+    (directory / "input.json").write_text(
+        json.dumps({"policy": pack(policy_data(policy)), **inputs})
+    )
     command = [NODE, *["--conditions=memory"] * needs_memory(policy)]
     command += [directory / "run.js", directory / "input.json"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)

@@ -1,9 +1,13 @@
 """Pages of policies in Debian's Chromium, and what they show."""
 
+import base64
 import contextlib
 import functools
+import json
+import re
 import shutil
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +25,14 @@ QUIET = {"reduced_motion": "reduce"}
 def synthesized(name, **changes):
     """Return the policy of a built-in problem."""
     return synthesize(problems.plain(name), **changes)
+
+
+def json_of(html):
+    """Return what a page knows, but for the values of arrays."""
+    (text,) = re.findall(r'id="data">([^<]*)</script>', html)
+    data = zlib.decompress(base64.b64decode(text, validate=True))
+    size = int.from_bytes(data[:4], "little")
+    return json.loads(data[4 : 4 + size])
 
 
 @contextlib.contextmanager
@@ -75,6 +87,7 @@ class Shown:
         for event, listener in self._listeners.items():
             self.page.on(event, listener)
         self.page.goto(self.file.as_uri())
+        self.page.wait_for_function("window.capsyn", timeout=15_000)
         self.settle()
 
     def close(self):

@@ -9,6 +9,7 @@ import { makeMap } from "./map/map.js";
 import { makeChips } from "#page/panels/chips.js";
 import { showFacts, showLegend, showTitle } from "./panels/facts.js";
 import { makeReadout } from "#page/panels/readout.js";
+import { unpacked } from "./policy/packed.js";
 import { makeSeries } from "./series/series.js";
 import { makeApp } from "./state/app.js";
 import { changed, drawSoon, restyle } from "./state/changes.js";
@@ -16,8 +17,10 @@ import { progress } from "./state/tracks.js";
 import { start as startTrajectory } from "./state/trajectories.js";
 
 /** Bring the page to life; for the arguments see `makeApp`. */
-export function start(model, features) {
-  const app = makeApp(model, features), { data, loop, view } = app;
+export async function start(model, features) {
+  const packed = byId("data");
+  const app = makeApp(await unpacked(packed.textContent), model, features), { data, loop, view } = app;
+  packed.remove();
   showTitle(app);
   app.parts = {
     map: makeMap(app),

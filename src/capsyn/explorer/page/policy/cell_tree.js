@@ -1,10 +1,11 @@
-import { unpack } from "./packed.js";
+import { regrouped, unpack } from "./packed.js";
 import { fill } from "./raster.js";
 
 /** A grid of trees; see `capsyn.cells.cell_tree.CellTree` for the arrays. */
 export class CellTree {
   /** Of a policy with so many labels: leaves beyond these are affine. */
   constructor({ partitions, refinement, max_level: maxLevel, ...packed }, labels) {
+    const symbols = packed.row_symbols && unpack(packed.row_symbols);
     Object.assign(this, {
       partitions, refinement,
       entries: Int32Array.from(unpack(packed.entries)),
@@ -14,8 +15,9 @@ export class CellTree {
       rootSize: refinement.map(r => r ** maxLevel),
       labels,
       rows: packed.row_starts ? {
-        starts: unpack(packed.row_starts), symbols: unpack(packed.row_symbols),
-        constants: unpack(packed.row_constants), slopes: unpack(packed.row_slopes),
+        starts: unpack(packed.row_starts), symbols,
+        constants: regrouped(unpack(packed.row_constants), symbols),
+        slopes: regrouped(unpack(packed.row_slopes), symbols),
       } : null,
     });
     /** The most times that a cell is split. */

@@ -25,11 +25,11 @@ const NOTED = 4000;
  */
 
 /**
- * Return the state of the page without its parts; `model` is what `model_javascript` makes,
+ * Return the state of the page without its parts; `data` is what `page_data` makes, `model` is what `model_javascript` makes,
  * `features` what `features_javascript` does, if the policy has any.
  */
-export function makeApp(model, features) {
-  const data = JSON.parse(byId("data").textContent), lookup = makeLookup(data, features);
+export function makeApp(data, model, features) {
+  const lookup = makeLookup(data, features);
   const app = {
     data, model, lookup,
     loop: data.loops ? makeLoop(data, lookup, model) : null,
