@@ -34,6 +34,7 @@ limits: kept
 policies: lookup guarantee evidence colors in_force picture checks file cut derived policy
     report
 controllers: command formulation solver steps one_step ssac action_kernel actions sac online
+controllers.unsolved: diagnosis inside
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
 automata: rectangles regions face_rates row_faces switching automaton

@@ -358,6 +358,7 @@ def _print_solves(statistics: dict[str, Any]) -> None:
         ("worst_case_solves", "Prop. 2", "solves at worst"),
         ("indifferent_points", "ties", "test points where several symbols tie"),
         ("not_finite_points", "not finite", "test points"),
+        ("limit_points", "limits", "test points with an infinite gradient, solved inside a cell"),
     ):
         if key in statistics:
             print_line(name, f"{statistics[key]:,} {unit}")

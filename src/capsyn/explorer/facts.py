@@ -70,7 +70,11 @@ def _solves(statistics: dict[str, Any]) -> list[Row]:
         rows.append(("Proposition 2", f"{worst:,} at worst{needed}"))
     roles = statistics.get("solves_by_role", {})
     rows += [(text, f"{roles[role]:,}") for role, text in ROLES.items() if roles.get(role)]
-    for key, text in (("indifferent_points", "ties"), ("not_finite_points", "not finite")):
+    for key, text in (
+        ("indifferent_points", "ties"),
+        ("not_finite_points", "not finite"),
+        ("limit_points", "solved inside a cell"),
+    ):
         if statistics.get(key):
             points = statistics[key]
             rows.append((text, f"{points:,} test point{'' if points == 1 else 's'}"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from capsyn.cells.feature_tree import FeatureTree
 from capsyn.modelling.targets import target_program
 from capsyn.policies.policy import Policy
+from capsyn.programs.builder import extended
 from capsyn.programs.continuity import rate_kinks
 from capsyn.programs.program import Program
 from capsyn.programs.texts import JAVASCRIPT, javascript_lines
@@ -44,12 +45,13 @@ def model_javascript(policy: Policy) -> str:
     model = policy.model
     if model is None:
         return "export const model = null;\n"
+    dynamics, cost = extended(model.dynamics), extended(model.running_cost)
     programs = {
-        "dynamics": model.dynamics,
-        "runningCost": model.running_cost,
+        "dynamics": dynamics,
+        "runningCost": cost,
         "terminalCost": model.terminal_cost,
         "inside": target_program(policy.target, policy.space),
-        "kinks": rate_kinks(model.dynamics, model.running_cost),
+        "kinks": rate_kinks(dynamics, cost),
     }
     body = "".join(program_javascript(program, name) for name, program in programs.items())
     helpers = _helpers(body)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,33 +12,20 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Ball, Box
-from capsyn.modelling.expressions import casadi_function, expression, split_reading
+from capsyn.modelling.expressions import (
+    casadi_from_program,
+    casadi_function,
+    expression,
+    extended_function,
+    program_from_casadi,
+    split_reading,
+)
 from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import INSIDE, Target
-from capsyn.programs.builder import ProgramBuilder
 from capsyn.programs.model import Model, Prediction, gathered_cost, model_ports
 from capsyn.programs.operations import OPERATIONS
 from capsyn.programs.program import Ports, Program
 
-_CASADI_NAMES = {
-    getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name[:3] == "OP_"
-}
-_OPERATIONS = {code: name for code, name in _CASADI_NAMES.items() if name in OPERATIONS}
-_OPERATIONS |= {ca.OP_CONSTPOW: "pow", ca.OP_IF_ELSE_ZERO: "select"}
-
-_IN_CASADI: dict[str, Callable[..., Any]] = {
-    "add": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "div": operator.truediv,
-    "neg": operator.neg,
-    "pow": operator.pow,
-    "select": lambda condition, value: ca.if_else(condition, value, 0),
-    "not": ca.logic_not,
-    "and": ca.logic_and,
-    "or": ca.logic_or,
-}
-"""Operations of programs that CasADi has under other names."""
 _JUMPS = frozenset(
     name
     for name, operation in OPERATIONS.items()
@@ -47,79 +33,6 @@ _JUMPS = frozenset(
     or name in ("floor", "ceil", "sign", "copysign", "select", "atan2", "fmod", "remainder")
 )
 """Operations that may jump: their derivative does not tell how far."""
-_REWRITES: dict[int, Callable[[ProgramBuilder, int], int]] = {
-    ca.OP_ASSIGN: lambda builder, a: a,
-    ca.OP_SQ: lambda builder, a: builder.apply("mul", a, a),
-    ca.OP_TWICE: lambda builder, a: builder.apply("add", a, a),
-    ca.OP_INV: lambda builder, a: builder.apply("div", builder.constant(1.0), a),
-}
-
-
-def program_from_casadi(name: str, function: ca.Function, inputs: Ports, outputs: Ports) -> Program:
-    """Return the program of a CasADi function with dense column inputs and outputs.
-
-    An operation that programs do not have, or a NaN constant, is a `ProblemError`.
-    """
-    builder = ProgramBuilder()
-    slots = [[builder.input() for _ in range(size)] for _, size in inputs]
-    results = _instructions("default" if name == "law" else name, function, builder, slots)
-    return builder.build(name, inputs, outputs, results)
-
-
-def _instructions(
-    own: str, function: ca.Function, builder: ProgramBuilder, slots: Sequence[Sequence[int]]
-) -> list[int]:
-    """Return the nonzeros of all outputs of a function, built of those of its inputs.
-
-    `own` is what the user calls it.
-    """
-    function = function.expand() if not function.is_a("SXFunction") else function
-    starts = np.cumsum([0] + [function.nnz_out(i) for i in range(function.n_out())])
-    results: list[int] = [-1] * int(starts[-1])
-    work: dict[int, int] = {}
-    for k in range(function.n_instructions()):
-        code = function.instruction_id(k)
-        into = function.instruction_output(k)
-        operands = function.instruction_input(k)
-        if code == ca.OP_INPUT:
-            work[into[0]] = slots[operands[0]][operands[1]]
-        elif code == ca.OP_OUTPUT:
-            results[starts[into[0]] + into[1]] = work[operands[0]]
-        elif code == ca.OP_CONST:
-            number = function.instruction_constant(k)
-            if np.isnan(number):
-                raise ProblemError(
-                    f"`{own}` contains the constant NaN; math.sin and float do not work on "
-                    "symbols, CasADi's and NumPy's functions do"
-                )
-            work[into[0]] = builder.constant(number)
-        elif code in _REWRITES:
-            work[into[0]] = _REWRITES[code](builder, work[operands[0]])
-        elif code in _OPERATIONS:
-            work[into[0]] = builder.apply(_OPERATIONS[code], *(work[i] for i in operands))
-        elif code == ca.OP_CALL:
-            called = function.instructions_sx()[k].which_function()
-            ends = np.cumsum([0] + [called.nnz_in(i) for i in range(called.n_in())])
-            given = [[work[i] for i in operands[a:b]] for a, b in zip(ends, ends[1:])]
-            work.update(zip(into, _instructions(own, called, builder, given)))
-        else:
-            operation = _CASADI_NAMES.get(code, str(code))
-            raise ProblemError(f"`{own}` uses the operation '{operation}', which has no C form")
-    return results
-
-
-def casadi_from_program(program: Program) -> ca.Function:
-    """Return the CasADi function of a program's first output."""
-    symbols = [ca.SX.sym(name, size) for name, size in program.inputs]
-    values = [symbol[i] for symbol in symbols for i in range(symbol.numel())]
-    for name, *operands in program.instructions:
-        if name == "const":
-            values.append(ca.SX(operands[0]))
-        else:
-            operation = _IN_CASADI[name] if name in _IN_CASADI else getattr(ca, name)
-            values.append(operation(*(values[k] for k in operands)))
-    column = ca.vertcat(*(values[k] for k in program.first.results))
-    return ca.Function(program.name, symbols, [ca.densify(column)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,19 +227,22 @@ def _programs(
     given, running = functions["dynamics"], functions["running_cost"]
     if u is None:
         law, inputs = functions["default"], []
-        dynamics = ca.Function("predicted", [z], [given(z, law(z))])
+        dynamics = ca.Function("law", [z], [given(z, law(z))])
     else:
         law, inputs, dynamics = None, [u], given
+    moved, gathered = extended_function(dynamics), extended_function(running)
     if problem.discrete:
-        end, cost = dynamics(z, *inputs), running(z)
+        end, cost = moved(z, *inputs), gathered(z)
     else:
-        end, cost = runge_kutta_step(dynamics, running, z, inputs, dt)
+        end, cost = runge_kutta_step(moved, gathered, z, inputs, dt)
     terminal, rates = functions["terminal_cost"](z), dynamics(z, *inputs)
     change = [given(z, ca.DM(value)) - rates for value in problem.alphabet.values]
     widths = ca.DM(problem.space.widths)
     sensitivity = ca.norm_2(widths * rho) + rounding * ca.fabs(total)
     noise = rounding * ca.norm_2(rates / widths)
     sizes = [sensitivity * (ca.norm_2(df / widths) + noise) for df in change]
+    if gathered is not running:  # not finite where the cost itself is not, else the same
+        sizes = [size * (1 + 1e-300 * running(z)) for size in sizes]
     arguments: dict[str, Sequence[ca.SX]] = {
         "law": [z],
         "dynamics": [z, *inputs],

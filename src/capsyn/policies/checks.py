@@ -25,6 +25,8 @@ STATISTICS: dict[str, tuple[type, ...]] = {
     "indifferent_points": (int,),
     "not_finite_points": (int,),
     "not_finite_example": (list, type(None)),
+    "limit_points": (int,),
+    "limit_example": (list,),
     "stopped_by_max_solves": (bool,),
     "stopped_by": (str,),
     "sample": (dict,),

@@ -252,3 +252,76 @@ def with_sums(program: Program, factors: Sequence[Sequence[float]]) -> Program:
         results.append(total)
     ports: Ports = ((name, size + len(factors)),)
     return builder.build(program.name, program.inputs, ports, results)
+
+
+RANGES = {"sqrt": (0.0, np.inf), "asin": (-1.0, 1.0), "acos": (-1.0, 1.0)}
+"""Closed ranges, at whose ends slopes are infinite but values are not; ``pow`` is one more, of
+bases >= 0, where its exponent is no whole number."""
+_POSITIVE = {"fabs", "sqrt", "exp", "cosh", "hypot", "acosh", "acos"}
+
+
+def extended(program: Program) -> Program:
+    """Return a program whose operations outside their range have the value at its nearest end.
+
+    ``sqrt(a)`` becomes ``sqrt(fmax(a, 0))``, which is what a model is where the step of an
+    integration oversteps the edge of where it is defined: a tank that has run empty. A program
+    whose operations cannot leave their range is returned as it is.
+    """
+    positive = _not_negative(program)
+    places = [_range(program, k, positive) for k in range(len(program.instructions))]
+    if not any(places):
+        return program
+    builder = ProgramBuilder()
+    values = [builder.input() for _ in range(program.input_count)]
+    for place, (name, *operands) in zip(places, program.instructions):
+        if name == "const":
+            values.append(builder.constant(operands[0]))
+            continue
+        mine = [values[k] for k in operands]
+        if place:
+            low, high = place
+            mine[0] = builder.apply("fmax", mine[0], builder.constant(low))
+            if high < np.inf:
+                mine[0] = builder.apply("fmin", mine[0], builder.constant(high))
+        values.append(builder.apply(name, *mine))
+    results = [values[k] for k in program.results]
+    return builder.build(program.name, program.inputs, program.outputs, results)
+
+
+def _range(program: Program, k: int, positive: Sequence[bool]) -> tuple[float, float] | None:
+    """Return the range of the first operand of an instruction, None where it cannot leave it."""
+    name, *operands = program.instructions[k]
+    if name == "pow":
+        exponent = _constant(program, operands[1])
+        place = None if exponent is None or exponent == np.rint(exponent) else (0.0, np.inf)
+    else:
+        place = RANGES.get(name)
+    if place is None or (place[0] == 0 and positive[operands[0]]):
+        return None
+    return place
+
+
+def _constant(program: Program, value: int) -> float | None:
+    k = value - program.input_count
+    if k >= 0 and program.instructions[k][0] == "const":
+        return float(program.instructions[k][1])
+    return None
+
+
+def _not_negative(program: Program) -> list[bool]:
+    """Return which values cannot be negative, as far as their operations show."""
+    positive = [False] * program.input_count
+    for name, *operands in program.instructions:
+        if name == "const":
+            positive.append(operands[0] >= 0)
+            continue
+        mine = [positive[k] for k in operands]
+        positive.append(
+            name in _POSITIVE
+            or OPERATIONS[name].boolean
+            or (name == "mul" and operands[0] == operands[1])
+            or (name in ("add", "mul", "div", "fmin") and all(mine))
+            or (name == "fmax" and any(mine))
+            or (name == "select" and mine[1])
+        )
+    return positive

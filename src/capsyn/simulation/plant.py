@@ -19,11 +19,12 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import Target
 from capsyn.modelling.transcription import transcribe, transcribe_target, user_program
 from capsyn.policies.policy import Policy
+from capsyn.programs.builder import extended
 from capsyn.programs.continuity import rate_kinks
 from capsyn.programs.model import Model
 from capsyn.programs.program import Ports, Program
 from capsyn.programs.step_doubling import KINKED, fewest_steps
-from capsyn.validation import describe
+from capsyn.validation import describe, keep
 
 SAMPLES = 256
 """Random states at which `choose_substeps` tries steps."""
@@ -60,6 +61,9 @@ class Plant:
     delay: float = 0.0  # input delay that is known [time unit]
     exogenous: Box | None = None  # names and units of what it is told, after the states in x
     sample_time: float | None = None  # of a map [time unit]; None: its dynamics are rates
+
+    def __post_init__(self) -> None:
+        keep(self, dynamics=extended(self.dynamics), running_cost=extended(self.running_cost))
 
     @functools.cached_property
     def space(self) -> Box:

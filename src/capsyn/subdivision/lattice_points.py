@@ -272,8 +272,7 @@ class LatticePoints:
         if self.not_finite > NOT_FINITE_LIMIT * max(solves, least):
             raise SynthesisError(
                 f"{self.not_finite} of {solves} solves gave no finite result, for instance at "
-                f"state {self.example}: check the model there, and whether `steps` and the horizon "
-                "fit it"
+                f"state {self.example}"
             )
 
     def _states(self, keys: np.ndarray) -> np.ndarray:

@@ -26,7 +26,9 @@ from capsyn.cells.masks import (
     masks_of_symbols,
 )
 from capsyn.cells.row_table import RowTable
-from capsyn.errors import ProblemError
+from capsyn.controllers.unsolved.diagnosis import UNKNOWN, Diagnosis
+from capsyn.controllers.unsolved.inside import InsideAnswers
+from capsyn.errors import ProblemError, SynthesisError
 from capsyn.execution.checkpoint import Remembered
 from capsyn.execution.processors import pool_of
 from capsyn.modelling.alphabet import Alphabet, Outside, check_outside
@@ -214,6 +216,7 @@ class Labelling:
     progress: Callable[[Progress], None] | None = None
     in_force: int = 1  # symbols in force that masks (B, J, W) are given for; 1: masks (B, W)
     prices: PriceRatios | None = None  # on switching, that scores pay while others are in force
+    diagnosis: Diagnosis | None = None  # of states without an answer; see `InsideAnswers`
 
 
 def carry_out(
@@ -241,9 +244,15 @@ def carry_out(
     if isinstance(label, Remembered) and not plan.in_rounds:  # its chunks are those of blocks
         plan = plan.with_room(label.checkpoint.settle("block_memory", plan.room))
     started = time.perf_counter()
+    answers: Any = (_scored if plan.affine else _masks)(
+        label, returns, n_symbols, labelling.in_force
+    )
+    told = labelling.diagnosis
+    if told is not None:
+        answers = InsideAnswers(answers, told.defined, domain, plan.grid.counts)
     with pool_of(threads) as pool:
         points = LatticePoints(
-            (_scored if plan.affine else _masks)(label, returns, n_symbols, labelling.in_force),
+            answers,
             domain,
             plan.lattice,
             n_symbols,
@@ -259,8 +268,9 @@ def carry_out(
         plain = not returns.endswith("scores")
         task = SubdivisionTask(plan, rows, points, plain, labelling.prices)
         work = RoundSubdivision(task) if plan.in_rounds else ConstantSubdivision(task)
-        cells = work.run()
+        cells = _run(work, points, told)
     seconds = time.perf_counter() - started
+    limits = answers.statistics() if isinstance(answers, InsideAnswers) else {}
     return Policy(
         name=name,
         domain=domain,
@@ -268,10 +278,23 @@ def carry_out(
         default=np.zeros(alphabet.m),
         cells=cells,
         outside=outside,
-        statistics=work.statistics(),
+        statistics=work.statistics() | limits,
         timings={"label": points.seconds, "subdivide": seconds - points.seconds},
         transitions=None if labelling.in_force == 1 else rows.labels(),
     )
+
+
+def _run(
+    work: RoundSubdivision | ConstantSubdivision, points: LatticePoints, told: Diagnosis | None
+) -> Any:
+    """Return the cells of a subdivision; where it stops for lost answers, `told` says why."""
+    try:
+        return work.run()
+    except SynthesisError as error:
+        if points.example is None:
+            raise
+        reason = told.why(points.example) if told else UNKNOWN
+        raise SynthesisError(f"{error}: {reason}") from None
 
 
 def _masks(

@@ -16,6 +16,7 @@ from capsyn.cells.masks import empty, several
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import TIE
 from capsyn.controllers.ssac import BatchController, batch_controller
+from capsyn.controllers.unsolved.diagnosis import Diagnosis
 from capsyn.errors import ProblemError, warn
 from capsyn.execution.cluster import check_client
 from capsyn.execution.processors import processors
@@ -214,6 +215,7 @@ def _synthesized(
         labelling = Labelling(
             answers.label, returns, controller.preference, answers.threads, run.progress,
             controller.in_force, None if prices is None else PriceRatios.of(prices),
+            Diagnosis(controller.formulation),
         )  # fmt: skip
         policy = carry_out(plan, labelling, problem.space, problem.alphabet)
     timings = {"prepare": prepared, **policy.timings}
@@ -257,7 +259,8 @@ def _described(
         warn(
             f"{statistics['not_finite_points']} of {statistics['solves']} solves gave no finite "
             "result and take the default control, for instance at state "
-            f"{statistics['not_finite_example']}"
+            f"{statistics['not_finite_example']}: "
+            + Diagnosis(controller.formulation).why(statistics["not_finite_example"])
         )
     sample = sample_statistics(controller, problem.space, seed)
     return dataclasses.replace(
