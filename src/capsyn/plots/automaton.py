@@ -38,16 +38,16 @@ CLOSE = 0.42
 def plot_automaton(automaton: Automaton, ax: Axes | None = None) -> Axes:
     """Draw an automaton as a graph: the finite state machine of the paper's figures 3 and 4.
 
-    Arrows that are proved impossible are dashed and grey, those that are not decided dotted; a
-    star marks those on which the loop chatters somewhere. Of more than `MOST_LABELLED` vertices the
-    arrows have no labels: those into a symbol carry its region.
+    Arrows that are proved impossible are dashed and grey. Undecided arrows are dotted. A star marks
+    arrows on which the loop chatters somewhere. With more than `MOST_LABELLED` vertices, arrows
+    have no labels: all arrows into a symbol carry the region of this symbol.
 
     Parameters
     ----------
     automaton : Automaton
-        What to draw.
+        The automaton to draw.
     ax : Axes, optional
-        Where to draw. Default: the current axes.
+        The Axes to draw on. Default: the current axes.
     """
     import matplotlib.pyplot as plt
     from matplotlib.patches import Circle
@@ -115,7 +115,7 @@ def vertex_colors(automaton: Automaton) -> dict[int, str]:
 def save_automaton(automaton: Automaton, path: str | os.PathLike[str]) -> None:
     """Write an automaton as DOT text, or as a picture in PNG, PDF or SVG, by the ending of `path`.
 
-    The same automaton gives the same bytes; what was at `path` is replaced only by a whole file.
+    The same automaton gives the same bytes. A file at `path` is replaced only by a complete file.
     """
     if check_drawing(path) == "dot":
         write_text(path, automaton.to_dot(vertex_colors(automaton)))

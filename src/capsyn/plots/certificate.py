@@ -29,10 +29,11 @@ def plot_certificate(
 ) -> Axes:
     """Draw what is proved in the plane of two states.
 
-    Of two states each proved cell has the colour of the time by which its starts have arrived. Of
-    more states each place of the plane has that of the share of the starts over it that is proved.
-    Of one state the time is the height. The set in which the loop stays is outlined, its ripple
-    dashed; refuted starts are crosses, the first of each kind with its name. `bar` adds the scale.
+    For two states, the colour of a proved cell is the time by which its starts have arrived. For
+    more states, the colour of a place is the share of the starts over this place that are proved.
+    For one state, the height is the time. A line surrounds the set in which the loop stays, and a
+    dashed line its ripple. Crosses are refuted starts, and the first of each kind has its name.
+    `bar` adds the scale.
     """
     cells = certificate.cells
     if cells.domain.n == 1:
@@ -58,7 +59,7 @@ def plot_certificate(
 def save_certificate_plot(
     certificate: Certificate, title: str, path: str | os.PathLike[str]
 ) -> None:
-    """Write the picture as PNG, PDF or SVG, of more than two states one of each pair.
+    """Write the picture as PNG, PDF or SVG; more than two states give a panel for each pair.
 
     See `capsyn.plots.figure.save_figure`.
     """

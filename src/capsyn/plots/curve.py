@@ -30,7 +30,7 @@ MOST_RATIO = 3.0
 def plot_curve(points: Sequence[CurvePoint], ax: Axes) -> Axes:
     """Draw the volume that disagrees against the bytes of controllers, a marker for each mode.
 
-    Those that nothing smaller beats are filled and joined by a line.
+    Controllers that no smaller one beats are filled, and joined by a line.
     """
     for color, (mode, marker) in zip(PALETTE, MARKERS.items()):
         some = [point for point in points if point.mode == mode]
@@ -118,7 +118,7 @@ def plot_loop_curve(points: Sequence[LoopPoint], axes: Sequence[Axes]) -> None:
 def save_curve_plot(points: Sequence[CurvePoint], title: str, path: str | os.PathLike[str]) -> None:
     """Write the picture as PNG, PDF or SVG; see `capsyn.plots.figure.save_figure`.
 
-    Of points whose loops are known it has panels against nodes.
+    If the loops of the points are known, the picture has panels against nodes.
     """
     if all(hasattr(point, "cost_ratio") for point in points):
         with saved_figure(path, 9, 5.5) as figure:

@@ -50,17 +50,17 @@ def rectangles(
 
 
 def outline_width(level: int) -> float:
-    """Return the width of a level's outlines [points]; were they equal, they would hide cells."""
+    """Return the width of a level's outlines [points], thinner for smaller cells."""
     return 0.3 * 0.7**level
 
 
 def quantity(name: str, unit: str) -> str:
-    """Return the label of an axis."""
+    """Return the label of an axis: its name and unit."""
     return literal(f"{name} [{unit}]" if unit else name)
 
 
 def literal(text: str) -> str:
-    """Return a text that matplotlib draws as it is: a dollar begins no formula."""
+    """Return a text that matplotlib draws as it is, so that a dollar begins no formula."""
     return text.replace("$", r"\$")
 
 
@@ -99,8 +99,8 @@ def saved_figure(path: str | os.PathLike[str], width: float, height: float) -> I
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG, PDF or SVG, by the ending of `path`.
 
-    The same figure, made within `reproducible`, gives the same bytes; what was at `path` is
-    replaced only by a whole picture.
+    The same figure, made within `reproducible`, gives the same bytes. A file at `path` is replaced
+    only by a complete picture.
     """
     kind = check_format(path)
     metadata = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
@@ -114,7 +114,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
 def check_format(
     path: str | os.PathLike[str], kinds: Sequence[str] = FORMATS, what: str = "a picture"
 ) -> str:
-    """Return the format that a path ends with, of a picture or of something else."""
+    """Return the format that a path ends with, for a picture or another file."""
     kind = Path(path).suffix.lstrip(".").lower()
     if kind not in kinds:
         endings = ", ".join(f".{ending}" for ending in kinds)

@@ -50,30 +50,32 @@ def plot_policy(
 ) -> Axes:
     """Draw the cells of a policy in the plane of two states, or of exogenous inputs.
 
-    More than eight symbols have marks over their colours, and their names in regions with room for
-    them; names that are long are numbers there, u1 the first. The legend has the symbols that are
-    drawn; of very many those with the largest areas. A dashed line is around the target.
+    More than eight symbols have marks over their colours, and names in the regions that have room.
+    Long names are replaced by numbers there, with u1 for the first symbol. The legend lists the
+    symbols that are drawn, or those with the largest areas if there are very many. A dashed line
+    surrounds the target.
 
-    Of a policy that remembers it is what follows one symbol in force, and hatched is where a symbol
-    stays only because it is in force: there the start would take another.
+    For a policy that remembers, the picture shows what follows one symbol in force. States are
+    hatched where a symbol stays only because it is in force: the start would take another symbol
+    there.
 
     Parameters
     ----------
     policy : Policy
-        The policy; its cells that meet the plane are drawn, or where they are oblique the symbols
-        at `PIXELS` by `PIXELS` states.
+        The policy. The picture shows its cells that meet the plane, or the symbols of `PIXELS` by
+        `PIXELS` states if cells are oblique.
     plane : two axes
         Indices or names of the states on the horizontal and the vertical axis; exogenous inputs
         come after the states.
     at : mapping of name to float, optional
         Values of the other states and exogenous inputs [their units]. Default: the middles.
     ax : Axes, optional
-        Where to draw. Default: the current axes.
+        The Axes to draw on. Default: the current axes.
     outlines, legend : bool
         Whether to outline the cells, and to name the symbols.
     current : symbol index or name, optional
-        The symbol in force, -1 for the default control, of which alone it is hatched where it
-        stays. Default: that of the start, the default control, and hatched where any may stay.
+        The symbol in force, -1 for the default control. States where this symbol stays are hatched.
+        Default: the default control, as at the start, with hatches where any symbol may stay.
     """
     import matplotlib.pyplot as plt
 

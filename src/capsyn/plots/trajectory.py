@@ -53,27 +53,28 @@ def plot_trajectory(
 ) -> Any:
     """Draw states, exogenous inputs and controls of trajectories against time, an Axes for each.
 
-    The time goes to the end of the longest. Periodic states are drawn within the domain: a line
-    that goes over the seam ends there, and goes on at the other side. An input that chatters is
-    drawn as its mean, in a band as wide as its range; more than `MOST_STRIPS` trajectories have one
-    mean and range together. The last Axes, if there is one more, has a
-    strip with the symbols of each trajectory, or of all: in every piece of time their shares, one
-    above the other.
+    The time axis ends with the longest trajectory. Periodic states are drawn within the domain: a
+    line that crosses the seam ends there, and goes on at the other side. An input that chatters is
+    drawn as its mean, in a band as wide as its range. More than `MOST_STRIPS` trajectories share
+    one mean and range. If there is one more Axes, it has a strip with the symbols of each
+    trajectory, or of all together: the shares of the symbols in every piece of time, one above the
+    other.
 
     Parameters
     ----------
     trajectory : Trajectory
-        One trajectory, or many: these are drawn over each other.
+        One trajectory, or many, which are drawn over each other.
     axes : n + k + m Axes, or one more
-        Where to draw: the n states first, then k exogenous inputs, the m controls, and the symbols.
+        The Axes to draw on: first the n states, then k exogenous inputs, the m controls, and the
+        symbols.
     track : mapping of state to exogenous input or number, optional
-        What states should follow, by name: it is drawn dashed in the panel of the state. An
+        What states should follow, by name. A dashed line shows it in the panel of the state. An
         exogenous input that a state should follow has no Axes of its own.
 
     Raises
     ------
     ProblemError
-        Names that the trajectory does not have, or another number of Axes.
+        The trajectory does not have a name, or the number of Axes is wrong.
     """
     track = {} if track is None else track
     own = _panels(trajectory, track)
@@ -290,7 +291,7 @@ def save_trajectory_plot(
 ) -> None:
     """Write a picture of trajectories; see `plot_trajectory` and `save_figure`.
 
-    The strip of symbols is the last panel, where controls are symbols.
+    The last panel is the strip of symbols, if controls are symbols.
     """
     curves = trajectory.states.shape[-1] + len(_panels(trajectory, track or {}))
     inputs = trajectory.controls.shape[-1]

@@ -1,4 +1,4 @@
-"""How symbols look: a colour each, and of many symbols marks over it."""
+"""Looks of symbols: a colour for each, and marks over the colour if there are many symbols."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ INKS = ("#111111", "#ffffff")
 
 @dataclass(frozen=True)
 class Look:
-    """How a symbol looks everywhere: in pictures, in notebooks and on its page.
+    """The look of a symbol in all pictures, in notebooks and on the page of its policy.
 
     Parameters
     ----------
     color : str
-        The colour ``#rrggbb`` of its cells.
+        The colour ``#rrggbb`` of the symbol's cells.
     marks : int
-        What is drawn over them: a place in `tiles`, 0 for nothing.
+        The marks that are drawn over the cells: a place in `tiles`, 0 for no marks.
     """
 
     color: str
@@ -33,16 +33,17 @@ class Look:
 
     @property
     def ink(self) -> str:
-        """The colour of the marks: what can be seen on `color`."""
+        """The colour of the marks, which can be seen on `color`."""
         return ink_on(self.color)
 
 
 def symbol_looks(count: int) -> list[Look]:
-    """Return how `count` symbols look; up to 256 of them are all different.
+    """Return the looks of `count` symbols; up to 256 looks are all different.
 
-    The first eight have the colours of `PALETTE` alone, each further eight one kind of marks. Their
-    colours begin one later each time, so that symbols whose numbers differ by one power of 2, which
-    have all but one input in common in an alphabet of on/off settings, differ in colour.
+    The first eight symbols have the colours of `PALETTE` without marks. Each further eight symbols
+    have one kind of marks, and begin one colour later. Symbols whose numbers differ by one power of
+    2 therefore differ in colour. In an alphabet of on/off settings, such symbols differ in one
+    input only.
     """
     shades, kinds = len(PALETTE), len(tiles())
     return [
@@ -52,7 +53,7 @@ def symbol_looks(count: int) -> list[Look]:
 
 
 def symbol_colors(count: int) -> list[str]:
-    """Return the colours of `count` symbols; more than eight need their marks, too."""
+    """Return the colours of `count` symbols; only eight colours differ without marks."""
     return [look.color for look in symbol_looks(count)]
 
 

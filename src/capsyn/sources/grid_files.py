@@ -38,21 +38,21 @@ MOST_SMALL = 1 << 16
 def read_npz(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -> Table:
     """Return the table in a NumPy archive, ``.npz``.
 
-    It holds ``first`` and ``step`` (n,), ``symbols`` as `Table.of` takes them, and ``alphabet``
-    (N, m) or (N,) unless one is given. Nothing in it is ever run, and no array is read before its
-    type and shape are known to be those of a table.
+    The archive holds ``first`` and ``step`` (n,), ``symbols`` as `Table.of` takes them, and
+    ``alphabet`` (N, m) or (N,) unless an alphabet is given. capsyn never runs anything in the
+    archive. It reads no array before it knows that type and shape are those of a table.
 
     Parameters
     ----------
     path : path
         The file.
     alphabet : Alphabet, optional
-        The symbols. Default: the file's.
+        The symbols. Default: the alphabet of the file.
 
     Raises
     ------
     ProblemError
-        Another file, or arrays that make no table.
+        The file is no archive, or its arrays make no table.
     """
     path = path_text(path)
     check_alphabet(alphabet)
@@ -124,25 +124,25 @@ def read_table(
     format: str | None = None,
     **more: Any,
 ) -> Table | Strategy:
-    """Return the table, or the strategy, in a file.
+    """Return the table, or the strategy, in a file of any known format.
 
     Parameters
     ----------
     path : path
         The file.
     alphabet : Alphabet, optional
-        The symbols, see the reader of each format.
+        The symbols; see the reader of each format.
     missing, inputs
-        Of a CSV file, see `read_csv`.
+        Arguments of `read_csv`, for a CSV file.
     format : str, optional
-        One of `FORMATS`. Default: what the file's content looks like.
+        One of `FORMATS`. Default: the format that the file's content looks like.
     more
-        ``states`` of `read_prism`, ``domain`` of `read_stratego`.
+        ``states`` of `read_prism`, or ``domain`` of `read_stratego`.
 
     Raises
     ------
     ProblemError
-        An argument that is for another format, or what the reader refuses.
+        An argument is for another format, or the reader refuses the file.
     """
     path = path_text(path)
     check_alphabet(alphabet)

@@ -1,8 +1,9 @@
 """Static controllers of SCOTS, the text format ``.scs`` of its versions 0.1 and 0.2.
 
-A file has a header with the grids of states and inputs, each with its dimension, distances ``eta``,
-and lower left and upper right points, then a matrix with a row for each state of the winning
-domain: the state's index, then those of its valid inputs. Indices run with the first axis fastest.
+A file has a header with the grids of states and inputs. Each grid has its dimension, distances
+``eta``, and lower left and upper right points. A matrix follows, with a row for each state of the
+winning domain: the state's index, then the indices of its valid inputs. Indices run with the first
+axis fastest.
 Lines that are blank, or begin with ``#`` and no word of the format, are comments.
 """
 
@@ -150,13 +151,14 @@ def read_scots(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
     path : path
         The file.
     alphabet : Alphabet, optional
-        Control vectors in place of the grid's, in the order of the symbols. Default: the points of
-        the input grid, all of them, or those in use where there are more than 63.
+        Control vectors in place of the grid's, in the order of the symbols. Default: all points of
+        the input grid, or only the points in use if there are more than 63.
 
     Raises
     ------
     ProblemError
-        Another format, or a damaged file: the line, and what was expected there.
+        The file has another format or is damaged. The message names the line and what was expected
+        there.
     """
     path = path_text(path)
     check_alphabet(alphabet)

@@ -61,27 +61,28 @@ def read_csv(
     path : path
         The file.
     alphabet : Alphabet, optional
-        The symbols. Default: the numbers that the file has, ascending, as controls; of one input
-        names, in the order of the file, whose controls are 0, 1, ..
+        The symbols. Default: the numbers of the file, ascending, as controls. Names of one input
+        become symbols in the order of the file, with the controls 0, 1, ..
     missing : "auto", "error" or "outside"
-        What a grid point without a row is. ``"auto"``: outside, but an error where no state of the
-        file has that value of an axis.
+        What a grid point without a row becomes: an error, or a gap ("outside"). ``"auto"`` makes it
+        a gap, but is an error if no row of the file has this value of an axis.
     inputs : strings, optional
-        Names of the columns that are inputs. Default: the last, and those that have its name but
-        for a number at the end; or those that begin with ``input``.
+        Names of the columns that are inputs. Default: the last column, and columns whose names
+        differ from its name only by a number at the end; or the columns that begin with ``input``.
 
     Raises
     ------
     ProblemError
-        A damaged file (the line, and what was expected there), states off the grid, axes that are
-        not uniform, points without a row that must have one, or no symbol at any.
+        The file is damaged; the message names the line and what was expected there. Or states are
+        off the grid, an axis is not uniform, a point without a row must have one, or no point has a
+        symbol.
 
     Notes
     -----
-    The distance of the grid's points along an axis is the median of those of neighbouring values,
-    and a value must be within a tenth of that distance from a point. Where points are missing at so
-    many values of an axis that the median is not the grid's, the file is refused, whatever
-    `missing` is; rows with an empty symbol tell the grid then.
+    The step of an axis is the median distance of its neighbouring values. A value must lie within a
+    tenth of a step of a grid point. If so many values of an axis are missing that the median is not
+    the grid's step, the file is refused, whatever `missing` is. Add rows with an empty symbol to
+    describe such a grid.
     """
     path = path_text(path)
     check_alphabet(alphabet)

@@ -52,23 +52,24 @@ def read_prism(
 ) -> Table:
     """Return the table of a strategy of PRISM.
 
-    Variables are whole numbers or booleans: states are points of a grid with steps of 1. States
-    without a line are gaps.
+    Variables are whole numbers or booleans, so states are points of a grid with steps of 1. A state
+    without a line is a gap.
 
     Parameters
     ----------
     path : path
-        The strategy: actions, indices of choices, or an induced model with actions.
+        The file of the strategy: actions, indices of choices, or an induced model with actions.
     alphabet : Alphabet, optional
-        Control vectors by the names of the actions. Default: 0, 1, .., in the order of the file.
+        Control vectors by the names of the actions. Default: 0, 1, .. in the order of the file.
     states : path, optional
-        What ``-exportstates`` wrote. Default: a file beside it of the same name that ends in
-        ``.sta``, or in ``_states`` before the ending; none where the strategy has the values.
+        The file that ``-exportstates`` wrote. Default: a file beside the strategy, of the same
+        name, that ends in ``.sta``, or in ``_states`` before the ending. No such file is needed if
+        the strategy has the values.
 
     Raises
     ------
     ProblemError
-        Another format, a strategy with memory or one that is randomised, or states that are only
+        The file has another format, the strategy has memory or is randomised, or states are only
         numbers.
     """
     path = path_text(path)

@@ -29,20 +29,21 @@ NO_CHOICE = "loop"
 def read_storm(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -> Table:
     """Return the table of a scheduler of Storm.
 
-    Variables are whole numbers or booleans: states are points of a grid with steps of 1. States
-    that are not in the file, or whose choice is undefined, are gaps.
+    Variables are whole numbers or booleans, so states are points of a grid with steps of 1. A state
+    is a gap if it is not in the file, or if its choice is undefined.
 
     Parameters
     ----------
     path : path
         The file.
     alphabet : Alphabet, optional
-        Control vectors by the names of the choices. Default: 0, 1, .., in the order of the file.
+        Control vectors by the names of the choices. Default: 0, 1, .. in the order of the file.
 
     Raises
     ------
     ProblemError
-        Another format, a scheduler with memory or one that is randomised, or choices without names.
+        The file has another format, the scheduler has memory or is randomised, or choices have no
+        names.
     """
     path = path_text(path)
     check_alphabet(alphabet)

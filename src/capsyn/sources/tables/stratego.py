@@ -53,17 +53,17 @@ class Strategy:
     Parameters
     ----------
     path : str
-        The file, for errors.
+        Name of the file, for error messages.
     source : str
         SHA-256 of the file.
     alphabet : Alphabet
-        Its actions.
+        The actions of the strategy.
     names : n strings
-        Discrete, then continuous variables.
+        Names of the discrete variables, then of the continuous variables.
     regressors : mapping
-        Of a valuation (tuple of ints) of the discrete variables, the trees by symbol.
+        For each valuation (tuple of ints) of the discrete variables, the trees by symbol.
     bounds : k pairs
-        Of the continuous variables: a box that is wider than where their trees cut.
+        Bounds of the k continuous variables: a box that is wider than the cuts of the trees.
     """
 
     path: str
@@ -75,7 +75,7 @@ class Strategy:
 
     @property
     def discrete(self) -> int:
-        """Number of discrete variables."""
+        """Number of the discrete variables."""
         return len(self.names) - len(self.bounds)
 
     @property
@@ -91,7 +91,7 @@ class Strategy:
         return Box(lower, upper, names=list(self.names))
 
     def __call__(self, states: Any) -> np.ndarray:
-        """Return the symbols (B,) of states (B, n), as the file says; -1 where there is none."""
+        """Return the symbols (B,) of states (B, n) as in the file; -1 if there is none."""
         states = np.asarray(states, dtype=float)
         found = np.full(len(states), -1)
         for key, trees in self.regressors.items():
@@ -117,15 +117,15 @@ class Strategy:
         Parameters
         ----------
         name, default, outside, min_dwell, time_unit, outside_at_once
-            See `Table.policy`.
+            Arguments of `Table.policy`.
 
         Notes
         -----
-        The tree compares lattice steps, `STEPS` of them along the axis of a continuous variable: a
-        bound moves up by less than one, so that a state at a bound is where it is in the file. Of
-        equal costs the first action wins. Under rule ``"nearest"`` a state beyond the domain of the
-        continuous variables has the symbol that the strategy has there. Values of discrete
-        variables that the strategy does not have are gaps.
+        The tree compares lattice steps, with `STEPS` steps along the axis of a continuous variable.
+        A bound moves up by less than one step, so a state at a bound is on the side that the file
+        says. If costs are equal, the first action wins. Under rule ``"nearest"``, a state beyond
+        the domain of the continuous variables has the symbol that the strategy has there. Values of
+        discrete variables that the strategy does not have are gaps.
 
         Raises
         ------
@@ -210,23 +210,24 @@ def read_stratego(
 ) -> Table | Strategy:
     """Return the strategy in a JSON file of UPPAAL Stratego.
 
-    Without continuous variables it is a table, whose grid has steps of 1, and whose symbols are all
-    actions of least cost.
+    A strategy without continuous variables becomes a table. The grid of the table has steps of 1,
+    and its symbols are all actions of least cost.
 
     Parameters
     ----------
     path : path
         The file.
     alphabet : Alphabet, optional
-        Control vectors by the texts of the actions, or in their order. Default: 0, 1, ..
+        Control vectors by the texts of the actions, or in the order of the actions. Default: 0, 1,
+        ..
     domain : mapping, optional
         Lower and upper bounds of continuous variables, by name. Default: an eighth wider at each
-        end than the bounds in the trees.
+        end than the bounds of the trees.
 
     Raises
     ------
     ProblemError
-        Another format, or what makes no sense in it, by its key.
+        The file has another format, or a key makes no sense. The message names the key.
     """
     path = path_text(path)
     check_alphabet(alphabet)
