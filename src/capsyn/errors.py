@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 
 class CapsynError(Exception):
-    """Base of every error that capsyn raises on purpose."""
+    """The base class of every error that capsyn raises on purpose."""
 
 
 class ProblemError(CapsynError, ValueError):
@@ -16,11 +16,11 @@ class ProblemError(CapsynError, ValueError):
 
 
 class PolicyFormatError(CapsynError, ValueError):
-    """A file that is no policy, or one that is damaged, tampered with or too new."""
+    """A file that is no policy, or that is damaged, tampered with or too new."""
 
 
 class OutsideDomainError(CapsynError, ValueError):
-    """A state outside the domain, or not finite, where the policy's rule is ``"error"``."""
+    """A state that is outside the domain or not finite, under the policy's rule ``"error"``."""
 
 
 class SynthesisError(CapsynError, RuntimeError):
@@ -28,11 +28,11 @@ class SynthesisError(CapsynError, RuntimeError):
 
 
 class CertificateError(CapsynError, ValueError):
-    """A certificate that does not prove what it says, or not of this policy."""
+    """A certificate that does not prove what it says, or that belongs to another policy."""
 
 
 class KernelBuildError(CapsynError, RuntimeError):
-    """The C backend was asked for and could not be built.
+    """The C backend was asked for, but could not be built.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class KernelBuildError(CapsynError, RuntimeError):
 
 
 class CapsynWarning(UserWarning):
-    """Something that the user should know and that does not stop the work."""
+    """A warning about something that the user should know, which does not stop the work."""
 
 
 def warn(message: str) -> None:

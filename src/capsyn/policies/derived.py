@@ -35,20 +35,20 @@ class Derived:
 
     @functools.cached_property
     def space(self) -> Box:
-        """What the cells divide: the domain, and after its axes those of the exogenous inputs.
+        """The box that cells divide: the axes of the domain, then those of the exogenous inputs.
 
-        A point of it is a reading: what the policy is asked with.
+        A point of this box is a reading, with which the policy is asked.
         """
         return joined(self.domain, self.exogenous)
 
     @property
     def default_control(self) -> np.ndarray:
-        """The default control (m,) [input units], as of a problem."""
+        """The default control (m,) [input units], under the name that a problem uses."""
         return self.default
 
     @property
     def discrete(self) -> bool:
-        """Whether it comes from a discrete-time problem: a map, and a horizon in samples."""
+        """Whether the policy comes from a discrete-time problem, whose horizon is in samples."""
         return self.model is not None and self.model.sample_time is not None
 
     @property
@@ -63,18 +63,18 @@ class Derived:
         return read_only(table)
 
     def keeps_limits(self, states: Any, exogenous: Any = None, current: Any = None) -> Any:
-        """Return from which states (..., n) the sampled loop keeps the limits, booleans (...).
+        """Return whether the sampled loop keeps the limits from `states` (..., n), booleans (...).
 
-        It is proved for every loop with the sample time and the delay of the policy, and with
-        parameters in the ranges, that `synthesize` was given; the symbol in force must be free to
-        change. `exogenous` and `current` are those of a call of the policy. Elsewhere the policy
-        does what violates limits least in one period.
+        True is proved for every loop with the policy's sample time and delay, and with parameters
+        in the ranges that `synthesize` was given. The symbol in force must be free to change. From
+        other states, the policy does what violates limits least in one period. `exogenous` and
+        `current` are those of a call of the policy.
 
         Raises
         ------
         ProblemError
-            A policy that was not made to keep limits, states of another shape, or symbols in force
-            that are none.
+            The policy was not made to keep limits, states have another shape, or symbols in force
+            are not in the alphabet.
         """
         if self.kept is None:
             raise ProblemError(
@@ -88,7 +88,7 @@ class Derived:
 
     @functools.cached_property
     def rules(self) -> SwitchRules:
-        """What a change of symbols costs and waits for, for each symbol and the default."""
+        """Prices and least times of changes of the symbol, for each symbol and the default."""
         return SwitchRules.of(self)
 
     def symbol_name(self, symbol: int) -> str:
@@ -97,21 +97,22 @@ class Derived:
 
     @functools.cached_property
     def volume_shares(self) -> np.ndarray:
-        """Share of the domain's volume of each symbol, and of the default last, (N + 1,).
+        """Share of the domain's volume of each symbol, (N + 1,), the default control last.
 
-        It is that of the next symbol, the mean over all symbols in force where that matters. Where
-        planes bound symbols it is estimated at random states, if they are fewer.
+        A share belongs to the next symbol, as a mean over all symbols in force if they matter. If
+        planes bound the symbols, shares are estimated at random states, if these are fewer than the
+        finest cells.
         """
         return volume_shares(self)
 
     @property
     def has_planes(self) -> bool:
-        """Whether planes that are oblique to the axes bound symbols: affine leaves, or splits."""
+        """Whether oblique planes bound the symbols, as affine leaves and oblique splits do."""
         return self.cells.has_planes
 
     @property
     def title(self) -> str:
-        """The name, and of a decision tree its mode."""
+        """The name of the policy, with its mode if it is a decision tree."""
         return self.name
 
     def _repr_html_(self) -> str:
