@@ -110,6 +110,18 @@ def test_names_of_symbols_make_an_alphabet(file):
     assert found.masks.tolist() == [1, 2, 4, 0, 6]
 
 
+def test_controls_may_be_vectors_in_brackets_or_true_and_false(file):
+    for texts in (("(1, 0)", "(0, 1)"), ("[1 0]", "[0 1]"), ("(1.0;0)", "(0;1.0)")):
+        found = read_csv(file("x,u\n" + "".join(f'{k},"{texts[k % 2]}"\n' for k in range(4))))
+        assert found.alphabet.values.tolist() == [[0, 1], [1, 0]]
+        assert found.masks.tolist() == [2, 1, 2, 1]
+    found = read_csv(file("x,u\n0,(1)\n1,(1 2)\n"))  # names
+    assert found.alphabet.names == ("(1)", "(1 2)")
+    text = "x,fill,drain\n0,True,False\n1,False,True\n"
+    found = read_csv(file(text), inputs=["fill", "drain"])
+    assert found.alphabet.values.tolist() == [[0, 1], [1, 0]] and found.masks.tolist() == [2, 1]
+
+
 def test_vectors_are_those_of_an_alphabet(file):
     alphabet = Alphabet([[1, 0], [0, 1]], ["fill", "drain"])
     text = "x,u1,u2\n0,1,0\n1,0,1\n2,,\n"
@@ -131,7 +143,10 @@ def test_vectors_are_those_of_an_alphabet(file):
         ("x,u\n1,1\n2,1\n4,1\n8,1\n16,1\n", "axis 'x' is not uniform: steps 1 .. 8; axes must be"),
         ("x,u1,u2\n0,1,0\n1,0,\n", "line 3: expected a number for every input, or for none"),
         ("x,u1,u2\n0,1,0\n1,0,on\n", "line 3: expected controls that are finite numbers; got 'on'"),
-        ("x;v;u\n0,5;1.5;1\n1,5;1;1\n", None),
+        (
+            "x,v,fill,drain\n0,0,0,1\n0,1,1,0\n1,0,1,0\n1,1,0,1\n",
+            "has one value of 'fill' for each of x, v: if it is an input, `inputs` (--inputs) must",
+        ),
         ("x;u\n0.5;1\n1,5;1\n2;1\n", "line 3: expected a finite number for 'x'; got '1,5'"),
         (",x,u\n0.5,1,1\n1,2,1\n", "line 1: expected a name for column 1, which does not number"),
         ("x,u,\n0,1,\n1,1,2\n", "line 3: expected nothing behind the last separator; got '2'"),
@@ -143,9 +158,6 @@ def test_vectors_are_those_of_an_alphabet(file):
     ],
 )  # fmt: skip
 def test_what_cannot_be_read_is_told(text, words, file):
-    if words is None:
-        assert read_csv(file(text)).counts == (2, 2)
-        return
     with pytest.raises(ProblemError) as error:
         read_csv(file(text))
     assert words in str(error.value) and "\n" not in str(error.value)

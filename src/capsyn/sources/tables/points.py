@@ -66,7 +66,18 @@ class Points:
         it is a gap unless all points of a value of an axis are.
         """
         first, step, places = grid_of(self.path, self.called, self.states, self.lines, missing)
-        return self._placed(first, step, places, alphabet, missing)
+        table = self._placed(first, step, places, alphabet, missing)
+        if missing == "auto" and places.shape[1] > 1 and len(places) < table.masks.size:
+            flat = np.ravel_multi_index(tuple(places.T), table.counts)
+            others = len(np.unique(flat // table.counts[-1]))
+            if others > 1 and others == len(np.unique(flat)):
+                *rest, last = self.called
+                raise ProblemError(
+                    f"'{self.path}' has one value of '{last}' for each of {', '.join(rest)}: if it "
+                    "is an input, `inputs` (--inputs) must name it; if it is a state, "
+                    'missing="outside" (--missing outside) takes the other points as outside'
+                )
+        return table
 
     def whole_table(self, alphabet: Alphabet) -> Table:
         """Return the table of states that are whole numbers: its steps are 1, the rest gaps."""

@@ -40,7 +40,6 @@ COUNTS = re.compile(r"\d+ \d+( \d+)?", re.ASCII)
 """The first line of transitions: numbers of states, choices and transitions."""
 UNDEFINED = {"?", "-", "*"}
 """Actions of states where a strategy has none."""
-LOGIC = {"true": 1.0, "false": 0.0}
 MEMORY = 24
 """Bytes that reading takes for each of the file, at most."""
 
@@ -190,7 +189,7 @@ def _states(path: str) -> tuple[list[str], dict[int, list[float]]]:
 def _values(path: str, line: Any, text: str) -> list[float]:
     """Return the values of the variables in a text such as ``(0,1,true)``."""
     parts = [part.strip() for part in text[1:-1].split(",")]
-    values = [LOGIC[part] if part in LOGIC else number(part) for part in parts]
+    values = [number(part) for part in parts]
     if not all(abs(value) <= 1e15 for value in values):
         fail(path, line, "values of variables: whole numbers, true or false", text)
     return values

@@ -9,7 +9,7 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.sources.table import MOST_SYMBOLS
-from capsyn.sources.tables.numbers import is_none, is_number, number
+from capsyn.sources.tables.numbers import is_none, is_number, number, vector
 from capsyn.sources.text import fail, naming
 from capsyn.validation import describe, one_line
 
@@ -171,7 +171,7 @@ def _check_count(path: str, alphabet: Alphabet) -> None:
 def _own(
     path: str, where: dict[str, int], names: Sequence[str] | None, units: Sequence[str] | None
 ) -> tuple[dict[str, int], Alphabet]:
-    """Return the symbols that texts stand for, and their alphabet: numbers, or names.
+    """Return the symbols that texts stand for, and their alphabet: numbers, vectors, or names.
 
     Controls of names are their numbers, in the order of the file.
     """
@@ -179,6 +179,13 @@ def _own(
     odd = [part for part, value in found.items() if not np.isfinite(value)]
     if odd and len(odd) < len(found):
         fail(path, where[odd[0]], "controls that are finite numbers", odd[0])
+    vectors = {part: vector(part) for part in odd}
+    if odd and len({len(v) for v in vectors.values()} - {0}) == 1 and all(vectors.values()):
+        rows = sorted(set(vectors.values()))
+        with naming(path):
+            several = names if len(rows[0]) == 1 else None
+            alphabet = Alphabet(rows, inputs=several, units=units if several else None)
+        return {part: rows.index(v) for part, v in vectors.items()}, alphabet
     with naming(path):
         if odd:
             alphabet = Alphabet(np.arange(len(odd)), odd, inputs=names, units=units)
