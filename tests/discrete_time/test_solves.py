@@ -195,6 +195,28 @@ def test_single_precision_and_delays_count_in_samples():
     assert (rough.symbols(STATES[:, None]) == ssac.symbols(STATES[:, None])).mean() > 0.998
 
 
+def test_a_default_that_costs_far_more_makes_no_symbols_tie():
+    cliff = stock(
+        dynamics=lambda x, u: [x[0] + u[0]],
+        domain=Box([0], [1]),
+        alphabet=[-0.3, -0.4, -0.5],
+        default=2.0,
+        horizon=3,
+        running_cost=lambda x: 1e12 * (x[0] > 4) + x[0] ** 2,
+        terminal_cost=None,
+        target=None,
+        settings=SsacSettings(rule="steepest"),
+    )
+    x = np.linspace(0, 1, 201)
+    there = x[:, None] + [-0.3, -0.4, -0.5]
+    best = (there**2 + (there + 2) ** 2).argmin(axis=1)
+    for backend in ("c", "numpy"):
+        formulation = Formulation.of(cliff, transcribe(cliff))
+        ssac = batch_controller(formulation, backend)
+        assert (ssac.solve(x[:, None]).cost[x > 0.01] > 1e11).all()
+        np.testing.assert_array_equal(ssac.symbols(x[:, None]), best)
+
+
 def test_a_law_or_constant_is_bound_as_in_continuous_time():
     model = bind_default(transcribe(stock()), np.array([0.5]))
     assert model.sample_time == 0.5

@@ -7,7 +7,8 @@
  */
 void capsyn_one_step(const int64_t count, const double *restrict states, const int steps,
                      const double *restrict controls, const double tolerance,
-                     double *restrict cost, double *restrict changes, double *restrict scales)
+                     const double rounding, double *restrict cost, double *restrict changes,
+                     double *restrict scales)
 {
     _Alignas(64) real path[2][STATES][LANES], first[STATES][LANES];
     _Alignas(64) real total[LANES], part[1][LANES], base[LANES];
@@ -50,7 +51,7 @@ void capsyn_one_step(const int64_t count, const double *restrict states, const i
                     cost[start + lane] = idle;
                 } else {
                     changes[s * count + start + lane] = own - idle;
-                    scales[s * count + start + lane] = tolerance * (fabs(own) + fabs(idle));
+                    scales[s * count + start + lane] = tolerance * fabs(own) + rounding * fabs(idle);
                 }
             }
         }

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from capsyn.controllers.formulation import Formulation
-from capsyn.controllers.solver import ROUNDING, TIE, Solver
+from capsyn.controllers.solver import TIE, Solver, relative_rounding
 from capsyn.native.build import load
 from capsyn.native.compiled import compiled
 from capsyn.native.source import LANES, declarations, hand_written, pointer
@@ -21,7 +21,7 @@ from capsyn.programs.builder import bind
 from capsyn.programs.program import Program
 
 SAME = 1e-9
-"""Costs within this share of their sizes are one: the iteration has no error but rounding."""
+"""Costs of symbols within this share of their sizes tie: iterations have no error but rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,16 +32,17 @@ class OneStep:
     step: Program  # (x, dt) -> (x_next, cost), the same under the default control
     terminal_cost: Program  # x -> cost
     controls: np.ndarray  # (N, m) of the symbols [input units]
-    tolerance: float  # scales are the sizes of costs times this
+    tolerance: float  # scales are the sizes of symbols' costs times this,
+    rounding: float  # and that of the default's cost times this, which is less
 
     @staticmethod
     def of(formulation: Formulation, dtype: Any) -> OneStep:
         """Return those of a formulation, in an arithmetic."""
         model, own = formulation.model, formulation.model.prediction
         step = bind(model.step, u=formulation.default) if own is None else own.step
-        tolerance = max(SAME, ROUNDING * float(np.finfo(dtype).eps)) / TIE
-        end = model.terminal_cost.first
-        return OneStep(model.step, step, end, formulation.values, tolerance)
+        rounding = relative_rounding(dtype)
+        tolerance, end = max(SAME / TIE, rounding), model.terminal_cost.first
+        return OneStep(model.step, step, end, formulation.values, tolerance, rounding)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ class OneStepKernel:
         function = load(source, ("-ffp-contract=off",)).capsyn_one_step
         function.restype = None
         p, real = ctypes.c_void_p, ctypes.c_double
-        function.argtypes = [ctypes.c_int64, p, ctypes.c_int, p, real, p, p, p]
+        function.argtypes = [ctypes.c_int64, p, ctypes.c_int, p, real, real, p, p, p]
         return OneStepKernel(function, plan)
 
     def __call__(
@@ -81,9 +82,8 @@ class OneStepKernel:
         changes, scales = np.empty((2, symbols, len(states)))
         controls = np.ascontiguousarray(plan.controls, dtype=np.float64)
         outputs = [pointer(a) for a in (cost, changes, scales)]
-        self.function(
-            len(states), pointer(states), steps, pointer(controls), plan.tolerance, *outputs
-        )
+        sizes = (plan.tolerance, plan.rounding)
+        self.function(len(states), pointer(states), steps, pointer(controls), *sizes, *outputs)
         return cost, changes.T, scales.T
 
 
@@ -106,7 +106,7 @@ class NumpyOneStep:
                 for u in plan.controls
             ]
             costs = np.stack(each, axis=1)
-            scales = plan.tolerance * (np.abs(costs) + np.abs(idle)[:, None])
+            scales = plan.tolerance * np.abs(costs) + plan.rounding * np.abs(idle)[:, None]
             return idle, costs - idle[:, None], scales
 
     def _cost(self, first: list[np.ndarray], steps: int) -> np.ndarray:
