@@ -156,12 +156,12 @@ def feature_program(
     exogenous, and gives the values of all features (K,), each a function of x, or of x and w, by
     its name. Errors are those of `expression`.
     """
-    z = ca.SX.sym("z", domain.n)
-    reading = domain.lower + (z + 0.5) * (domain.widths / np.array(counts))
-    arguments = split_reading(reading, {}, domain.n - told)
-    values = []
+    z, reading = ca.SX.sym("z", domain.n), ca.SX.sym("reading", domain.n)
+    centre = domain.lower + (z + 0.5) * (domain.widths / np.array(counts))
+    arguments, values = split_reading(reading, {}, domain.n - told), list[ca.SX]()
     for name, function in features.items():
         value = expression(f"features[{name!r}]", function, arguments, 1)
+        value = ca.substitute(value, reading, centre)
         foreign = ca.Function("feature", [z], [value], {"allow_free": True}).get_free()
         if foreign:
             raise ProblemError(
