@@ -1,5 +1,6 @@
 """Draw the pictures at the heads of guides: real policies, and how parts connect."""
 
+import dataclasses
 import re
 import runpy
 import sys
@@ -88,7 +89,8 @@ def trees():
         (law, f"features: {law.node_count} nodes"),
     ]
     for ax, (one, title) in zip(figure.subplots(1, 4, sharey=True), shown):
-        plot_policy(one, ax=ax, legend=False, outlines=one is policy)
+        bare = dataclasses.replace(one, target=None)  # whose line would hide the surfaces
+        plot_policy(bare, ax=ax, legend=False, outlines=one is policy)
         ax.set_title(title, fontsize=9)
         if one is not policy:
             ax.set_ylabel("")
