@@ -7,7 +7,7 @@ from capsyn import Box, subdivide
 from capsyn.explorer.explore import page
 from capsyn.explorer.packed import pack
 from capsyn.explorer.page_data import page_data
-from capsyn.policies.colors import PALETTE
+from capsyn.policies.colors import PALETTE, TILE
 from capsyn.problems import cart_pendulum, cart_pole, double_tank
 from support.explorer.node import BEGIN, node
 from support.explorer.page import json_of
@@ -29,7 +29,9 @@ def test_drawings_have_the_lengths_of_the_problems(name):
 
 
 def test_a_page_is_told_the_colours():
-    assert page_data(random_policy(3))["palette"] == list(PALETTE)
+    data = page_data(random_policy(3))
+    assert data["looks"] == [[color, 0] for color in PALETTE[:3]]
+    assert data["tiles"].shape == (32, TILE, TILE)
 
 
 def test_the_steps_of_the_loop_are_those_that_it_is_told(tmp_path):
@@ -79,6 +81,7 @@ def arrays():
         "rows": np.arange(30_000).reshape(-1, 6) - 500,
         "noise": rng.integers(-32768, 32768, (50, 3)),
         "floats": rng.normal(size=(7, 2)),
+        "cube": np.arange(24).reshape(2, 3, 4),
         "none": np.empty((0, 4), dtype=np.int16),
     }
 
@@ -95,7 +98,7 @@ def test_arrays_come_out_of_a_page_as_they_went_in(tmp_path):
     found = node(tmp_path, code, random_policy(3), packed=pack(arrays()))
     for name, array in arrays().items():
         assert found[name][1] == array.ravel().tolist(), name
-    types = ["Int8", "Uint8", "Int32", "Uint32", "Int16", "Int16", "Float64", "Int8"]
+    types = ["Int8", "Uint8", "Int32", "Uint32", "Int16", "Int16", "Float64", "Int8", "Int8"]
     assert [found[name][0] for name in arrays()] == [f"{name}Array" for name in types]
     assert len(pack({"rows": np.arange(300_000)})) < 3_000  # what it changes by is packed
     with pytest.raises(TypeError, match="holds no int64"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import zlib
 from typing import Any
 
@@ -17,9 +18,9 @@ def pack(data: Any) -> str:
 
     It holds the bytes of the JSON, after their number in four bytes, and the arrays. In the JSON an
     array is ``{"dtype", "shape", "from", "delta"}``: it begins so many bytes after the JSON, in
-    the smallest integers that hold it, first the lowest byte of all values, then the next; of two
-    axes column by column. With ``delta`` each value but the first is less by the one before,
-    modulo its type. The same data give the same text.
+    the smallest integers that hold it, first the lowest byte of all values, then the next. Of
+    several axes the first goes fastest. With ``delta`` each value but the first is less by the one
+    before, modulo its type. The same data give the same text.
     """
     arrays: list[bytes] = []
 
@@ -45,7 +46,7 @@ def _narrow(array: np.ndarray) -> tuple[np.dtype, np.ndarray]:
     """Return the type of an array on the page, and its values (K,), integers without a sign."""
     if array.dtype != np.uint32 and array.dtype.kind in "iu":
         array = array.astype(smallest_type(array))
-    values = array.T.ravel()
+    values = array.reshape(len(array), math.prod(array.shape[1:])).T.ravel()
     integers = array.dtype.kind in "iu"
     return array.dtype, values.view(f"u{array.itemsize}") if integers else values
 

@@ -15,7 +15,7 @@ from capsyn.explorer.memory_data import memory_automaton, memory_facts, needs_me
 from capsyn.explorer.policy_data import policy_data
 from capsyn.modelling.domain import Ball
 from capsyn.modelling.targets import describe_target, target_axes
-from capsyn.policies.colors import PALETTE
+from capsyn.policies.colors import symbol_looks, tiles
 from capsyn.policies.policy import Policy
 from capsyn.policies.report import report
 
@@ -43,7 +43,8 @@ def page_data(policy: Policy, drawing: str | None = None) -> dict[str, Any]:
         "leaves": policy.cells.leaf_count,
         "drawing": drawn,
         "drawn_length": None if drawn is None else DRAWINGS[drawn][2],
-        "palette": list(PALETTE),
+        "looks": [[look.color, look.marks] for look in symbol_looks(len(policy.alphabet))],
+        "tiles": tiles().astype(np.uint8),
         "shares": policy.volume_shares.tolist(),
         "loops": policy.model is not None,
         "proved": _proved(policy, figures["evidence"].get("certificate", {})),

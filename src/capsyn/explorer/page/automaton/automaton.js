@@ -7,6 +7,9 @@ import { edgeShape, emptyShape, vertexShape } from "./shapes.js";
 /** Up to so many symbols, arrows that are proved impossible are drawn. */
 const MOST_OFF = 10;
 
+/** More arrows than these are not drawn, but for stays. */
+const MOST_ARROWS = 1500;
+
 /**
  * Return the graph of the finite state machine: {draw, sweep, taken}. An edge shows the cells of
  * the region that is its guard, and how often the active trajectory has taken it so far; where
@@ -30,9 +33,10 @@ export function draw(graph) {
   const index = new Map(vertices.map(({ symbol }, k) => [symbol, k]));
   graph.circles = vertices.map(({ symbol }, k) =>
     vertexShape({ layout, words, symbolOf, theme: app.theme }, symbol, layout.places[k]));
-  graph.arrows = edges.filter(({ possible, source, target }) =>
-    vertices.length <= MOST_OFF || possible !== false || source === target,
-  ).map(edge => {
+  const shown = edges.filter(({ possible, source, target }) =>
+    vertices.length <= MOST_OFF || possible !== false || source === target);
+  const few = shown.length <= MOST_ARROWS;
+  graph.arrows = shown.filter(edge => few || edge.source === edge.target).map(edge => {
     const ends = [edge.source, edge.target].map(label => index.get(label));
     const { stays } = graph.circles[ends[0]];
     return edgeShape(edge, layout, ends.map(k => layout.places[k]), stays);

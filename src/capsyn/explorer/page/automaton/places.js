@@ -4,13 +4,16 @@ export const LETTERS = 14;
 const CENTER = [SIZE.width / 2, SIZE.height / 2];
 /** Letters of names that fit into the circles, and widths of letters and of counts in pixels. */
 const FITTING = 9, LETTER = 6.1, COUNTS = 66;
-/** Symbols from which circles have no texts. */
-const CROWD = 17;
+/** Symbols from which circles have names alone, and of more than how many not even these. */
+const CROWD = 17, MOST_NAMED = 36;
+/** Letters of these names. */
+const CROWDED = 6;
 
 /**
- * Return where the vertices of an automaton are: {kind, inside, radius, places}. One or two are
+ * Return where the vertices of an automaton are: {kind, inside, radius, places, letters}, with so
+ * many letters of the names beside a crowd. One or two are
  * side by side ("pair"), three or four with short names in the corners ("corners"), else they are
- * on a ring with their texts around it ("ring"), or without texts ("crowd").
+ * on a ring with their texts around it ("ring"), or with short names at most ("crowd").
  */
 export function placed(names) {
   const count = names.length, longest = Math.max(...names.map(name => name.length));
@@ -27,13 +30,15 @@ export function placed(names) {
   }
   const crowd = count >= CROWD;
   const radius = crowd ? Math.max(3, 130 / count) : Math.min(12, 100 / count);
-  const beside = crowd ? 8 : Math.max(COUNTS, Math.min(longest, LETTERS) * LETTER) + 8;
-  const [across, up] = [CENTER[0] - radius - beside, CENTER[1] - radius - (crowd ? 8 : 30)];
+  const named = crowd && count <= MOST_NAMED ? Math.min(longest, CROWDED) * LETTER : 0;
+  const beside = crowd ? 8 + named : Math.max(COUNTS, Math.min(longest, LETTERS) * LETTER) + 8;
+  const [across, up] = [CENTER[0] - radius - beside, CENTER[1] - radius - (crowd ? 8 + (named && 8) : 30)];
   const places = names.map((_, k) => {
     const angle = -Math.PI / 2 + (2 * Math.PI * k) / count;
     return [CENTER[0] + across * Math.cos(angle), CENTER[1] + up * Math.sin(angle)];
   });
-  return { kind: crowd ? "crowd" : "ring", inside: false, radius, places };
+  const letters = named ? CROWDED : 0;
+  return { kind: crowd ? "crowd" : "ring", inside: false, radius, places, letters };
 }
 
 /** Return the texts' place beside a vertex on a ring: {x, y, anchor} of the first of `lines`. */

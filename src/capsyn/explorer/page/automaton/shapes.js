@@ -19,10 +19,12 @@ export function emptyShape(kind) {
  */
 export function vertexShape({ layout, words, theme, symbolOf }, label, [x, y]) {
   const { kind, inside, radius } = layout, symbol = symbolOf(label), color = theme.color(symbol);
+  const marked = theme.marks.dots(symbol) !== null;
   const text = words.short(label), size = Math.min(13, (radius * 1.75) / (0.6 * text.length));
   const node = shape("g", { class: "vertex", "data-symbol": symbol, tabindex: 0, role: "img" },
     shape("circle", { cx: x, cy: y, r: radius + 4, class: "ring" }),
-    shape("circle", { cx: x, cy: y, r: radius, fill: color }));
+    shape("circle", { cx: x, cy: y, r: radius, fill: marked ? `url(#marks-${symbol})` : color }));
+  if (marked) node.prepend(theme.marks.node(symbol, 0.5));
   let stays = null;
   if (inside) {
     node.append(shape("text", { x, y: y + size * 0.35, "text-anchor": "middle", "font-size": size,
@@ -33,6 +35,11 @@ export function vertexShape({ layout, words, theme, symbolOf }, label, [x, y]) {
     const at = beside([x, y], radius, upright ? 2 : 3);
     const spans = put(node, [at.x, at.y], upright ? [text, cells] : [text, cells, ""], at.anchor);
     stays = { span: spans.at(-1), before: upright ? `${cells} · ` : "" };
+  }
+  if (kind === "crowd" && layout.letters) {
+    const at = beside([x, y], radius, 1), name = words.name(label);
+    const cut = name.length > layout.letters ? `${name.slice(0, layout.letters - 1)}…` : name;
+    put(node, [at.x, at.y], [cut], at.anchor);
   }
   return { label, node, stays };
 }

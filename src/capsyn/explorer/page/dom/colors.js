@@ -1,9 +1,3 @@
-/* Samples of cividis. */
-const CIVIDIS = [
-  "#00224e", "#123570", "#3b496c", "#575d6d", "#707173", "#8a8678", "#a59c74", "#c3b369", "#e1cc55",
-  "#fee838",
-];
-
 function parts(color) {
   return [1, 3, 5].map(k => parseInt(color.slice(k, k + 2), 16));
 }
@@ -13,17 +7,6 @@ export function blend(one, other, share) {
   const [a, b] = [parts(one), parts(other)];
   const mixed = a.map((v, i) => Math.round(v * (1 - share) + b[i] * share));
   return "#" + mixed.map(v => v.toString(16).padStart(2, "0")).join("");
-}
-
-function sampled(colors, place) {
-  const at = place * (colors.length - 1), k = Math.min(Math.floor(at), colors.length - 2);
-  return blend(colors[k], colors[k + 1], at - k);
-}
-
-/** Return the pure colours of `count` symbols: of a palette where it has enough. */
-export function symbolColors(count, palette) {
-  if (count <= palette.length) return palette.slice(0, count);
-  return Array.from({ length: count }, (_, k) => sampled(CIVIDIS, k / (count - 1)));
 }
 
 /** Return a colour of 32-bit pixels. */

@@ -76,7 +76,7 @@ export function drawEnds(context, { app, frame }, track) {
   }
   const here = toPixels(frame, view.place(track.states[now]));
   if (now === 0 || !within(frame, here)) return;
-  disc(context, theme.color(symbolAt(track, now)), here, 6, color, 2.5);
+  disc(context, theme.paint(symbolAt(track, now)), here, 6, color, 2.5);
 }
 
 export function drawPointer(context, { app, frame }) {

@@ -6,6 +6,8 @@ const FADED = 0.82;
 
 /** Share of a pixel's colour that is left where a cell ends. */
 const OUTLINE = { light: 0.76, dark: 0.68 };
+/** Pixels of a dot of marks, across and up. */
+const DOT = 2;
 /** Pictures with more outline than this share of their pixels have none: cells are too small. */
 const CROWDED = 0.5;
 
@@ -20,6 +22,8 @@ export function picture(lookup, view, theme, width, height) {
   const shown = (color, symbol) =>
     pixel(view.only === null || view.only === symbol ? color : blend(color, theme.paper, FADED));
   const colors = Uint32Array.from(theme.symbols, shown);
+  const inkOf = (_, symbol) => shown(theme.marks.ink(symbol), symbol);
+  const inks = Uint32Array.from(theme.symbols, inkOf);
   const others = { [DEFAULT]: shown(theme.fallback, DEFAULT), [NONE]: pixel(theme.none) };
   const [plain, stripe] = [pixel(theme.mixed), pixel(theme.stripe)];
   for (let row = 0; row < rows; row++) {
@@ -27,7 +31,11 @@ export function picture(lookup, view, theme, width, height) {
     for (let k = row * width; k < end;) {
       const symbol = symbols[k], from = k;
       do k += 1; while (k < end && symbols[k] === symbol);
-      if (symbol !== MIXED) pixels.fill(symbol >= 0 ? colors[symbol] : others[symbol], from, k);
+      const dots = theme.marks.dots(symbol);
+      if (dots) {
+        mark(pixels.subarray(from, k), [row, from - row * width], dots, [colors[symbol], inks[symbol]]);
+      }
+      else if (symbol !== MIXED) pixels.fill(symbol >= 0 ? colors[symbol] : others[symbol], from, k);
       else {
         const shift = row * (width - 1);
         for (let p = from; p < k; p++) pixels[p] = (p - shift) % 9 < 2 ? stripe : plain;
@@ -37,6 +45,14 @@ export function picture(lookup, view, theme, width, height) {
   if (view.outlines) outline(pixels, lookup.places(wanted), width, rows, OUTLINE[theme.mode]);
   for (let row = rows; row < height; row++) pixels.copyWithin(row * width, 0, width);
   return image;
+}
+
+/** Fill pixels of a row, from a column on, with marks. */
+function mark(pixels, [row, column], { tile, size }, [color, ink]) {
+  const start = (Math.floor(row / DOT) % size) * size;
+  for (let k = 0; k < pixels.length; k++) {
+    pixels[k] = tile[start + (Math.floor((column + k) / DOT) % size)] ? ink : color;
+  }
 }
 
 function outline(pixels, places, width, rows, share) {

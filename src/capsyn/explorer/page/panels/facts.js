@@ -4,6 +4,9 @@ import { MIXED } from "../policy/symbols.js";
 import { showOnly } from "../state/changes.js";
 import { swatch } from "../state/swatches.js";
 
+/** The legend has more symbols than these only where they occur. */
+const FEW = 8;
+
 /** Show what the policy is called and how large it is, and hide what there is nothing for. */
 export function showTitle({ data, loop, view: { n, states } }) {
   const { classList } = document.body;
@@ -28,7 +31,9 @@ export function showTitle({ data, loop, view: { n, states } }) {
  */
 export function showLegend(app) {
   const { data, loop, lookup, view } = app, root = byId("legend");
-  const symbols = [...Array(data.symbols.length - 1).keys()];
+  const used = new Set(data.automaton.vertices.map(({ symbol }) => symbol));
+  const all = [...Array(data.symbols.length - 1).keys()];
+  const symbols = all.length > FEW ? all.filter(symbol => used.has(symbol)) : all;
   if (data.shares.at(-1) > 0) symbols.push(-1);
   const entry = (more, ...content) =>
     root.append(element("span", { role: "listitem", ...more }, ...content));

@@ -24,7 +24,7 @@ function valuesOf({ dtype, shape, from, delta }, buffer, start) {
     for (let i = k; i < places.length; i += size) places[i] = bytes[at++];
   }
   if (delta) for (let i = 1; i < count; i++) values[i] += values[i - 1];
-  const [rows, columns = 1] = shape;
+  const [rows] = shape, columns = shape.slice(1).reduce((a, b) => a * b, 1);
   if (columns === 1) return values;
   return values.map((_, k) => values[(k % columns) * rows + Math.floor(k / columns)]);
 }

@@ -116,14 +116,14 @@ function paintBand(plot, track, { each, list }, { top, height, theme }) {
     if (changes < 2) {
       for (let sample = from; sample < to; sample++) {
         const left = Math.max(x0, pixel(plot, sample, rate));
-        ctx.fillStyle = theme.color(symbols[sample]);
+        ctx.fillStyle = theme.paint(symbols[sample]);
         ctx.fillRect(left, top, x1 - left, height);
       }
       return;
     }
     let y = top;
     for (const [symbol, share] of [...shares].sort(([a], [b]) => a - b)) {
-      ctx.fillStyle = theme.color(symbol);
+      ctx.fillStyle = theme.paint(symbol);
       ctx.fillRect(x0, y, x1 - x0, share * height);
       y += share * height;
     }

@@ -25,8 +25,8 @@ const NOTED = 4000;
  */
 
 /**
- * Return the state of the page without its parts; `data` is what `page_data` makes, `model` is what `model_javascript` makes,
- * `features` what `features_javascript` does, if the policy has any.
+ * Return the state of the page without its parts; `data` is what `page_data` makes, `model`
+ * what `model_javascript` does, `features` what `features_javascript` does, if it has any.
  */
 export function makeApp(data, model, features) {
   const lookup = makeLookup(data, features);
@@ -37,7 +37,7 @@ export function makeApp(data, model, features) {
     tracks: [], active: null, started: 0, pointed: null, parts: {},
     soon: makeSoon(), note: makeNote(byId("note"), NOTED),
   };
-  app.theme = makeTheme(data.symbols.length - 1, data.palette, () => restyle(app));
+  app.theme = makeTheme(data, () => restyle(app));
   app.player = makePlayer(() => longest(app.tracks), () => moved(app));
   return app;
 }

@@ -1,4 +1,5 @@
-import { blend, symbolColors } from "../dom/colors.js";
+import { blend } from "../dom/colors.js";
+import { makeMarks } from "../dom/marks.js";
 
 const THEMES = {
   light: {
@@ -10,27 +11,29 @@ const THEMES = {
   dark: {
     paper: "#171b21", ink: "#e6eaef", quiet: "#98a2ae", faint: "#323943",
     halo: "#0c0f13", hatch: "#0c0f13c0",
-    mixed: "#171b21", stripe: "#485261", none: "#20262e", fallback: "#39414c",
+    mixed: "#171b21", stripe: "#485261", none: "#20262e", fallback: "#7d8793",
     tracks: ["#ffffff", "#ff9acb", "#9bd8ff", "#ffc58a", "#d3ea8d", "#d9bfff"],
   },
 };
 /** How much of the paper is mixed into the colours of the map. */
 const SOFTENED = { light: 0.2, dark: 0.12 };
 
-/** Return the theme of the page for `count` symbols: its mode, colours, and `toggle`. */
-export function makeTheme(count, palette, changed) {
+/** Return the theme of the page for symbols of some looks: its mode, colours, marks, `toggle`. */
+export function makeTheme({ looks, tiles }, changed) {
   const wish = window.matchMedia("(prefers-color-scheme: dark)");
-  const pure = symbolColors(count, palette);
   const theme = {};
 
   function set(mode) {
     document.documentElement.dataset.theme = mode;
     const colors = THEMES[mode];
-    const symbols = pure.map(color => blend(color, colors.paper, SOFTENED[mode]));
-    Object.assign(theme, colors, { mode, symbols });
+    const symbols = looks.map(([color]) => blend(color, colors.paper, SOFTENED[mode]));
+    Object.assign(theme, colors, { mode, symbols, marks: makeMarks(looks, tiles, symbols) });
   }
 
   theme.color = symbol => (symbol >= 0 ? theme.symbols[symbol] : theme.fallback);
+  /** What a canvas fills with for a symbol. */
+  theme.paint = symbol =>
+    (theme.marks.dots(symbol) ? theme.marks.pattern(symbol) : theme.color(symbol));
   theme.track = index => theme.tracks[index % theme.tracks.length];
   theme.toggle = () => {
     set(theme.mode === "dark" ? "light" : "dark");
