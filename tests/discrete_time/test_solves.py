@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from capsyn import Box, Problem, SsacSettings, Switching
+from capsyn import Box, Problem, SsacSettings, Switching, synthesize
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import bind_default
 from capsyn.controllers.ssac import batch_controller
-from capsyn.errors import ProblemError
+from capsyn.errors import ProblemError, SynthesisError
 from capsyn.modelling.transcription import transcribe
 from capsyn.sources.finite_control_set import finite_control_set
 from support.models.maps import (
@@ -193,6 +193,21 @@ def test_single_precision_and_delays_count_in_samples():
     np.testing.assert_array_equal(delayed[:, 2], plain.masks(there[:, None]))
     rough = controller(stock(), precision="single")
     assert (rough.symbols(STATES[:, None]) == ssac.symbols(STATES[:, None])).mean() > 0.998
+
+
+def test_where_the_map_is_not_a_number_no_symbol_is_chosen_and_the_reason_is_told():
+    root = stock(
+        dynamics=lambda x, u: [ca.sqrt(x[0] - 0.5 * u[0])],
+        running_cost=lambda x: x[0] ** 2,
+        terminal_cost=None,
+    )
+    x = np.array([[0.2], [1.0]])
+    for backend in ("c", "numpy"):
+        assert controller(root, backend).symbols(x).tolist() == [-1, 2]
+    with pytest.raises(SynthesisError, match="dynamics.* is not finite: sqrt of an expression"):
+        synthesize(root)
+    with pytest.raises(SynthesisError, match="mul of .*, 1 after the start of the pred"):
+        synthesize(stock(dynamics=lambda x, u: [1e200 * x[0] * x[0] + u[0]], horizon=20))
 
 
 def test_a_default_that_costs_far_more_makes_no_symbols_tie():

@@ -230,10 +230,11 @@ def _programs(
         dynamics = ca.Function("law", [z], [given(z, law(z))])
     else:
         law, inputs, dynamics = None, [u], given
-    moved, gathered = extended_function(dynamics), extended_function(running)
-    if problem.discrete:
+    moved, gathered = dynamics, running
+    if problem.discrete:  # the map itself: between samples there is nothing to keep in range
         end, cost = moved(z, *inputs), gathered(z)
     else:
+        moved, gathered = extended_function(dynamics), extended_function(running)
         end, cost = runge_kutta_step(moved, gathered, z, inputs, dt)
     terminal, rates = functions["terminal_cost"](z), dynamics(z, *inputs)
     change = [given(z, ca.DM(value)) - rates for value in problem.alphabet.values]

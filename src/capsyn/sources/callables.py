@@ -223,7 +223,7 @@ def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **optio
             options["in_force"] = True
     policy = subdivide(label, problem.space, problem.alphabet, **options)
     settings = problem.settings
-    said = switching is not None or problem.delay > 0
+    said = switching is not None or problem.delay > 0 or problem.discrete
     said = said or settings.sample_time != SsacSettings.sample_time
     return dataclasses.replace(
         policy,

@@ -32,7 +32,9 @@ def _tailed(problem: Problem, tail: Any) -> Problem:
 
 CHANGES: dict[str, Callable[[Problem, Any], Problem]] = {
     "tail": _tailed,
-    "horizon": lambda problem, time: problem.replace(horizon=time),
+    "horizon": lambda problem, time: problem.replace(
+        horizon=round(time) if problem.discrete else time
+    ),
     "rule": lambda problem, rule: _with_settings(problem, rule=rule),
     "gamma": lambda problem, gamma: _with_settings(problem, gamma=gamma, alpha_d=None),
     "control_weight": lambda problem, r: _with_settings(problem, control_weight=r),

@@ -70,9 +70,12 @@ def _why_not_finite(formulation: Formulation, state: Sequence[float]) -> str:
         for text in found(slope):
             return text
     if len(places) - 1 != steps:
+        remedy = "more `steps`, or a shorter horizon"
+        if model.sample_time is not None:
+            remedy = "a shorter horizon"
         return (
-            f"the prediction grows without bound, {places[-1][0]:.3g} after its start: take more "
-            "`steps`, or a shorter horizon"
+            f"the prediction grows without bound, {places[-1][0]:.3g} after its start: take "
+            + remedy
         )
     return UNKNOWN
 
