@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from capsyn import Box, Problem, SsacSettings, Switching, synthesize
+from capsyn import Box, Problem, SsacSettings, Switching, simulate, synthesize
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.solver import bind_default
 from capsyn.controllers.ssac import batch_controller
@@ -204,6 +204,8 @@ def test_where_the_map_is_not_a_number_no_symbol_is_chosen_and_the_reason_is_tol
     x = np.array([[0.2], [1.0]])
     for backend in ("c", "numpy"):
         assert controller(root, backend).symbols(x).tolist() == [-1, 2]
+        run = simulate(lambda t, x: np.full((len(x), 1), 0.5), [0.2], 1, model=root)
+        assert run.ended == "not finite" and np.isnan(run.states[1, 0])
     with pytest.raises(SynthesisError, match="dynamics.* is not finite: sqrt of an expression"):
         synthesize(root)
     with pytest.raises(SynthesisError, match="mul of .*, 1 after the start of the pred"):

@@ -45,7 +45,9 @@ def model_javascript(policy: Policy) -> str:
     model = policy.model
     if model is None:
         return "export const model = null;\n"
-    dynamics, cost = extended(model.dynamics), extended(model.running_cost)
+    dynamics, cost = model.dynamics, model.running_cost
+    if not policy.discrete:
+        dynamics, cost = extended(dynamics), extended(cost)
     programs = {
         "dynamics": dynamics,
         "runningCost": cost,

@@ -63,7 +63,8 @@ class Plant:
     sample_time: float | None = None  # of a map [time unit]; None: its dynamics are rates
 
     def __post_init__(self) -> None:
-        keep(self, dynamics=extended(self.dynamics), running_cost=extended(self.running_cost))
+        if self.sample_time is None:  # a map has no states between samples to keep in range
+            keep(self, dynamics=extended(self.dynamics), running_cost=extended(self.running_cost))
 
     @functools.cached_property
     def space(self) -> Box:
