@@ -75,6 +75,9 @@ def test_controls_may_be_given_by_name_or_in_order(tmp_path):
             ProblemError, match="must have the names of the file's symbols, or be 2"
         ):
             read_prism(path, wrong)
+    path.write_text("(0)=error\n(1)=a\n")  # a name that is taken
+    assert read_prism(path).alphabet.names == ("error_", "a")
+    assert read_prism(path, Alphabet([7, 8], ["a", "error_"])).masks.tolist() == [2, 1]
     path.write_text("(0)=3\n(true)=1\n")  # indices of choices
     assert read_prism(path).alphabet.values.ravel().tolist() == [1, 3]
 

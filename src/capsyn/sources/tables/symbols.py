@@ -97,18 +97,18 @@ def of_names(
     path: str, names: Sequence[str], alphabet: Alphabet | None
 ) -> tuple[dict[str, int], Alphabet]:
     """Return which symbol each of some names is, and the alphabet; see `named`."""
+    own = {name: f"{name}_" if name in RESERVED else name for name in names}
     if alphabet is None:
         with naming(path):
-            own = [f"{name}_" if name in RESERVED else name for name in names]
-            alphabet = Alphabet(np.arange(len(names)), own)
-        return {name: k for k, name in enumerate(names)}, alphabet
-    if set(names) <= set(alphabet.names):
-        return {name: k for k, name in enumerate(alphabet.names)}, alphabet
-    if len(names) == len(alphabet) and not set(names) & set(alphabet.names):
+            alphabet = Alphabet(np.arange(len(names)), list(own.values()))
+    places = {name: k for k, name in enumerate(alphabet.names)}
+    if set(own.values()) <= set(places):
+        return {name: places[own[name]] for name in names}, alphabet
+    if len(names) == len(alphabet) and not set(own.values()) & set(places):
         return {name: k for k, name in enumerate(names)}, alphabet
     raise ProblemError(
         f"'{path}': `alphabet` (--alphabet) must have the names of the file's symbols, or be "
-        f"{len(names)} in their order: {one_line(', '.join(names), 120)}; got "
+        f"{len(names)} in their order: {one_line(', '.join(own.values()), 120)}; got "
         f"{one_line(', '.join(alphabet.names), 120)}"
     )
 
