@@ -9,6 +9,8 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
+from capsyn.native import build
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # several processes test at once
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in background jobs of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -20,12 +22,18 @@ settings.load_profile("capsyn")
 
 @pytest.fixture(scope="session", autouse=True)
 def kernel_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep the kernels that tests build out of the user's cache; processes of a run share them."""
+    """Keep the kernels that tests build out of the user's cache; processes of a run share them.
+
+    What zig builds of C libraries, which takes long, is kept where a user of capsyn has it.
+    """
+    own = build.trusted_cache()
     directory = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         directory = directory.parent  # that of all workers
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CAPSYN_CACHE_DIR", str(directory / "kernels"))
+        if own is not None and "ZIG_GLOBAL_CACHE_DIR" not in os.environ:
+            patch.setenv("ZIG_GLOBAL_CACHE_DIR", str(own / "zig"))
         yield
 
 

@@ -2,17 +2,7 @@
 
 import pytest
 
-from capsyn.errors import KernelBuildError
-from capsyn.native.compiler import find_compiler
-
-
-def has_compiler():
-    try:
-        find_compiler()
-    except KernelBuildError:
-        return False
-    return True
-
+from capsyn.native.compiler import has_compiler
 
 needs_compiler = pytest.mark.skipif(not has_compiler(), reason="there is no C compiler")
 

@@ -69,6 +69,15 @@ def find_compiler() -> Compiler:
     return _find_compiler(os.environ.get("CC", "").strip(), os.environ.get("PATH", ""))
 
 
+def has_compiler() -> bool:
+    """Return whether there is a C compiler."""
+    try:
+        find_compiler()
+    except KernelBuildError:
+        return False
+    return True
+
+
 @functools.lru_cache(maxsize=8)
 def _find_compiler(cc: str, path: str) -> Compiler:
     zig = zig_program()

@@ -18,6 +18,7 @@ from capsyn.execution.processors import processors
 from capsyn.modelling.discrete import horizon_time
 from capsyn.modelling.switching import Switching
 from capsyn.modelling.time_unit import NAMES
+from capsyn.native.compiler import has_compiler
 from capsyn.policies.policy import Policy, cell_tree
 from capsyn.programs.model import gathered_cost
 from capsyn.simulation.experiment import set_up
@@ -212,11 +213,14 @@ def chatter_hint(policy: Policy, threads: int | None = None) -> str | None:
     """Return a sentence for a policy without memory that chatters, with the recommended price.
 
     It chatters when more than `CHATTER` of the samples of a short closed loop switch. Where the
-    policy took longer than `HINT_SECONDS` to make no price is tried.
+    policy took longer than `HINT_SECONDS` to make no price is tried. Without a C compiler there is
+    no hint: loops by NumPy take longer than many a policy.
     """
     cells, settings, statistics = policy.cells, policy.settings, policy.statistics
     known = isinstance(cells, CellTree) and policy.model is not None and settings is not None
     if not known or policy.switching is not None or policy.delay or "seed" not in statistics:
+        return None
+    if not has_compiler():
         return None
     assert settings is not None
     rate = 1 / settings.sample_time
