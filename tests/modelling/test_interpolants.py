@@ -199,6 +199,21 @@ def test_functions_that_are_called_are_written_out():
     assert program.evaluate([[at]])[0][0, 0] == pytest.approx(wanted, rel=1e-12)
 
 
+def test_what_is_no_number_stays_none():
+    for function in (TABLES["linear, uneven"], TABLES["spline, uneven"]):
+        through = ca.Function("through", [y := ca.MX.sym("y")], [function(ca.sqrt(y))])
+        program = user_program("f", through, (("x", 1),), (("value", 1),))
+        value = program.evaluate(np.array([[-1.0, 0.25]]))[0][0]
+        assert np.isnan(value[0]) and value[1] == pytest.approx(float(function(0.5)))
+
+
+def test_functions_of_a_problem_may_be_used_again():
+    problem = mass(2, lambda x: TABLES["linear, uneven"](x[0]))
+    functions = problem.functions()
+    again = problem.replace(dynamics=lambda x, u: functions["dynamics"](x, u))
+    assert transcribe(again).adjoint == transcribe(problem).adjoint
+
+
 class Own(ca.Callback):
     """A function that only Python can evaluate."""
 

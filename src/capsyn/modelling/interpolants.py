@@ -30,6 +30,8 @@ PROBES = 200
 """Random points at which a table that was read back is compared with CasADi's own values."""
 AGREEMENT = 1e-9
 """How far these may differ, relative to the largest value."""
+_tables: set[int] = set()
+"""Hashes of the functions of `table_function`, whose calls stay calls, with their derivatives."""
 _KINDS = ("LinearInterpolant", "BSplineInterpolant")
 _CALLS = re.compile(r"\b(?:casadi_)?(interpn|nd_boor_eval)\)?\(([^;]*)\);")
 _ARRAYS = re.compile(r"static const casadi_(?:int|real) casadi_(\w+)\[(\d+)\] =\s*\{([^}]*)\};")
@@ -81,8 +83,14 @@ def _written_out(name: str, function: ca.Function, inputs: Sequence[ca.SX]) -> l
 
 def _called(name: str, function: ca.Function, given: ca.SX) -> ca.SX:
     """Return all nonzeros that a function gives, of all that are given to it."""
+    if function.__hash__() in _tables:
+        return ca.vec(function(given))
     if function.class_name() in _KINDS:
-        return ca.vec(table_function(name, function)(given))
+        value = ca.vec(table_function(name, function)(given))
+        if all(part.is_symbolic() for part in ca.vertsplit(given)):
+            return value
+        # what is not a number stays none, though fmin and fmax take the other operand
+        return value + 1e-300 * ca.sum1(given)
     given_to = [ca.SX.sym("i", function.sparsity_in(i)) for i in range(function.n_in())]
     plain = function if function.class_name() == "SXFunction" else None
     with contextlib.suppress(RuntimeError):  # what has no symbolic form
@@ -157,6 +165,7 @@ def _table_function(text: str) -> ca.Function:
     }
     function = ca.Function(interpolant.name(), [x], [ca.densify(column)], options)
     _compare(interpolant, function, axes)
+    _tables.add(function.__hash__())
     return function
 
 
