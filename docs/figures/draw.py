@@ -65,6 +65,7 @@ def save_guide_pictures():
     loops.discrete_time(
         HERE / "discrete-time.png", of_page("discrete-time.md", "stock.py")["problem"]
     )
+    loops.models(HERE / "models.png", of_page("models.md", "spring.py"))
     loops.coordinates(HERE / "coordinates.png", of_page("coordinates.md", "axes.py"))
     loops.actuators(
         HERE / "actuators.png", lambda name: of_page("actuators.md", f"{name}.py")["problem"]

@@ -90,6 +90,16 @@ def coordinates(path, page):
     save(figure, path)
 
 
+def models(path, page):
+    """Draw a measured table, and the policy of the model that uses it."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
+    places = page["places"]
+    left.plot(places, [float(page["force"](x)) for x in places], "o-", color=FIRST, ms=4)
+    left.set(xlabel="place [m]", ylabel="force")
+    plot_policy(capsyn.synthesize(page["problem"]), ax=right)
+    save(figure, path)
+
+
 def good(path):
     """Draw what loops cost beyond the least, before and after two rounds of improvement."""
     policy = capsyn.synthesize(problems.plain("double-tank-a"))
