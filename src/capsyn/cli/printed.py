@@ -222,7 +222,8 @@ def print_report(data: dict[str, Any]) -> None:
         horizon = f"{data['horizon']} {unit} in {data['settings']['steps']} steps"
         if data.get("discrete"):
             time = f"{data['settings']['sample_time']:g} {unit}"
-            horizon = f"{data['horizon']:g} samples of a discrete-time model, each {time}"
+            kind = data["settings"].get("sensitivity", "exact")
+            horizon = f"{data['horizon']:g} samples of a discrete-time model, each {time}, {kind}"
         _print_settings(data["settings"], horizon)
     if data["target"]:
         print_line("target", data["target"])

@@ -100,6 +100,7 @@ def _controller(data: dict[str, Any], switching: Sequence[Row]) -> list[Row]:
         ]
         if mapped:
             rows[-2] = ("model", f"a map, once a sample, {settings['precision']} precision")
+            rows.append(("sensitivity", settings.get("sensitivity", "exact")))
     if data["target"]:
         rows.append(("target", data["target"]))
     at_once = ", at once" if data.get("outside_at_once") else ""

@@ -61,7 +61,8 @@ def horizon_text(policy: Any) -> str:
     horizon, unit, settings = policy.horizon, policy.time_unit, policy.settings
     if policy.discrete:
         each = f"{settings.sample_time!r} {unit}"
-        return f"horizon {horizon:g} samples of a discrete-time model, each {each}"
+        kind = settings.sensitivity or "exact"
+        return f"horizon {horizon:g} samples of a discrete-time model, each {each}, {kind}"
     return f"horizon {horizon!r} {unit}, {settings.steps} steps"
 
 
