@@ -8,11 +8,12 @@ DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
   cppcheck gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm gcc-avr avr-libc simavr \
   binutils cmake iverilog verilator yosys graphviz nodejs chromium fonts-dejavu-core
 
-.PHONY: help demo test check bench docs figures page strip debian clean
+.PHONY: help demo test test-portable check bench docs figures page strip debian clean
 
 help:
 	@echo "make demo     synthesise the paper's two-symbol pendulum policy and draw it"
 	@echo "make test     install what the tests need and run them all"
+	@echo "make test-portable  the same where POSIX is hidden, with zig's compiler, then without any"
 	@echo "make check    formatting, lint, types"
 	@echo "make bench    measure (ONLY="solve told": some of it), and write benchmarks/README.md and results.json"
 	@echo "make docs     draw the figures and build the site in build/docs; a warning is an error"
@@ -43,6 +44,11 @@ test: debian
 	@$(MAKE) --no-print-directory node_modules/.package-lock.json || \
 	  echo "could not install MicroPython and what bundles the page; tests that need them are skipped"
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+test-portable: $(VENV)/developed
+	PYTHONPATH=tests/support/portable CC="$(CURDIR)/$(BIN)/python -m ziglang cc" \
+	  $(BIN)/python -m pytest -n auto --dist worksteal $(TESTS)
+	PYTHONPATH=tests/support/portable CC=none $(BIN)/python -m pytest -n auto --dist worksteal $(TESTS)
 
 check: $(VENV)/developed
 	$(BIN)/ruff format --check .

@@ -19,7 +19,7 @@ from capsyn.errors import CapsynError
 from capsyn.version import __version__
 
 DATA = {
-    "controllers": ("action.c", "ssac.c"),
+    "controllers": ("action.c", "one_step.c", "ssac.c"),
     "optima": ("dynamic_programming.c",),
     "policies": ("lookup.c",),
     "programs": ("intervals.c",),
