@@ -55,6 +55,18 @@ def test_all_that_is_told_says_samples(folder):
     assert any("horizon 4 samples of a discrete-time model" in line for line in exported["header"])
 
 
+def test_the_rule_and_other_sources_are_chosen_by_options(folder):
+    first = ["synth", "stock.py", "-o", "first.cap", "--sensitivity", "first order"]
+    assert run_here(first, folder).returncode == 0
+    assert Policy.load(folder / "first.cap").settings.sensitivity == "first order"
+    best = ["synth", "stock.py", "-o", "best.cap", "--source", "optimum:5"]
+    assert run_here(best, folder).returncode == 0
+    best, own = (Policy.load(folder / name) for name in ("best.cap", "stock.cap"))
+    assert best.discrete and best.settings.sample_time == 0.5
+    states = best.domain.sample(2000, 0)
+    assert (best(states) == own(states)).mean() > 0.9
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -45,7 +45,7 @@ class ProblemOptions:
     """What is made of a problem where its own horizon, default or grid is not wanted."""
 
     output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
-    horizon: float | None = option("Prediction horizon [time unit].")
+    horizon: float | None = option("Prediction horizon [time unit, or samples].")
     tail: str | None = option(
         "Cost to go: riccati[:EFFORT], which also sets a horizon, fit (to closed loops), or none."
     )
@@ -86,6 +86,7 @@ class SettingsOptions:
     steps: int | None = option("Integration steps over the horizon.")
     tolerance: float | None = option("Of the step-doubling check.")
     precision: str | None = option("double or single.")
+    sensitivity: str | None = option('Of a model in discrete time: exact or "first order".')
 
     def of(self, settings: SsacSettings) -> SsacSettings | None:
         """Return a problem's settings with these changes; None where there are none."""
