@@ -32,16 +32,22 @@ if TYPE_CHECKING:
 class ImportOptions:
     """Options of ``capsyn import``."""
 
-    output: str | None = option("Default: FILE.cap", "--output", "-o", metavar="POLICY")
-    name: str | None = option("Of the policy [default: the file's].")
+    output: str | None = option(
+        "The policy file [default: FILE.cap].", "--output", "-o", metavar="POLICY"
+    )
+    name: str | None = option("Name of the policy [default: the file's name].")
     states: str | None = option("Names of the states.", metavar="NAME[,NAME..]")
-    periodic: str | None = option("States whose grid is a whole turn.", metavar="NAME[,NAME..]")
+    periodic: str | None = option(
+        "Periodic states: their grid covers one whole turn.", metavar="NAME[,NAME..]"
+    )
     alphabet: str | None = option(
-        "Control vectors of the symbols in place of those of the table, with names for all of them "
-        "or none: fill=1,0;drain=0,1;off=0,0.",
+        "Control vectors of the symbols in place of the table's, with names for all of them "
+        "or for none: fill=1,0;drain=0,1;off=0,0.",
         metavar="[NAME=]U[,U..][;..]",
     )
-    default: str | None = option("Default control, that of no symbol [0].", metavar="U[,U..]")
+    default: str | None = option(
+        "Default control, which belongs to no symbol [default: 0].", metavar="U[,U..]"
+    )
     outside: str | None = option(
         "error, nearest, or a symbol's name or index [default: error; of a strategy with "
         "continuous variables nearest]."
@@ -51,25 +57,28 @@ class ImportOptions:
         "--outside-at-once",
         default=False,
     )
-    time_unit: str = option("What its times count: ns, us, ms, s, min, h or d.", default="s")
+    time_unit: str = option(
+        "Unit of all times of the policy: ns, us, ms, s, min, h or d.", default="s"
+    )
     missing: str = option(
-        "Points without a row in a .csv: error, outside, or auto: outside, but an error where an "
-        "axis has a value in no row.",
+        "What a point without a row in a .csv becomes: error, outside (a gap), or auto (a "
+        "gap, but an error if no row has this value of an axis).",
         default="auto",
     )
     inputs: str | None = option(
-        "Columns of a .csv that are inputs [default: the last, and those with its name but for a "
-        "number].",
+        "Columns of a .csv that are inputs [default: the last column, and columns of its "
+        "name with another number].",
         metavar="NAME[,NAME..]",
     )
     format: str | None = option(
-        "csv, npz, scots, stratego, storm or prism [default: what its content looks like]."
+        "Format of the file: csv, npz, scots, stratego, storm or prism [default: what the "
+        "content looks like]."
     )
     exported_states: str | None = option(
-        "What PRISM wrote with -exportstates [default: FILE.sta].", metavar="FILE"
+        "File of states that PRISM wrote with -exportstates [default: FILE.sta].", metavar="FILE"
     )
     domain: str | None = option(
-        "Bounds of continuous variables of a strategy [default: an eighth wider than its own].",
+        "Bounds of a strategy's continuous variables [default: an eighth wider than its own].",
         metavar="NAME=LOW:HIGH[,..]",
     )
 
