@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from capsyn import Alphabet
+from capsyn import Alphabet, Policy, compress
 from capsyn.errors import ProblemError
 from capsyn.sources.grid_files import read_csv, read_table
 from capsyn.sources.table import Table
+from support.processes.command_line import capsyn as command
 from support.tables import assert_same, dtcontrol_text, long_csv, made_file, random_table
 
 file = made_file("csv")
@@ -120,6 +121,21 @@ def test_controls_may_be_vectors_in_brackets_or_true_and_false(file):
     text = "x,fill,drain\n0,True,False\n1,False,True\n"
     found = read_csv(file(text), inputs=["fill", "drain"])
     assert found.alphabet.values.tolist() == [[0, 1], [1, 0]] and found.masks.tolist() == [2, 1]
+
+
+def test_the_command_takes_several_inputs(tmp_path):
+    path, made = tmp_path / "t.csv", tmp_path / "t.cap"
+    path.write_text("level (m),fill,drain [l/s]\n0,1,0\n1,0,2\n2,NA,NA\n", encoding="utf-16")
+    for options, names in (([], ("(0, 2)", "(1, 0)")), (["--alphabet", "b=0,2;a=1,0"], ("b", "a"))):
+        command("import", path, "--inputs", "fill,drain", "-o", made, *options)
+        policy = Policy.load(made)
+        assert policy.alphabet.names == names and policy.alphabet.units == ("", "l/s")
+        assert policy.alphabet.inputs == ("fill", "drain")
+        assert policy.control([[0.0], [1.0]]).tolist() == [[1, 0], [0, 2]]
+        assert policy.domain.units == ("m",) and not policy.covers([2.0])
+        assert_same(policy, read_table(path, policy.alphabet, inputs=["fill", "drain"]))
+    tree = compress(policy)
+    assert tree([0.4]) == 1 and tree.control([0.6]).tolist() == [0, 2]
 
 
 def test_vectors_are_those_of_an_alphabet(file):

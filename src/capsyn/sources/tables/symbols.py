@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -146,6 +147,9 @@ def several_inputs(
         unique = np.unique(vectors[~none.any(axis=1)], axis=0)
         with naming(path):
             alphabet = Alphabet(unique, inputs=names, units=units)
+    elif alphabet.m == len(coders) and alphabet.inputs == Alphabet(alphabet.values[:1]).inputs:
+        with naming(path):  # inputs of no name have those of the file
+            alphabet = dataclasses.replace(alphabet, inputs=names, units=units)
     _check_count(path, alphabet)
     rows = {tuple(vector): k for k, vector in enumerate(alphabet.values.tolist())}
     masks = np.zeros(len(kinds), dtype=np.uint64)
