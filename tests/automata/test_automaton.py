@@ -328,9 +328,7 @@ def test_the_picture_has_every_vertex_edge_and_label_clear_of_each_other(symbols
         assert text.get_window_extent().width < circle.get_window_extent().width
 
 
-def test_many_vertices_have_no_labels_and_long_names_stand_beside():
-    ax = drawn(fan(12))
-    assert len(ax.texts) == 12
+def test_long_names_stand_beside():
     machine = fan(2, ["a rather long name", "short"])
     ax = drawn(machine)
     assert {"u1", "u2"} < {text.get_text() for text in ax.texts}

@@ -10,6 +10,7 @@ import numpy as np
 
 from capsyn.execution.files import write_text
 from capsyn.plots.figure import FORMATS, check_format, literal, reproducible, save_figure
+from capsyn.plots.transition_matrix import draw_matrix, matrix_size
 from capsyn.policies.colors import symbol_colors
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ LOOP = 0.85
 FEW = 4
 """Up to so many vertices are drawn with large letters, and labels halfway on their arrows."""
 MOST_LABELLED = 8
-"""More vertices than these have arrows without labels, and none that is proved impossible."""
+"""More vertices than these are drawn as a matrix."""
 LONGEST_NAME = 12
 """Longer names are not written into the circles, but beside them."""
 CLOSE = 0.42
@@ -39,8 +40,8 @@ def plot_automaton(automaton: Automaton, ax: Axes | None = None) -> Axes:
     """Draw an automaton as a graph: the finite state machine of the paper's figures 3 and 4.
 
     Arrows that are proved impossible are dashed and grey. Undecided arrows are dotted. A star marks
-    arrows on which the loop chatters somewhere. With more than `MOST_LABELLED` vertices, arrows
-    have no labels: all arrows into a symbol carry the region of this symbol.
+    arrows on which the loop chatters somewhere. More than `MOST_LABELLED` vertices are drawn as a
+    matrix: a row for each symbol in force, and a column for each that may follow.
 
     Parameters
     ----------
@@ -54,34 +55,36 @@ def plot_automaton(automaton: Automaton, ax: Axes | None = None) -> Axes:
 
     ax = plt.gca() if ax is None else ax
     count = len(automaton.vertices)
+    if count > MOST_LABELLED:
+        draw_matrix(automaton, ax)
+        ax.set_title(literal(automaton.name))
+        return ax
     centers, radius = _layout(count)
-    labelled = count <= MOST_LABELLED
     size = 11.0 if count <= FEW else 8.0
     reach = radius * (1 + 2.4 * LOOP)
     ax.set_aspect("equal")
     ax.axis("off")
     ax.set_xlim(centers[:, 0].min() - reach, centers[:, 0].max() + reach)
     ax.set_ylim(centers[:, 1].min() - reach, centers[:, 1].max() + reach)
-    arrows = [edge for edge in automaton.edges if labelled or edge.possible is not False]
+    arrows = [*automaton.edges]
     curves = {edge: _curve(automaton, edge, centers, radius) for edge in arrows}
     for edge, curve in curves.items():
         _draw_arrow(ax, automaton, edge, curve)
-    if labelled:
-        wide = 0.015 if automaton.remembers else 0.0125  # names of two symbols, or of one
-        box = np.array([wide, 0.0105]) * size
-        places = _label_places(curves, centers, radius, box)
-        for edge, place in places.items():
-            ax.text(
-                float(place[0]),
-                float(place[1]),
-                automaton.edge_text(edge),
-                color=_arrow_color(automaton, edge),
-                fontsize=size,
-                ha="center",
-                va="center",
-                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
-                zorder=3,
-            )
+    wide = 0.015 if automaton.remembers else 0.0125  # names of two symbols, or of one
+    box = np.array([wide, 0.0105]) * size
+    places = _label_places(curves, centers, radius, box)
+    for edge, place in places.items():
+        ax.text(
+            float(place[0]),
+            float(place[1]),
+            automaton.edge_text(edge),
+            color=_arrow_color(automaton, edge),
+            fontsize=size,
+            ha="center",
+            va="center",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+            zorder=3,
+        )
     short = max(map(len, automaton.names)) <= LONGEST_NAME
     colors = vertex_colors(automaton)
     for (x, y), label, name in zip(centers, automaton.vertices, automaton.names):
@@ -124,9 +127,11 @@ def save_automaton(automaton: Automaton, path: str | os.PathLike[str]) -> None:
         from matplotlib.figure import Figure
         from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-        few = len(automaton.vertices) <= 2
+        count = len(automaton.vertices)
+        size = (5.4, 2.8) if count <= 2 else (6.6, 7.2)
+        size = matrix_size(count) if count > MOST_LABELLED else size
         layout = ConstrainedLayoutEngine(h_pad=0.1, w_pad=0.05)
-        figure = Figure(figsize=(5.4, 2.8) if few else (6.6, 7.2), layout=layout)
+        figure = Figure(figsize=size, layout=layout)
         plot_automaton(automaton, figure.add_subplot())
         save_figure(figure, path)
 
@@ -294,9 +299,9 @@ def _draw_legend(ax: Axes, automaton: Automaton, arrows: list[Edge], short: bool
         handles.append(Line2D([], [], ls="", label="without a model: what is possible is unknown"))
     elif any(edge.possible is None for edge in arrows):
         handles.append(Line2D([], [], color=LINE, lw=1.0, ls=(0, (1, 2)), label="undecided"))
-    if len(automaton.vertices) <= MOST_LABELLED and any(edge.sliding for edge in arrows):
+    if any(edge.sliding for edge in arrows):
         handles.append(Line2D([], [], ls="", marker="$*$", color=LINE, label="chatters somewhere"))
-    if automaton.remembers and len(automaton.vertices) <= MOST_LABELLED:
+    if automaton.remembers:
         handles.append(Line2D([], [], ls="", label=literal(automaton.guards_are)))
     if not short:
         for label, name in zip(automaton.vertices, automaton.names):
