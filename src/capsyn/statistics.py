@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
 from capsyn.errors import ProblemError
 from capsyn.validation import finite_number, whole_number
 
@@ -27,6 +31,20 @@ def clopper_pearson(successes: int, trials: int, confidence: float = 0.95) -> tu
     low = betaincinv(successes, trials - successes + 1, tail) if successes else 0.0
     high = betaincinv(successes + 1, trials - successes, 1 - tail) if successes < trials else 1.0
     return float(low), float(high)
+
+
+def mean_interval(values: np.ndarray, confidence: float) -> tuple[float, float] | None:
+    """Return Student's interval (low, high) of the mean that values (T,) are drawn around.
+
+    Of less than two values there is none.
+    """
+    count = len(values)
+    if count < 2:
+        return None
+    from scipy.special import stdtrit
+
+    half = stdtrit(count - 1, (1 + confidence) / 2) * values.std(ddof=1) / math.sqrt(count)
+    return float(values.mean() - half), float(values.mean() + half)
 
 
 def check_confidence(confidence: float) -> float:

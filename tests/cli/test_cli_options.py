@@ -10,7 +10,8 @@ import typer
 from capsyn import SsacSettings, synthesize
 from capsyn.cli.better.tune import tune
 from capsyn.cli.evidence import KINDS, VerifyOptions, verify
-from capsyn.cli.loop import ControllerTexts, LoopTexts, SimulateOptions, simulate
+from capsyn.cli.loop import ControllerTexts, LoopTexts
+from capsyn.cli.making.simulate import SimulateOptions, simulate
 from capsyn.cli.making.synth import SettingsOptions, SubdivisionOptions
 from capsyn.cli.options import flat, option
 from capsyn.simulation.options import LoopOptions
@@ -54,13 +55,16 @@ def test_commands_have_the_options_of_closed_loops():
     assert {name for name in as_texts if texts[name] is not None} == set()
     assert set(texts) == {*plain} | as_texts | {"tolerance"}
     more = defaults(ControllerTexts)
-    assert set(more) == {*texts} | {"online", "background", "track"}
+    assert set(more) == {*texts} | {"online", "background", "track", "avoid", "stay_in", "cost"}
     # the number of steps is the library's to choose
     assert set(loop) - {*plain} - as_texts == {
         "parameters",
         "stop_at_target",
         "substeps",
         "executor",
+        "avoid",
+        "stay_in",
+        "costs",
     }
     assert defaults(SimulateOptions)["stop_at_target"] is loop["stop_at_target"]
     for command, own in ((simulate, more), (verify, more), (tune, texts)):

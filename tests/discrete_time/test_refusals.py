@@ -99,10 +99,6 @@ def ask_sample_time(policy):
     finite_control_set(stock(), 2, sample_time=1.0)
 
 
-def ask_none(policy):
-    finite_control_set(stock(discrete=False, horizon=1.0), 2)
-
-
 @pytest.mark.parametrize(
     ("ask", "message"),
     [
@@ -117,7 +113,6 @@ def ask_none(policy):
         (ask_optimum, "`rate` must be 2, or left out"),
         (ask_steps, "`steps` must be 1 for a map"),
         (ask_sample_time, "`sample_time` must be left out, or be 0.5"),
-        (ask_none, "`sample_time` must be given for dynamics that are rates"),
     ],
 )
 def test_what_needs_rates_refuses_a_map(policy, ask, message):

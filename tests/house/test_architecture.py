@@ -38,8 +38,8 @@ controllers.unsolved: diagnosis inside
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
 automata: rectangles regions face_rates row_faces switching automaton
-simulation: plant options exogenous kernel closed_loop policy_loop trial_job experiment simulate
-    tracking
+simulation: plant options exogenous kernel closed_loop policy_loop trial_job experiment figures
+    simulate tracking
 improvement: charged_loop judged quadratic_fit refits rollouts rounds improve
 limits: tubes invariant asked shield telling
 synthesis: remote_labels labelling synthesize fitted_tail
@@ -57,7 +57,7 @@ compression.fitted: surface plane_tree oblique
 compression.features: growing space cell_fit controller_fit
 compression: proof judge trees
 compression.looped: loops choice growing fitting by_loop
-compression: compress curve complexity
+compression: lost compress curve complexity
 reach: half_spaces loop kernel twins arrive stay
 certification: question refute proof_file certify
 certification.checker: bounds sets flows cells moving pieces
@@ -83,11 +83,11 @@ explorer: packed memory_data policy_data program_javascript expression formulas 
 paper: cases figures pendulum tanks reproduction
 cli: options console printed problem_finder loop
 cli.better: optimum
-cli.proofs: proved certify
+cli.proofs: proved trials certify
 cli: paper evidence compression export look
     import_table doctor
-cli.better: improve tune
-cli.making: synth
+cli.better: improve switching tune
+cli.making: source simulate synth
 cli: app
 
 __main__

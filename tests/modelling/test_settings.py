@@ -6,8 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from capsyn.errors import ProblemError
-from capsyn.modelling.settings import MAX_STEPS, SsacSettings
+import capsyn
+from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.modelling.settings import MAX_STEPS, SsacSettings, usual_sample_time
 
 SOME = [
     SsacSettings(),
@@ -126,3 +127,42 @@ def test_a_singular_weight_and_a_rounded_one_are_semidefinite():
     SsacSettings(control_weight=[[1, 1], [1, 1]])
     column = np.random.default_rng(1).normal(size=(4, 1))
     SsacSettings(control_weight=column @ column.T)
+
+
+@pytest.mark.parametrize(
+    ("horizon", "time"),
+    [(0.8, 0.005), (1.0, 0.01), (0.5, 0.005), (0.2, 0.002), (2.5, 0.02), (5e-5, 5e-7), (9e3, 50.0)],
+)
+def test_a_sample_time_that_nothing_says_is_a_hundredth_of_the_horizon(horizon, time):
+    assert usual_sample_time(horizon) == time
+    assert SsacSettings().sampled(horizon).period == time
+    assert SsacSettings(sample_time=0.3).sampled(horizon).period == 0.3
+
+
+def test_the_sample_time_of_a_problem_follows_the_horizon_unless_it_is_said():
+    def sampled(**changes):
+        return capsyn.Problem(
+            name="line",
+            dynamics=lambda x, u: [u[0]],
+            domain=capsyn.Box([-1], [1]),
+            alphabet=[-1, 1],
+            default=0,
+            running_cost=lambda x: x[0] ** 2,
+            max_level=0,
+            **{"horizon": 1.0} | changes,
+        )
+
+    problem = sampled()
+    assert problem.settings.period == 0.01
+    assert problem.replace(horizon=4.0).settings.period == 0.02
+    assert problem.replace(settings=SsacSettings(gamma=-2.0), horizon=4.0).settings.period == 0.02
+    said = sampled(settings=SsacSettings(sample_time=0.01))
+    assert said.replace(horizon=4.0).settings.period == 0.01
+    assert said.replace(settings=SsacSettings(gamma=-2.0)).settings.period == 0.01
+    policy = capsyn.synthesize(problem)
+    assert policy.settings.sample_time == 0.01
+    assert len(capsyn.simulate(policy, [0.5], 1.0).times) == 101
+    with pytest.warns(CapsynWarning, match="a sample of 2 s is longer than the horizon of 1 s"):
+        capsyn.simulate(policy, [0.5], 4.0, rate=0.5)
+    with pytest.raises(ProblemError, match="`settings` must say a `sample_time`"):
+        dataclasses.replace(policy, horizon=None, settings=SsacSettings())

@@ -32,6 +32,9 @@ VALUES = {
     "threads": 8,
     "executor": "e",
     "exogenous": [0.7],
+    "avoid": Ball([0], 2),
+    "stay_in": Ball([0], 3),
+    "costs": {"a": abs},
 }
 
 

@@ -154,9 +154,9 @@ def integrate(
 def assert_same_trials(one: MonteCarlo, two: MonteCarlo, count: int | None = None) -> None:
     for name, a in vars(one).items():
         b = getattr(two, name)
-        if name == "parameters":
+        if name in ("parameters", "figures"):
             assert list(a) == list(b)
-            assert all(np.array_equal(a[key][:count], b[key]) for key in a)
+            assert all(np.array_equal(a[key][:count], b[key], equal_nan=True) for key in a)
         elif isinstance(a, np.ndarray):
             assert a.dtype == b.dtype and np.array_equal(
                 a[:count], b, equal_nan=a.dtype.kind == "f"

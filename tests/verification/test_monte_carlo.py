@@ -146,6 +146,7 @@ def test_everything_of_one_number_is_drawn_from_a_stream_of_its_own(monkeypatch)
     assert np.abs(np.corrcoef(columns) - np.eye(3)).max() < 0.2
 
 
+@pytest.mark.filterwarnings("ignore:a sample of 1 s is longer than the horizon")
 def test_initial_states_are_drawn_from_the_domain_a_ball_or_named_axes():
     still = {"model": lambda x, u: 0 * u, "target": HOME, "rate": 1, "duration": 1, "substeps": 1}
     everywhere = monte_carlo(LINEAR, 500, **still).initial

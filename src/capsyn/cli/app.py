@@ -9,15 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from capsyn.cli.better.improve import improve
+from capsyn.cli.better.switching import switching
 from capsyn.cli.better.tune import tune
 from capsyn.cli.compression import automaton, compress
 from capsyn.cli.console import print_table, show, show_all, working
 from capsyn.cli.doctor import doctor
-from capsyn.cli.evidence import switching, verify
+from capsyn.cli.evidence import verify
 from capsyn.cli.export import export
 from capsyn.cli.import_table import import_table
 from capsyn.cli.look import at, explore, query
-from capsyn.cli.loop import simulate
+from capsyn.cli.making.simulate import simulate
 from capsyn.cli.making.synth import synth
 from capsyn.cli.options import (
     Current,

@@ -13,6 +13,7 @@ from capsyn.cli.console import print_table, show, working
 from capsyn.cli.loop import LoopTexts, loop_options
 from capsyn.cli.options import INITIAL, File, Json, flat, number_or_range, option, starts
 from capsyn.cli.printed import print_automaton, print_compression
+from capsyn.cli.problem_finder import given_source
 from capsyn.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ FOR_LOOPS = ("nodes", "bytes", "target", "trials", "initial", "arrive", "within"
 """Options beside those of any loop that are for trees which loops judge."""
 SHARED = ("seed", "backend")
 """Options of loops that all trees take."""
-NOT_ASKED = (*SHARED, "executor", "stop_at_target")
+NOT_ASKED = (*SHARED, "executor", "stop_at_target", "avoid", "stay_in", "costs")
 """Options of loops that `capsyn.compress` does not take among those of trials."""
 
 
@@ -60,6 +61,12 @@ class CompressOptions(LoopTexts):
         "Functions of x (and w) that splits may compare, by name: the dict `features` of "
         "the file, or the dict NAME.",
         metavar="FILE.py[:NAME]",
+        before="duration",
+    )
+    source: str | None = option(
+        "The controller that the policy came from, where the file does not say it, which trees are "
+        "fitted to and judged by: a function of states to symbols, or an agent with predict.",
+        metavar="FILE.py:NAME",
         before="duration",
     )
     curve: bool = option(
@@ -180,7 +187,10 @@ def _tree(file: str, options: CompressOptions, as_json: bool) -> None:
     with working(f"compressing, mode {mode}") as say:
         names = "agreement level node_price states seed backend judge".split()
         given |= {name: getattr(options, name) for name in names}
-        tree = compress(policy, mode, **given, features=features, progress=say)
+        controller = given_source(policy, options.source)
+        tree = compress(
+            policy, mode, **given, controller=controller, features=features, progress=say
+        )
     tree.save(path)
     data = report(tree) | {"file": path}
     show(as_json, data, lambda: print_compression(data, report(policy)), f"wrote {path}")
@@ -200,6 +210,7 @@ def _curve(file: str, options: CompressOptions, as_json: bool) -> None:
         "--level": options.level,
         "--node-price": options.node_price,
         "--features": options.features,
+        "--source": options.source,
         "--nodes": options.nodes,
         "--bytes": options.bytes,
     }

@@ -5,32 +5,28 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from capsyn.cli.better.optimum import compare_with_optimum, print_optimum
-from capsyn.cli.console import print_table, show, working
+from capsyn.cli.console import show, working
 from capsyn.cli.loop import ControllerTexts, controller_of, loop_options, tracked
 from capsyn.cli.options import (
     INITIAL,
-    Backend,
     Dask,
     File,
     Json,
-    Seed,
-    Threads,
     executor,
     flat,
-    number_list,
     number_or_range,
     one_or_list,
     option,
-    price,
     starts,
 )
-from capsyn.cli.printed import print_agreement, print_lyapunov, print_monte_carlo
+from capsyn.cli.printed import print_agreement, print_lyapunov
+from capsyn.cli.problem_finder import given_source
+from capsyn.cli.proofs.trials import print_monte_carlo
 from capsyn.errors import ProblemError
 from capsyn.verification.sentences import headlines, simulate_line
 
@@ -59,7 +55,15 @@ class VerifyOptions(ControllerTexts):
         "Spacing of a grid of signs of dV/dt.", metavar="H[,H..]", before="seed"
     )
     agreement: int | None = option(
-        "Random states to compare with sSAC.", metavar="N", before="seed"
+        "Random states to compare with the controller that the policy came from.",
+        metavar="N",
+        before="seed",
+    )
+    source: str | None = option(
+        "That controller, where the file does not say it: a function of states to symbols, or an "
+        "agent with predict.",
+        metavar="FILE.py:NAME",
+        before="seed",
     )
     steps: int | None = option(
         "Steps of sSAC over the horizon: more than the policy's own show what its own hide.",
@@ -138,8 +142,8 @@ def _try_out(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
 def _show_trials(data: dict[str, Any], sentence: str, file: str, options: VerifyOptions) -> None:
     """Print what came of trials, and the command that repeats the first that failed."""
     repeated = (
-        "duration rate model min_dwell outside outside_at_once target tolerance track online "
-        "background"
+        "duration rate model min_dwell outside outside_at_once target tolerance avoid stay_in cost "
+        "track online background"
     ).split()
     values = {_option(name): getattr(options, name) for name in repeated}
     values["--no-outside-at-once"] = options.outside_at_once is False
@@ -162,8 +166,12 @@ def _prove(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any
     return proof
 
 
-def _comparable(policy: Policy) -> bool:
-    return None not in (policy.model, policy.horizon, policy.settings)
+def _comparable(policy: Policy, options: VerifyOptions) -> bool:
+    """Return whether there is a controller to compare a policy with."""
+    from capsyn.sources.finite_control_set import source_of
+
+    own = None not in (policy.model, policy.horizon, policy.settings)
+    return own or options.source is not None or source_of(policy) is not None
 
 
 def _compare(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, Any]:
@@ -172,6 +180,7 @@ def _compare(policy: Policy, options: VerifyOptions, client: Any) -> dict[str, A
     return agreement(
         policy,
         options.agreement or 0,
+        controller=given_source(policy, options.source),
         seed=options.seed,
         confidence=options.confidence,
         steps=options.steps,
@@ -187,7 +196,8 @@ KINDS = (
         "success_rate",
         tuple(
             "rate initial target tolerance within hold duration model parameter disturbance noise "
-            "delay min_dwell outside outside_at_once online background exogenous track dask".split()
+            "delay min_dwell outside outside_at_once online background exogenous track dask avoid "
+            "stay_in cost".split()
         ),
         "Monte Carlo",
         _try_out,
@@ -206,8 +216,8 @@ KINDS = (
         "agreement",
         "require_agreement",
         "share",
-        ("steps",),
-        "comparing with sSAC",
+        ("steps", "source"),
+        "comparing with the controller",
         _compare,
         lambda data, sentence, *_: print_agreement(data, sentence),
     ),
@@ -246,10 +256,10 @@ def verify(file: File, options: VerifyOptions, as_json: Json = False) -> None:
     policy = Policy.load(file)
     options = _with_kinds(policy, options)
     kinds = [kind for kind in KINDS if getattr(options, kind.name) is not None]
-    if options.agreement is not None and not _comparable(policy):
+    if options.agreement is not None and not _comparable(policy, options):
         raise ProblemError(
             f"--agreement needs a policy with its model, horizon and settings, which '{file}' "
-            "has not; in Python capsyn.agreement(policy, controller=function) compares it"
+            "has not, or the controller that it came from: --source FILE.py:NAME"
         )
     _check_requirements(options)
     _check_owners(options)
@@ -281,7 +291,7 @@ def _with_kinds(policy: Policy, options: VerifyOptions) -> VerifyOptions:
     if any(getattr(options, kind.name) is not None for kind in KINDS):
         return options
     trials = 1000 if policy.target is not None or options.target is not None else None
-    states = 100_000 if _comparable(policy) else None
+    states = 100_000 if _comparable(policy, options) else None
     if trials is None and states is None:
         raise ProblemError("the policy has neither target nor model: nothing can be verified")
     return dataclasses.replace(options, monte_carlo=trials, agreement=states)
@@ -320,76 +330,3 @@ def _missed(options: VerifyOptions, evidence: dict[str, Any]) -> list[str]:
         elif (share := data[kind.figure]) < least:
             sentences.append(f"{asked}: {share:.6g}")
     return sentences
-
-
-@dataclass(frozen=True)
-class CurveOptions:
-    """Options of ``capsyn switching``."""
-
-    curve: bool = option(
-        "Try prices and least times: a table and a picture.", "--curve", default=False
-    )
-    prices: str | None = option(
-        "Prices to try, as 0,0.3%,1%,3% [default: 0 to 10%].", metavar="P[,P..]"
-    )
-    holds: str | None = option(
-        "Least times of all symbols to try [time unit; default: the policy's own].",
-        metavar="T[,T..]",
-    )
-    trials: int = option("Closed loops from random states, each.", default=200)
-    duration: float | None = option("Their time [time unit; default: 20 horizons].")
-    rate: float | None = option("Samples per time unit [default: by the policy's settings].")
-    output: str | None = option(
-        "A .png, .svg or .pdf file; the table gets its name with .csv.", "--output", "-o",
-        metavar="FILE",
-    )  # fmt: skip
-    seed: Seed = 0
-    backend: Backend = "auto"
-    threads: Threads = None
-
-
-@flat
-def switching(file: File, options: CurveOptions, as_json: Json = False) -> None:
-    """Say how often a policy switches, at which cost, and, with --curve, at other prices."""
-    from capsyn.policies.policy import Policy
-    from capsyn.verification.switching_curve import switching_point
-
-    names = "trials duration rate seed backend threads".split()
-    loop = {name: getattr(options, name) for name in names}
-    if options.curve:
-        _switching_curve(file, options, loop, as_json)
-        return
-    for name in ("prices", "holds", "output"):
-        if getattr(options, name) is not None:
-            raise ProblemError(f"--{name} needs --curve")
-    with working("simulating"):
-        row = switching_point(Policy.load(file), **loop).to_json()
-    del row["recommended"]  # nothing to compare with
-    show(as_json, row, lambda: print_table([row]), None)
-
-
-def _switching_curve(file: str, options: CurveOptions, loop: dict[str, Any], as_json: bool) -> None:
-    from capsyn.execution.files import check_writable, save_points
-    from capsyn.plots.figure import check_format
-    from capsyn.plots.switching import save_switching_plot
-    from capsyn.policies.policy import Policy
-    from capsyn.verification.switching_curve import PRICES, switching_curve
-
-    picture = f"{Path(file).stem}-switching.png" if options.output is None else options.output
-    check_format(picture)
-    table = str(Path(picture).with_suffix(".csv"))
-    for path in (picture, table):
-        check_writable(path)
-    policy = Policy.load(file)
-    prices = PRICES
-    if options.prices is not None:
-        prices = tuple(price("--prices", text) for text in options.prices.split(","))
-    holds = None if options.holds is None else number_list("--holds", options.holds)
-    with working("trying prices") as say:
-        points = switching_curve(policy, prices, holds, **loop, progress=say)
-    save_points(points, table)
-    save_switching_plot(points, policy.name, policy.time_unit, picture)
-    rows = [point.to_json() for point in points]
-    shown = [row | {"recommended": "*" if row["recommended"] else ""} for row in rows]
-    data = {"points": rows, "table": table, "picture": picture}
-    show(as_json, data, lambda: print_table(shown), f"wrote {table} and {picture}")

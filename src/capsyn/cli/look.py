@@ -12,6 +12,9 @@ from capsyn.cli.options import Current, File, Json, Outside, assignments, number
 from capsyn.errors import ProblemError
 from capsyn.modelling.exogenous import beyond_text
 
+SAYS_NONE = ", for the policy says no sample time"
+"""What is told of the rate of a page that is of no policy's own."""
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -102,6 +105,7 @@ def explore(
     """Write a page where one sees the policy and watches it work."""
     from capsyn.execution.files import check_writable
     from capsyn.explorer.explore import explore
+    from capsyn.explorer.policy_data import page_rate
     from capsyn.policies.policy import Policy
 
     check_writable(output)
@@ -110,7 +114,11 @@ def explore(
     policy = Policy.load(file)
     with working("drawing the page"):
         path = explore(policy, output, drawing)
-    typer.echo(f"wrote {path} ({path.stat().st_size:,} bytes)")
+    rate, unit = page_rate(policy), policy.time_unit
+    sampled = f"sampled every {1 / rate:g} {unit}" + ("" if policy.settings else SAYS_NONE)
+    typer.echo(
+        f"wrote {path} ({path.stat().st_size:,} bytes)" + (f", {sampled}" if policy.model else "")
+    )
     if open_page:
         import webbrowser
 

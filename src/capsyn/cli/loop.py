@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from capsyn.cli.console import show, working
 from capsyn.cli.options import (
     Backend,
-    File,
-    Json,
     MinDwell,
     Outside,
     OutsideAtOnce,
     Seed,
     Threads,
     assignments,
-    flat,
     number,
-    number_list,
     one_or_list,
     option,
     region,
@@ -33,9 +26,6 @@ if TYPE_CHECKING:
     from capsyn.policies.policy import Policy
     from capsyn.simulation.options import LoopOptions
 
-MOST_STEPS = 6
-"""Most steps of an exogenous input that are printed."""
-
 
 @dataclass(frozen=True)
 class LoopTexts:
@@ -44,7 +34,10 @@ class LoopTexts:
     duration: float | None = option(
         "Time to simulate, as all times in the model's time unit.", default=20.0
     )
-    rate: float | None = option("Samples per time unit [default: by the policy's settings, 1000].")
+    rate: float | None = option(
+        "Samples per time unit [default: 1 over the sample time of the policy, which is about a "
+        "hundredth of its horizon where its problem says none]."
+    )
     target: str | None = option(
         "NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a function of x "
         "(and w) that says whether it has arrived.",
@@ -98,6 +91,20 @@ class ControllerTexts(LoopTexts):
         metavar="STATE=NAME|W",
         before="disturbance",
     )
+    avoid: str | None = option(
+        "What it must never be in: NAME=LOW:HIGH[,..], or FILE.py:NAME of a function of x (and w) "
+        "that says whether it is.",
+        metavar="SET",
+        before="model",
+    )
+    stay_in: str | None = option(
+        "What it must never leave, likewise.", metavar="SET", before="model"
+    )
+    cost: list[str] | None = option(
+        "Another running cost to tell, of x (and w) [cost / time unit]. May be repeated.",
+        metavar="FILE.py:NAME",
+        before="disturbance",
+    )
     online: str | None = option(
         "ssac or sac: solve online in receding horizon instead of the policy.", before="seed"
     )
@@ -132,8 +139,31 @@ def loop_options(
         "disturbance": meant("disturbance"),
         "noise": meant("noise"),
     }
+    if isinstance(texts, ControllerTexts):
+        values |= _judged(policy, texts)
     chosen = {name: value for name, value in values.items() if value is not None}
     return LoopOptions(**sampled_options(policy, texts, one), **chosen, **more)
+
+
+def _judged(policy: Policy | Problem, texts: ControllerTexts) -> dict[str, Any]:
+    """Return the sets to avoid and to stay in, and the costs by name, that texts mean."""
+    from capsyn.cli.problem_finder import find_function
+
+    known, costs = policy.space.names, {}
+    for text in texts.cost or []:
+        name = text.rpartition(":")[2]
+        if name in costs:
+            raise ProblemError(f"--cost must give each name once; got '{name}' again")
+        costs[name] = find_function(text)
+    sets = {"avoid": texts.avoid, "stay_in": texts.stay_in}
+    return {"costs": costs or None} | {
+        name: None if text is None else region_or_function(_option(name), text, known)
+        for name, text in sets.items()
+    }
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def sampled_options(
@@ -253,122 +283,3 @@ def region_or_function(
     if ".py:" in text or ("=" not in text and ":" in text):
         return with_tolerance(find_function(text), tolerance)
     return region(name, text, known, tolerance)
-
-
-@dataclass(frozen=True)
-class SimulateOptions(ControllerTexts):
-    """Options of ``capsyn simulate``."""
-
-    x0: list[str] | None = option(
-        "Initial state; may be repeated [default: random].", metavar="X[,X..]", before="duration"
-    )
-    output: str | None = option(
-        ".csv, .json, .png, .pdf or .svg.", "--output", "-o", metavar="FILE", before="target"
-    )
-    stop_at_target: bool = option("End where the target is reached.", default=False, before="model")
-    band: float | None = option(
-        "Largest error of a tracked state that has settled [state unit] [default: 2 % of the "
-        "largest at a change].",
-        before="disturbance",
-    )
-
-
-@flat
-def simulate(file: File, options: SimulateOptions, as_json: Json = False) -> None:
-    """Simulate the closed loop of a policy."""
-    from capsyn.policies.policy import Policy
-    from capsyn.simulation.simulate import trajectories
-    from capsyn.simulation.tracking import BAND, check_followed, tracking
-    from capsyn.validation import whole_number
-
-    track = tracked(options.track) or {}
-    save = _saving(options.output, track)
-    seed = whole_number("--seed", options.seed, least=0)
-    policy = Policy.load(file)
-    states = _initial_states(policy, options.x0, seed)
-    check_followed(track, policy.domain.names, policy.space.names[policy.domain.n :])
-    for name in ("noise", "delay", "disturbance"):
-        if ":" in (getattr(options, name) or ""):
-            raise ProblemError(f"--{name} must be one value here; ranges are for verify")
-    with working("simulating"):
-        controller = controller_of(policy, options)
-        loop = loop_options(policy, options, stop_at_target=options.stop_at_target)
-        trajectory = trajectories(controller, states[0] if len(states) == 1 else states, loop)
-    save(trajectory)
-    rows = trajectory.summary()
-    for state, reference in track.items():
-        figures = tracking(trajectory, state, reference, options.band).to_json()
-        for k, row in enumerate(rows):
-            of_trial = {name: values[k] for name, values in figures.items()}
-            row.setdefault("tracking", {})[f"{state} - {reference}"] = of_trial
-    told = _told_sentences(loop.exogenous or {}, trajectory.time_unit)
-    band = f"{BAND:.0%} of the largest step" if options.band is None else f"{options.band:g}"
-    text = "\n".join([*told, *(_sentence(row, band) for row in rows)])
-    end = None if options.output is None else f"wrote {options.output}"
-    show(as_json, rows if len(rows) > 1 else rows[0], lambda: typer.echo(text), end)
-
-
-def _saving(output: str | None, track: dict[str, str | float]) -> Callable[[Any], None]:
-    """Return what writes a trajectory to a file, by its ending; nothing for None.
-
-    A picture has what is tracked beside the states that should follow it.
-    """
-    if output is None:
-        return lambda trajectory: None
-    from capsyn.execution.files import check_writable
-    from capsyn.plots.figure import FORMATS, check_format
-    from capsyn.plots.trajectory import save_trajectory_plot
-
-    kind = check_format(output, ("csv", "json", *FORMATS), "the output")
-    check_writable(output)
-    if kind in FORMATS:
-        return lambda trajectory: save_trajectory_plot(trajectory, output, track)
-    return lambda trajectory: trajectory.save(output)
-
-
-def _initial_states(policy: Policy, texts: list[str] | None, seed: int) -> Any:
-    """Return initial states (B, n) [state units]: those of the texts, else a random one."""
-    import numpy as np
-
-    states = [number_list("--x0", text) for text in texts or []] or policy.domain.sample(1, seed)
-    if len({len(state) for state in states} | {policy.domain.n}) > 1:
-        names = ", ".join(policy.domain.names)
-        raise ProblemError(f"--x0 must be {policy.domain.n} number(s) ({names}); got {texts}")
-    return np.array(states)
-
-
-def _sentence(row: dict[str, Any], band: str) -> str:
-    def state(values: list[float | None]) -> str:
-        return "(" + ", ".join("nan" if v is None else f"{v:g}" for v in values) + ")"
-
-    unit, arrived = row.get("time_unit", "s"), row["arrived"]
-    reached = "" if arrived is None else f"; in the target first at {arrived:g} {unit}"
-    lost = f"; {row['outside']:,} samples outside the domain" if row["outside"] else ""
-    cost = "not finite" if row["cost"] is None else f"{row['cost']:.6g}"
-    return (
-        f"from {state(row['initial'])} to {state(row['final'])} in {row['duration']:g} {unit}, "
-        f"ended: {row['ended']}; {row['switches']:,} switches, cost {cost}{reached}{lost}"
-        + "".join(f"\n{text}" for text in _tracking_sentences(row, unit, band))
-    )
-
-
-def _told_sentences(exogenous: Mapping[str, Any], unit: str) -> Iterator[str]:
-    """Yield how each exogenous input was read."""
-    for name, value in exogenous.items():
-        if not isinstance(value, dict):
-            yield f"{name}: {value:g} throughout"
-            continue
-        steps = [f"{step:g} from {time:g} {unit}" for time, step in value.items()]
-        if len(steps) > MOST_STEPS:
-            steps[MOST_STEPS - 1 : -1] = [".."]
-        yield f"{name}: {', '.join(steps)}" + (f" ({len(value):,} steps)" if ".." in steps else "")
-
-
-def _tracking_sentences(row: dict[str, Any], unit: str, band: str) -> Iterator[str]:
-    for name, figures in row.get("tracking", {}).items():
-        values = {key: figures[key] for key in ("rms", "bias", "overshoot")}
-        parts = [f"{key} {'nan' if v is None else f'{v:.4g}'}" for key, v in values.items()]
-        time = figures["settling"]
-        settled = "not settled" if time is None else f"settled within {time:.4g} {unit}"
-        settled += f" (to {band})"
-        yield f"  {name}: {', '.join(parts)}, {settled}"

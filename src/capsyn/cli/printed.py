@@ -5,55 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from capsyn.cli.console import print_line, print_table
+from capsyn.modelling.settings import usual_sample_time
 from capsyn.modelling.time_unit import NAMES
-from capsyn.verification.sentences import circumstances, evidence_rows, failing_trial, vector
+from capsyn.verification.sentences import evidence_rows, vector
 
 MOST_NAMED = 8
 """Most symbols of which something is said in one line."""
-
-
-def print_monte_carlo(data: dict[str, Any], headline: str, again: str | None) -> None:
-    """Print how trials went, and the command that repeats the first that failed."""
-    conditions = data["conditions"]
-    unit = conditions.get("time_unit", "s")
-    stay = f", and stay there the last {conditions['hold']:g} {unit}" if conditions["hold"] else ""
-    print_line("monte carlo", headline)
-    print_line("from", conditions["initial"])
-    print_line("to", f"{conditions['target']}, within {conditions['within']:g} {unit}{stay}")
-    print_line("by", f"{conditions['controller']}; {circumstances(conditions)}")
-    how = {"time": "ran until the time limit", "target": "arrived"}
-    ends = (f"{count:,} {how.get(name, name)}" for name, count in data["ended"].items())
-    print_line("ended", ", ".join(ends))
-    for key, name, what in (
-        ("time_to_target", "time", f"{unit} until the target"),
-        (f"switches_per_{NAMES[unit]}", "switches", f"per {NAMES[unit]}"),
-        ("cost_left", "cost left", "of the cost J at the start"),
-    ):
-        if data[key]:
-            spread = ", ".join(f"{k} {v:.3g}" for k, v in data[key].items())
-            print_line(name, f"{spread} {what}")
-    for name, figures in data.get("tracking", {}).items():
-        for key in ("rms", "bias", "overshoot", "settling"):
-            if figures[key]:
-                spread = ", ".join(f"{k} {v:.3g}" for k, v in figures[key].items())
-                what = f"{name}, {key}" if key == "rms" else key
-                print_line("tracking" if key == "rms" else "", f"{what}: {spread}")
-        if figures["unsettled"]:
-            where = "" if conditions["hold"] else " (without --hold, where they arrive)"
-            said = f"{figures['unsettled']:,} trials had not settled when they ended{where}"
-            print_line("", said)
-        if figures["not_finite"]:
-            print_line("", f"{figures['not_finite']:,} trials have no figures: not finite")
-    if outside := data["trials_outside_domain"]:
-        print_line("outside", f"{outside:,} trials left the domain on the way")
-    trials, failed = data["failing_trials"], data["trials"] - data["successes"]
-    for trial in trials[:5]:
-        print_line("failed from", failing_trial(trial, unit))
-    if failed > 5:
-        print_line("", f"and {failed - 5:,} more")
-    if again is not None:
-        anew = ", but for its noise, which is drawn anew" if any(trials[0]["noise"]) else ""
-        print_line("again", f"the first of them{anew}: {again}")
 
 
 def print_lyapunov(data: dict[str, Any], headline: str) -> None:
@@ -196,6 +153,9 @@ def _print_tree(data: dict[str, Any]) -> None:
     print_line("guarantee", told["text"].replace(f"; {loop}", "") if loop else told["text"])
     if loop:
         print_line("loops", loop)
+    if lost := told.get("lost"):
+        shares = (f"{name} {a:.2%} -> {b:.2%}" for name, (a, b) in lost.items())
+        print_line("lost", f"{', '.join(shares)} of the volume")
 
 
 def print_report(data: dict[str, Any]) -> None:
@@ -214,6 +174,8 @@ def print_report(data: dict[str, Any]) -> None:
         _print_complexity(data["complexity"], "cells" in data, priced, unit)
     if "table" in statistics:
         _print_table_source(statistics["table"])
+    if "source" in data:
+        print_line("source", data["source"])
     if "solves" in statistics:
         _print_solves(statistics)
     if statistics.get("sample"):
@@ -225,6 +187,8 @@ def print_report(data: dict[str, Any]) -> None:
             kind = data["settings"].get("sensitivity", "exact")
             horizon = f"{data['horizon']:g} samples of a discrete-time model, each {time}, {kind}"
         _print_settings(data["settings"], horizon)
+    if data["settings"] and not data.get("discrete"):
+        print_line("sampled", _sampled(data["settings"]["sample_time"], data["horizon"], unit))
     if data["target"]:
         print_line("target", data["target"])
     rule = data["outside"] + (", at once" if data.get("outside_at_once") else "")
@@ -238,6 +202,13 @@ def print_report(data: dict[str, Any]) -> None:
         print_line(name, sentence)
     for hint in data["hints"]:
         print_line("hint", hint)
+
+
+def _sampled(time: float, horizon: float | None, unit: str) -> str:
+    """Return how often closed loops are sampled, in words."""
+    usual = horizon is not None and time == usual_sample_time(horizon)
+    why = ": about a hundredth of the horizon, as where nothing is said" if usual else ""
+    return f"every {time:g} {unit}{why}"
 
 
 def _and_affine(data: dict[str, Any]) -> str:

@@ -87,6 +87,32 @@ def find_function(text: str, others: tuple[type, ...] = ()) -> Any:
     return function
 
 
+def find_controller(text: str) -> Any:
+    """Return what acts, of ``path/to/file.py:name`` or ``package.module:name``.
+
+    It is a function of states, or an agent with a method ``predict``.
+
+    Raises
+    ------
+    ProblemError
+        There is none, or the file fails.
+    """
+    place, colon, name = text.rpartition(":")
+    if not colon or not name.isidentifier():
+        raise ProblemError(f"a controller must be given as FILE.py:NAME; got '{text}'")
+    found = getattr(_load(place), name, None)
+    if not callable(found) and not callable(getattr(found, "predict", None)):
+        raise ProblemError(f"'{place}' must hold a function or an agent named '{name}'")
+    return found
+
+
+def given_source(policy: Any, text: str | None) -> Any:
+    """Return the labelling function of a controller for a policy; None for None."""
+    from capsyn.sources.callables import labels_of
+
+    return None if text is None else labels_of(find_controller(text), policy.alphabet)
+
+
 def find_features(text: str) -> dict[str, Any]:
     """Return the functions that ``path/to/file.py[:name]`` or ``package.module:name`` holds.
 

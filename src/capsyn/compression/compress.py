@@ -20,6 +20,7 @@ from capsyn.compression.fitted.oblique import fine_lattice
 from capsyn.compression.judge import Judge
 from capsyn.compression.looped.by_loop import MODES as LOOP_MODES
 from capsyn.compression.looped.by_loop import check_budget, loop_tree, trial_options
+from capsyn.compression.lost import with_lost
 from capsyn.compression.proof import prove
 from capsyn.compression.rows import tree_of_rows
 from capsyn.compression.trees import (
@@ -139,11 +140,12 @@ def compress(
     Warns
     -----
     CapsynWarning
-        No tree fits the budget, or the best tree loses more than a tenth of success or cost against
-        the policy. Or no tree reaches `agreement`, and the best tree found is returned. Or
-        `agreement` asks for more than the cells of a policy without a controller know, and the tree
-        follows their stairs. Or `features` make no tree smaller, and a tree without features is
-        returned. Or the value of a feature comes very near to a threshold.
+        A symbol has at most half of its share of the volume in the tree, or none. Or no tree fits
+        the budget, or the best tree loses more than a tenth of success or cost against the policy.
+        Or no tree reaches `agreement`, and the best tree found is returned. Or `agreement` asks for
+        more than the cells of a policy without a controller know, and the tree follows their
+        stairs. Or `features` make no tree smaller, and a tree without features is returned. Or the
+        value of a feature comes very near to a threshold.
 
     Raises
     ------
@@ -176,15 +178,17 @@ def compress(
     seed = whole_number("seed", seed, least=0)
     one_of("backend", backend, BACKENDS)
     if mode == "exact" and features is None:
-        return exact_tree(policy, level)
+        return with_lost(exact_tree(policy, level), policy, seed)
     known = Judge.of(policy, states, seed, backend, controller)
     if by_loop:
         budget = check_budget(nodes, bytes, size)
         loops = trial_options(policy, seed, backend, loop)
-        return loop_tree(known, mode, level, budget, loops, progress)
+        return with_lost(loop_tree(known, mode, level, budget, loops, progress), policy, seed)
     if features is not None:
-        return _told(known, feature_tree(known, mode, features, agreement))
-    return _told(known, _volume_tree(known, mode, level, agreement, node_price))
+        tree = feature_tree(known, mode, features, agreement)
+    else:
+        tree = _volume_tree(known, mode, level, agreement, node_price)
+    return with_lost(_told(known, tree), policy, seed)
 
 
 def _volume_tree(

@@ -29,6 +29,7 @@ from capsyn.errors import ProblemError
 from capsyn.policies.guarantee import CONFIDENCE
 from capsyn.policies.policy import DecisionTree, Policy, cell_tree
 from capsyn.random_streams import derived_seed
+from capsyn.sources.finite_control_set import source_of
 from capsyn.statistics import clopper_pearson
 from capsyn.validation import describe
 from capsyn.verification.agreement import Controller, agreement, masks_in_force
@@ -91,6 +92,7 @@ class Judge:
         count = len(policy.alphabet)
         known: dict[str, Any] = {"states": states, "seed": seed, "backend": backend}
         known |= {"remembers": policy.remembers, "preference": tuple(range(count + 1))}
+        controller = source_of(policy, backend) if controller is None else controller
         if controller is not None:
             if not callable(controller):
                 raise ProblemError(f"`controller` must be a function; got {describe(controller)}")

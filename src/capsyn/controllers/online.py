@@ -318,9 +318,7 @@ def online_controller(
     settings = source.settings if settings is None else settings
     if horizon is None or settings is None:
         raise ProblemError("`horizon` and `settings` must be given for a policy without them")
-    if not isinstance(settings, SsacSettings):
-        raise ProblemError(f"`settings` must be a capsyn.SsacSettings; got {describe(settings)}")
-    settings.efforts(source.alphabet.values)
+    settings = _settings(source, settings, horizon)
     if source.switching is not None and source.switching.forbidden:
         raise ProblemError("`source` must have no forbidden transitions for an online controller")
     if model.prediction is not None and default is None:
@@ -362,6 +360,15 @@ def _kernel(
     if isinstance(background, Policy) and not background.cells.compiled:
         return None
     return compiled(lambda: ActionKernel.build(model, sac), backend, "solving")
+
+
+def _settings(source: Problem | Policy, settings: Any, horizon: float) -> SsacSettings:
+    """Return settings checked, with the sample time of the source if they say none."""
+    if not isinstance(settings, SsacSettings):
+        raise ProblemError(f"`settings` must be a capsyn.SsacSettings; got {describe(settings)}")
+    settings = (source.settings or settings).replaced(settings, True).sampled(horizon)
+    settings.efforts(source.alphabet.values)
+    return settings
 
 
 def _defaults(

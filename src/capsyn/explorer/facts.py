@@ -86,7 +86,7 @@ def _controller(data: dict[str, Any], switching: Sequence[Row]) -> list[Row]:
     settings, unit, mapped = data["settings"], data.get("time_unit", "s"), "discrete" in data
     if data["horizon"] is not None:
         rows.append(("horizon", f"{data['horizon']:g} {'samples' if mapped else unit}"))
-    if settings:
+    if settings and data["horizon"] is not None:
         rows.append(("rule", settings["rule"]))
         if settings["rule"] == "schedule":
             wanted = "gamma" if settings["alpha_d"] is None else "alpha_d"
@@ -96,11 +96,12 @@ def _controller(data: dict[str, Any], switching: Sequence[Row]) -> list[Row]:
         rows += [
             ("control weight", "; ".join(", ".join(f"{v:g}" for v in row) for row in weight)),
             ("integration", f"{how}, {settings['precision']} precision"),
-            ("sample time", f"{settings['sample_time']:g} {unit}"),
         ]
         if mapped:
-            rows[-2] = ("model", f"a map, once a sample, {settings['precision']} precision")
+            rows[-1] = ("model", f"a map, once a sample, {settings['precision']} precision")
             rows.append(("sensitivity", settings.get("sensitivity", "exact")))
+    if settings:
+        rows.append(("sample time", f"{settings['sample_time']:g} {unit}"))
     if data["target"]:
         rows.append(("target", data["target"]))
     at_once = ", at once" if data.get("outside_at_once") else ""

@@ -68,7 +68,6 @@ def policy_data(policy: Policy) -> dict[str, Any]:
     if "row_symbols" in arrays:  # what is alike stands together
         order = np.argsort(arrays["row_symbols"], kind="stable")
         arrays |= {name: arrays[name][order] for name in ("row_constants", "row_slopes")}
-    settings = policy.settings
     if isinstance(data["target"], dict) and "program" in data["target"]:
         data["target"] = {"program": None}
     if needs_memory(policy):
@@ -85,7 +84,7 @@ def policy_data(policy: Policy) -> dict[str, Any]:
         "cells": None,
         "tree": None,
         policy.cells.kind: structure | arrays,
-        "rate": RATE if settings is None else 1 / settings.sample_time,
+        "rate": page_rate(policy),
         "slack": SLACK,
         "sampled": _sampled(policy),
     }
@@ -109,6 +108,11 @@ def _sampled(policy: Policy) -> dict[str, Any] | None:
         "tried": TRIED,
         "unresolved": UNRESOLVED,
     }
+
+
+def page_rate(policy: Policy) -> float:
+    """Return the samples per time unit that a page begins with: the policy's own, if it has one."""
+    return RATE if policy.settings is None else 1 / policy.settings.period
 
 
 def _words(masks: np.ndarray, labels: int) -> np.ndarray:

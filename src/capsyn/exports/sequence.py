@@ -77,7 +77,7 @@ def step_period(plan: Plan) -> float:
     times = [t for t in (*rules.holds, *rules.input_holds, plan.hold_off) if t > 0]
     if not times:
         settings = plan.policy.settings
-        return 1.0 if settings is None else settings.sample_time
+        return 1.0 if settings is None else settings.period
     return float(min(times)) / IN_A_HOLD
 
 

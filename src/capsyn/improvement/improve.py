@@ -242,7 +242,7 @@ def _rate(policy: Policy, rate: float | None) -> float:
         return finite_number("rate", rate, above=0.0)
     if policy.settings is None:
         raise ProblemError("`rate` must be given for a policy without settings")
-    return 1 / policy.settings.sample_time
+    return 1 / policy.settings.period
 
 
 def _horizons(policy: Policy, horizons: Any, rate: float) -> tuple[float, tuple[float, ...]]:

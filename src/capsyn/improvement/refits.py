@@ -106,7 +106,7 @@ class Refits:
             starts_of(system, goal, horizon, initial),
             rounds,
             loops_for(source.domain.n) if loops is None else loops,
-            1 / settings.sample_time if rate is None else rate,
+            1 / settings.period if rate is None else rate,
             times * time if duration is None else duration,
             delta,
             seed,

@@ -386,7 +386,7 @@ def environment(
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
     if substeps is not None:
         substeps = whole_number("substeps", substeps, least=1, most=1_000_000)
-    own, usual = 1 / problem.settings.sample_time, HORIZONS * (horizon_time(problem) or 0.0)
+    own, usual = 1 / problem.settings.period, HORIZONS * (horizon_time(problem) or 0.0)
     rate = finite_number("rate", own if rate is None else rate, above=0.0)
     duration = finite_number("duration", usual if duration is None else duration, above=0.0)
     finite_number("1 / rate", 1 / rate)

@@ -104,7 +104,7 @@ def check_limits(problem: Any, asked: Any) -> KeepLimits | None:
     if problem.limits is None:
         raise ProblemError("`keep_limits` needs a problem with `limits`; this one has none")
     refuse_map(problem, "keep_limits", "enclosures follow what happens between samples")
-    unit, period, delay = problem.time_unit, problem.settings.sample_time, problem.delay
+    unit, period, delay = problem.time_unit, problem.settings.period, problem.delay
     if delay > period:
         raise ProblemError(
             f"`keep_limits` needs a delay of at most the sample time, {period:g} {unit}; "
@@ -123,7 +123,7 @@ def limited_loop(policy: Policy, asked: KeepLimits, backend: str = "auto") -> Li
     """Return the loop of a policy with its model's limits, and the cells to look at."""
     assert policy.model is not None and policy.settings is not None
     assert policy.model.limits is not None
-    rules, period, labels = policy.rules, policy.settings.sample_time, len(policy.controls)
+    rules, period, labels = policy.rules, policy.settings.period, len(policy.controls)
     layered = policy.switching is not None or policy.delay > 0
     own_default = policy.settings.on_no_descent == "default"
     candidates = labels if own_default else labels - 1

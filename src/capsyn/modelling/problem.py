@@ -189,10 +189,15 @@ class Problem:
                 keep(self, horizon=terminal.horizon)
         keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
         check_samples(self)
+        self._keep_sample_time()
         if callable(self.target):
             arguments = split_reading(ca.SX.sym("z", self.space.n), {}, self.domain.n)
             expression("target", self.target, arguments, 1)
         check_switching(self)
+
+    def _keep_sample_time(self) -> None:
+        vars(self)["_says_sample_time"] = self.settings.sample_time is not None
+        keep(self, settings=self.settings.sampled(self.horizon))
 
     @property
     def grid(self) -> Grid:
@@ -278,7 +283,8 @@ class Problem:
         """Return the problem with some fields replaced, as in ``replace(horizon=2.0)``.
 
         `changes` gives the new fields by name. The result is checked like a new problem. A grid
-        that has the same numbers along all axes has them along those of another space, too.
+        with the same numbers along all axes has them along those of another space, too. A sample
+        time that the problem does not say follows the horizon.
 
         Raises
         ------
@@ -289,6 +295,8 @@ class Problem:
         for name in ("partitions", "refinement"):
             if len(each := set(fields[name])) == 1 and changes.keys() & {"domain", "exogenous"}:
                 (fields[name],) = each
+        said = vars(self)["_says_sample_time"]
+        changes["settings"] = self.settings.replaced(changes.get("settings", self.settings), said)
         changed = object.__new__(type(self))
         if not changes.keys() & _OF_TAILS and "_terminal" in vars(self):
             vars(changed)["_terminal"] = self._terminal  # a tail takes a while

@@ -57,8 +57,9 @@ class SsacSettings:
         Line search of the online controller: the first duration of an action [time unit], the
         factor that shortens it, how often it is shortened, and the share of the cost that the
         action must save.
-    sample_time : float
-        Sample time of closed loops that are given no other [time unit].
+    sample_time : float, optional
+        Sample time of closed loops that are given no other [time unit]. If a problem says none, it
+        is about a hundredth of the horizon; see `usual_sample_time`.
     sensitivity : "exact" or "first order", optional
         For a discrete-time problem only, what stands in place of ``dJ_dlam``: the change of the
         cost by one sample under a symbol that the default control follows [cost]. "exact", the
@@ -84,7 +85,7 @@ class SsacSettings:
     shrink: float = 0.5
     max_backtracks: int = 4
     descent: float = 0.01
-    sample_time: float = 0.001
+    sample_time: float | None = None
     sensitivity: str | None = None
 
     def __post_init__(self) -> None:
@@ -124,6 +125,8 @@ class SsacSettings:
             max_backtracks=whole_number("max_backtracks", self.max_backtracks, least=0, most=20),
         )
         for name in ("tolerance", "initial_duration", "sample_time"):
+            if name == "sample_time" and self.sample_time is None:
+                continue
             keep(self, **{name: finite_number(name, getattr(self, name), above=0.0)})
         for name in ("shrink", "descent"):
             value = finite_number(name, getattr(self, name), least=0.0)
@@ -149,6 +152,29 @@ class SsacSettings:
             )
         return np.einsum("si,ij,sj->s", values, weight, values)
 
+    def sampled(self, horizon: float) -> SsacSettings:
+        """Return the settings with the sample time of a horizon [time unit] if they say none."""
+        if self.sample_time is not None:
+            return self
+        return dataclasses.replace(self, sample_time=usual_sample_time(horizon))
+
+    def replaced(self, given: Any, said: bool) -> Any:
+        """Return the settings of a changed problem, which are `given`, or these themselves.
+
+        A sample time that was `said` stays unless they say one; else it is to be found again.
+        """
+        if given is self and not said:
+            return dataclasses.replace(self, sample_time=None)
+        if said and isinstance(given, SsacSettings) and given.sample_time is None:
+            return dataclasses.replace(given, sample_time=self.sample_time)
+        return given
+
+    @property
+    def period(self) -> float:
+        """The sample time, of settings that say one, as those of problems and policies do."""
+        assert self.sample_time is not None
+        return self.sample_time
+
     def wanted_sensitivity(self, costs: np.ndarray) -> np.ndarray:
         """Return ``alpha_d`` (B,) [cost / time unit] of eq. (8) for predicted `costs` J0 (B,)."""
         if self.alpha_d is not None:
@@ -159,3 +185,13 @@ class SsacSettings:
         """Return the settings as plain data; a sensitivity that is not said is left out."""
         data = dataclasses.asdict(self)
         return data if self.sensitivity else {k: v for k, v in data.items() if k != "sensitivity"}
+
+
+def usual_sample_time(horizon: float) -> float:
+    """Return a hundredth of a horizon [time unit], rounded down to 1, 2 or 5 times a power of 10.
+
+    It is the sample time of a problem that says none.
+    """
+    mantissa, exponent = f"{horizon / 100:.12e}".split("e")
+    first = max(digit for digit in (1, 2, 5) if digit <= float(mantissa))
+    return float(f"{first}e{exponent}")

@@ -160,7 +160,7 @@ def _period(source: Problem | Policy, rate: float | None) -> float:
         return 1 / finite_number("rate", rate, above=0.0)
     if source.settings is None:
         raise ProblemError("`rate` must be given for a policy without settings")
-    return source.settings.sample_time
+    return source.settings.period
 
 
 def _gathering(model: Model, time_unit: str) -> tuple[Model, str]:

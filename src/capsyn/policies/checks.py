@@ -31,6 +31,7 @@ STATISTICS: dict[str, tuple[type, ...]] = {
     "stopped_by": (str,),
     "sample": (dict,),
     "table": (dict,),
+    "source": (dict,),
     "limits": (dict,),
 }
 """What statistics hold, if they hold it; there may be more."""
@@ -60,6 +61,10 @@ def check_fields(policy: Any, structure: type) -> None:
         keep(policy, horizon=finite_number("horizon", policy.horizon, above=0.0))
     if policy.settings is not None:
         policy.settings.efforts(policy.alphabet.values)
+        if policy.settings.sample_time is None:
+            if policy.horizon is None:
+                raise ProblemError("`settings` must say a `sample_time` for a policy of no horizon")
+            keep(policy, settings=policy.settings.sampled(policy.horizon))
     cells: Any = policy.cells
     if not isinstance(cells, structure):
         raise ProblemError(f"`cells` must be a {structure.__name__}; got {describe(cells)}")

@@ -339,7 +339,10 @@ def _settings(data: dict[str, Any]) -> SsacSettings:
     known = {f.name for f in dataclasses.fields(SsacSettings)}
     if set(data) - known:
         raise PolicyFormatError("its settings are not those of this format version")
-    return SsacSettings(**data)  # settings that came later have their defaults
+    if data.get("sample_time", 0) is None:
+        raise PolicyFormatError("its settings say no sample time")
+    # settings that came later have their defaults, which was this one of the first
+    return SsacSettings(**{"sample_time": 0.001} | data)
 
 
 def _evidence(document: dict[str, Any]) -> dict[str, Any]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from capsyn.errors import ProblemError
 from capsyn.statistics import clopper_pearson
-from capsyn.validation import describe, one_of, true_or_false
+from capsyn.validation import describe, is_list, keep, one_of, true_or_false
 
 CONFIDENCE = 0.95
 """Of the interval of the share of judging states that agree."""
@@ -206,6 +206,9 @@ class Guarantee:
         whole tree.
     loop : LoopFigures, optional
         Figures of the closed loops that judged the tree.
+    lost : dict of name to two shares
+        Symbols, and the default control, whose share of the volume in the tree is 0, or at most
+        half of that in the policy. The shares are the policy's, then the tree's.
     """
 
     mode: str
@@ -218,6 +221,7 @@ class Guarantee:
     target: float | None = None
     cut: bool = False
     loop: LoopFigures | None = None
+    lost: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         one_of("mode", self.mode, list(MODES))
@@ -226,6 +230,8 @@ class Guarantee:
             raise ProblemError(f"`loop` must be LoopFigures; got {describe(self.loop)}")
         one_of("controller", self.controller, ["", "ssac", "function", "policy"])
         shares = [self.changed] + ([] if self.target is None else [self.target])
+        if isinstance(self.lost, dict):
+            keep(self, lost={k: tuple(v) if is_list(v, 2) else v for k, v in self.lost.items()})
         sound = (
             isinstance(self.source, str)
             and len(self.source) == 64
@@ -235,9 +241,13 @@ class Guarantee:
             and 0 <= self.agreeing <= self.states < 2**53
             and (self.states > 0) == (self.controller != "")
             and (self.level is None or (type(self.level) is int and 0 <= self.level < 64))
+            and isinstance(self.lost, dict)
+            and all(_is_loss(name, shares) for name, shares in self.lost.items())
         )
         if not sound:
-            raise ProblemError(f"the guarantee of a tree does not make sense: {self.to_json()}")
+            raise ProblemError(
+                f"the guarantee of a tree does not make sense: {describe(vars(self))}"
+            )
 
     @property
     def agreement(self) -> float:
@@ -305,17 +315,46 @@ class Guarantee:
             "confidence)"
         )
 
+    @property
+    def lost_text(self) -> str:
+        """What symbols the tree loses, with both shares, and what may keep them; or nothing."""
+        if not self.lost:
+            return ""
+        several = (f"{k} from {_percent(a)} to {_percent(b)}" for k, (a, b) in self.lost.items())
+        advice = "ask for a higher `agreement`, or let closed loops judge (`judge` 'loop')"
+        if self.loop is not None:
+            advice = "closed loops judged it without them"
+        elif self.level is not None:
+            advice = "cut off at a deeper `level`"
+        return (
+            "the tree gives some symbols half as often as the policy, or never: "
+            f"{', '.join(several)} of the volume; {advice}"
+        )
+
     def to_json(self) -> dict[str, Any]:
-        """Return the guarantee as plain data, with `cut` and `loop` only if there is something."""
+        """Return the guarantee as plain data; `cut`, `loop`, `lost` only if there is something."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
         plain["loop"] = None if self.loop is None else asdict(self.loop)
-        return {k: v for k, v in plain.items() if k not in ("cut", "loop") or v}
+        plain["lost"] = {name: list(shares) for name, shares in self.lost.items()}
+        return {k: v for k, v in plain.items() if k not in ("cut", "loop", "lost") or v}
 
     @staticmethod
     def from_json(plain: dict[str, Any]) -> Guarantee:
         """Return the guarantee from the plain `data` of `to_json`."""
         loop = {"loop": LoopFigures(**plain["loop"])} if "loop" in plain else {}
         return Guarantee(**plain | loop)
+
+
+def _is_loss(name: Any, shares: Any) -> bool:
+    """Return whether a name and a pair of shares may be those of a symbol that is lost."""
+    return (
+        isinstance(name, str)
+        and name.isprintable()
+        and is_list(shares, 2)
+        and all(type(share) in (int, float) for share in shares)
+        and 0 <= 2 * shares[1] <= shares[0] <= 1
+        and shares[0] > 0
+    )
 
 
 def _percent(share: float, up: bool = False) -> str:

@@ -57,6 +57,7 @@ def report(policy: Policy) -> dict[str, Any]:
         "min_dwell": policy.min_dwell,
         **_memory(policy),
         **({} if policy.kept is None else {"limits": _limits(policy)}),
+        **({"source": _source(policy)} if "source" in policy.statistics else {}),
         "horizon": policy.horizon,
         **({"discrete": True} if policy.discrete else {}),
         "settings": None if policy.settings is None else policy.settings.to_json(),
@@ -65,6 +66,19 @@ def report(policy: Policy) -> dict[str, Any]:
         "sha256": digest,
         "hints": hints(policy),
     }
+
+
+def _source(policy: Policy) -> str:
+    """Return what a policy was made from, if not by sSAC, in words."""
+    source = policy.statistics["source"]
+    made = source.get("finite_control_set")
+    if not isinstance(made, dict):
+        return f"the function {source.get('function', '?')}"
+    blocks = ", ".join(map(str, made.get("blocks", [])))
+    return (
+        f"predictive control with a finite control set, moves of {blocks} sample(s) of "
+        f"{made.get('sample_time')} {policy.time_unit}"
+    )
 
 
 def _axes(policy: Policy) -> list[dict[str, Any]]:
@@ -213,14 +227,9 @@ def hints(policy: Policy) -> list[str]:
 
 def _cell_hints(policy: Policy) -> Iterator[str]:
     """Yield what the cells show; a table, which is as it is, has no such hints."""
+    yield from _unused_hints(policy)
     if "table" in policy.statistics:
         return
-    if unused := unused_symbols(policy):
-        steepest = policy.settings is not None and policy.settings.rule == "steepest"
-        weights = "control_weight" if steepest else "gamma and control_weight"
-        stays = [policy.volume_shares[policy.alphabet.names.index(name)] > 0 for name in unused]
-        done = "entered" if any(stays) else "used"
-        yield f"never {done}: {', '.join(unused)}; drop them, or look at {weights}"
     mixed = _mixed_share(policy)
     if mixed > 0.1 and not policy.has_planes:
         affine = ", or take affine leaves" if policy.space.n > 2 else ""
@@ -228,6 +237,28 @@ def _cell_hints(policy: Policy) -> Iterator[str]:
             f"cells whose test points disagree cover {mixed:.0%} of the volume: "
             f"the boundaries are coarse; raise max_level{affine}"
         )
+
+
+def _unused_hints(policy: Policy) -> Iterator[str]:
+    """Yield which symbols are never in force, and which a tree has lost."""
+    unused, had = unused_symbols(policy), getattr(policy, "guarantee", None)
+    if had is not None and had.lost:
+        yield had.lost_text
+        unused = [name for name in unused if name not in had.lost]
+    if not unused or "table" in policy.statistics:
+        return
+    if had is not None and (had.mode != "exact" or had.level is not None):
+        yield (
+            f"never used in the tree: {', '.join(unused)}; see whether the policy that it was made "
+            "from uses them"
+        )
+        return
+    steepest = policy.settings is not None and policy.settings.rule == "steepest"
+    weights = "control_weight" if steepest else "gamma and control_weight"
+    stays = [policy.volume_shares[policy.alphabet.names.index(name)] > 0 for name in unused]
+    done = "entered" if any(stays) else "used"
+    look = f", or look at {weights}" if policy.horizon is not None else ""  # of sSAC
+    yield f"never {done}: {', '.join(unused)}; drop them{look}"
 
 
 def _mixed_share(policy: Policy) -> float:

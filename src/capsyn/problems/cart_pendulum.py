@@ -62,7 +62,7 @@ def cart_pendulum(
         terminal_cost=lambda x: 0.5 * energy(x) ** 2,
         target=has_upright_energy,
         outside="nearest",
-        settings=SsacSettings(gamma=-5.0, control_weight=0.3),
+        settings=SsacSettings(gamma=-5.0, control_weight=0.3, sample_time=0.001),
         switching=Switching(price=price),
         description=f"swing-up of a pendulum by {len(values)} accelerations of its cart",
     )

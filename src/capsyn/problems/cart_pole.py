@@ -43,7 +43,7 @@ def cart_pole() -> Problem:
         horizon=0.1,
         running_cost=lambda x: x[0] ** 2 + 0.5 * x[1] ** 2 + 10 * x[2] ** 2 + x[3] ** 2,
         tail="riccati",
-        settings=SsacSettings(rule="steepest", steps=20),
+        settings=SsacSettings(rule="steepest", steps=20, sample_time=0.001),
         switching=Switching(price="1%"),
         partitions=4,
         max_level=1,

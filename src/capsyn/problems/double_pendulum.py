@@ -64,7 +64,7 @@ def states(shoulder_rate: float, elbow_rate: float) -> Box:
 
 GREEDY = {
     "domain": states(6.0, 9.0),
-    "settings": SsacSettings(rule="steepest", control_weight=0.5, steps=48),
+    "settings": SsacSettings(rule="steepest", control_weight=0.5, steps=48, sample_time=0.001),
     "partitions": 4,
     "max_level": 2,
     "leaves": "constant",
@@ -94,7 +94,7 @@ def double_pendulum() -> Problem:
         terminal_cost=lambda x: 0.5 * energy(x) ** 2,
         target=has_upright_energy,
         outside="nearest",
-        settings=SsacSettings(rule="steepest", control_weight=1.0, steps=48),
+        settings=SsacSettings(rule="steepest", control_weight=1.0, steps=48, sample_time=0.001),
         switching=Switching(price="1%"),
         partitions=(5, 6, 5, 6),
         max_level=1,

@@ -73,7 +73,7 @@ def double_tank_a() -> Problem:
         Alphabet(list(itertools.product((0.0, 1.0), repeat=3)), inputs=["V1", "V2", "V3"]),
         goal=(0.8, 0.2),
         tolerance=0.1,
-        settings=SsacSettings(gamma=-10.0),
+        settings=SsacSettings(gamma=-10.0, sample_time=0.001),
         price="0.3%",
         description="levels of two tanks by three on/off valves",
     )
@@ -87,7 +87,7 @@ def double_tank_b() -> Problem:
         Alphabet(values, inputs=["V1", "V2", "V3"]),
         goal=(0.4, 0.6),
         tolerance=0.05,
-        settings=SsacSettings(rule="steepest"),
+        settings=SsacSettings(rule="steepest", sample_time=0.001),
         price="4%",
         description="levels of two tanks by two on/off valves, the one between them ajar",
     )

@@ -67,7 +67,7 @@ def planar_quadrotor() -> Problem:
         tail="riccati",
         target=Ball([0.0] * 6, 0.2),
         outside="nearest",
-        settings=SsacSettings(rule="steepest", steps=16),
+        settings=SsacSettings(rule="steepest", steps=16, sample_time=0.001),
         partitions=3,
         max_level=0,
         leaves="affine",

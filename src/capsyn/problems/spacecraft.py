@@ -75,7 +75,7 @@ def spacecraft() -> Problem:
         tail="riccati",
         target=Ball([0.0] * 6, 0.05),
         outside="nearest",
-        settings=SsacSettings(rule="steepest", control_weight=0.1, steps=16),
+        settings=SsacSettings(rule="steepest", control_weight=0.1, steps=16, sample_time=0.001),
         partitions=3,
         max_level=0,
         leaves="affine",

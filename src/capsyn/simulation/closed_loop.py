@@ -341,5 +341,7 @@ def _move(
             start = np.maximum(start, ends[live, piece])
             if (time > 0).any():
                 u = controls[live, piece].T
+                trials["effort"][live] += (u * u).sum(axis=0) * np.maximum(time, 0.0)
+                trials["fuel"][live] += np.abs(u).sum(axis=0) * np.maximum(time, 0.0)
                 x, cost = plant.advance(x, cost, u, p, push, np.maximum(time, 0.0), loop.substeps)
     trials["state"][live], trials["cost"][live] = x.T, cost

@@ -179,7 +179,15 @@ def sampling(controller: Any, options: LoopOptions, plant: Plant) -> tuple[float
         own = described(controller)
         if own is None or own.settings is None:
             raise ProblemError("`rate` must be given for a controller without settings")
-        rate = 1 / own.settings.sample_time
+        rate = 1 / own.settings.period
+    samples = sample_count(options.duration, rate)
+    horizon = getattr(controller, "horizon", None)
+    rates = not getattr(controller, "discrete", False)  # horizons of maps are samples
+    if horizon is not None and rates and rate * horizon < 1 - SLACK:
+        warn(
+            f"a sample of {1 / rate:g} {controller.time_unit} is longer than the horizon of "
+            f"{horizon:g} {controller.time_unit}: predictions end before the next decision"
+        )
     kept = getattr(controller, "kept", None)
     if kept is not None:
         own_dwell = options.min_dwell in (None, controller.min_dwell)
@@ -188,7 +196,7 @@ def sampling(controller: Any, options: LoopOptions, plant: Plant) -> tuple[float
                 f"limits are kept by a loop that is sampled every {kept.sample_time:g} "
                 f"{controller.time_unit}, with the policy's least times; this one has others"
             )
-    return rate, sample_count(options.duration, rate)
+    return rate, samples
 
 
 def sample_count(duration: float, rate: float) -> int:

@@ -48,6 +48,8 @@ def trial_type(n: int, m: int, parameters: int, queue: int) -> np.dtype:
         ("push", real, (n,)),
         ("cost", real),
         ("rest", real),
+        ("effort", real),
+        ("fuel", real),
         ("parameters", real, (parameters,)),
         ("control", real, (m,)),
         ("queue", real, (queue, m)),

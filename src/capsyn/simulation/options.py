@@ -53,6 +53,9 @@ class LoopOptions:
     threads: int | None = None
     executor: Any = None
     exogenous: Any = None
+    avoid: Any = None
+    stay_in: Any = None
+    costs: Any = None
 
     def __post_init__(self) -> None:
         keep(self, seed=whole_number("seed", self.seed, least=0))
@@ -64,6 +67,11 @@ class LoopOptions:
                 f"`parameters` must be a mapping of names; got {describe(self.parameters)}"
             )
         keep(self, parameters=dict(self.parameters or {}))
+        if not isinstance(self.costs, Mapping | None):
+            raise ProblemError(
+                f"`costs` must be a mapping of names to functions; got {describe(self.costs)}"
+            )
+        keep(self, costs=dict(self.costs or {}))
         if self.min_dwell is not None:
             keep(self, min_dwell=finite_number("min_dwell", self.min_dwell, least=0.0))
         if self.outside_at_once is not None:

@@ -8,7 +8,7 @@
 enum { NONE = -2, RUNNING = 0, ARRIVED = 1, LEFT_DOMAIN = 2, NOT_A_STATE = 3 };
 
 typedef struct {
-    double state[STATES], push[STATES], cost, rest;
+    double state[STATES], push[STATES], cost, rest, effort, fuel;
 #if PARAMETERS
     double parameters[PARAMETERS];
 #endif
@@ -210,6 +210,18 @@ static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
         t->end = k;
 }
 
+/* Gather what a control costs over a time: u^T u, and the sum of |u|. */
+static void spend(trial *t, const double *u, const double time)
+{
+    double square = 0, sum = 0;
+    for (int i = 0; i < INPUTS; ++i) {
+        square += u[i] * u[i];
+        sum += fabs(u[i]);
+    }
+    t->effort += square * time;
+    t->fuel += sum * time;
+}
+
 /* Run samples first .. first + samples - 1 of the trials, and sample `last` too where it is next.
  *
  * noise (count, samples, STATES), pushes (samples, STATES), states (count, last + 1, STATES),
@@ -285,6 +297,8 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
                     late[i][lane] = before[i];
                     now[i][lane] = after[i];
                 }
+                spend(one, before, late_time[lane]);
+                spend(one, after, now_time[lane]);
             }
             if (!running)
                 break;

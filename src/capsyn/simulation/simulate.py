@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -20,6 +21,7 @@ from capsyn.modelling.alphabet import Outside
 from capsyn.simulation.closed_loop import Noise, Record, new_record
 from capsyn.simulation.exogenous import exogenous_signal
 from capsyn.simulation.experiment import Experiment, described, deviation, sampling, set_up
+from capsyn.simulation.figures import Gathered
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
 from capsyn.validation import describe, finite_number, numbers
@@ -69,6 +71,12 @@ class Trajectory:
         Names of the symbols; none where the controls are no symbols.
     time_unit : str
         Unit of time of the plant, see `Problem`.
+    figures : mapping of name to (...)
+        What each trajectory gathered until its end: ``effort``, the integral of ``u^T u``;
+        ``fuel``, that of the sum of ``|u|`` [input units, time unit]; and costs by name.
+    entered : (...), optional
+        When it first was where it must not be [time unit], NaN where never. None: there is no such
+        set.
     """
 
     times: np.ndarray
@@ -91,6 +99,8 @@ class Trajectory:
     periods: tuple[float, ...] = ()
     lower: tuple[float, ...] = ()
     symbol_names: tuple[str, ...] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    entered: Any = None
 
     @property
     def cost(self) -> Any:
@@ -112,6 +122,7 @@ class Trajectory:
         The data have a time unit only if it is not s, and exogenous inputs only if there are some.
         """
         left_out = {"time_unit", *(() if self.exogenous_names else _EXOGENOUS)}
+        left_out |= {"entered"} if self.entered is None else set()
         plain = {name: _plain(value) for name, value in vars(self).items() if name not in left_out}
         return plain | self._unit
 
@@ -129,6 +140,8 @@ class Trajectory:
             "switches": np.ravel(self.switches),
             "outside": np.ravel(self.outside),
             "cost": np.ravel(self.cost),
+            **{name: np.ravel(values) for name, values in self.figures.items()},
+            **({} if self.entered is None else {"entered": np.ravel(self.entered)}),
         }
         plain = {name: _plain(values) for name, values in columns.items()}
         return [{name: values[k] for name, values in plain.items()} | self._unit for k in ends]
@@ -189,6 +202,8 @@ def check_trajectory_format(path: str | os.PathLike[str]) -> str:
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _plain(one) for name, one in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             finite = np.isfinite(value)
@@ -219,6 +234,9 @@ def simulate(
     backend: str = "auto",
     threads: int | None = None,
     exogenous: Any = None,
+    avoid: Any = None,
+    stay_in: Any = None,
+    costs: Mapping[str, Any] | None = None,
 ) -> Trajectory:
     """Return closed-loop trajectories from one initial state, or from many at once.
 
@@ -276,6 +294,11 @@ def simulate(
         number, numbers (...) shaped as `x0`, a function of time, or steps. Steps are ``{0: 20, 60:
         22}`` or pairs (time, value); each value holds from its time until the next.
 
+    avoid, stay_in : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
+        Sets that states must not be in, or must not leave; it is noted when they first do.
+    costs : mapping of name to callable ``x -> scalar``, or ``(x, w)``, optional
+        Running costs [cost / time unit] to gather beside the problem's own.
+
     Raises
     ------
     ProblemError
@@ -299,6 +322,9 @@ def simulate(
         backend=backend,
         threads=threads,
         exogenous=exogenous,
+        avoid=avoid,
+        stay_in=stay_in,
+        costs=costs,
     )
     return trajectories(controller, x0, options)
 
@@ -328,8 +354,14 @@ def trajectories(controller: Any, x0: Any, options: LoopOptions) -> Trajectory:
     trials = experiment.trials(states, np.full(count, delay), np.tile(values, (count, 1)))
     check_memory(8.0 * count * samples * (plant.n + m + 2), "`duration` times `rate`")
     record = new_record(count, samples, plant.n, m)
+    gathered, before = Gathered.of(options, plant), trials.copy()
     experiment.run(trials, noise, record)
-    return _trajectory(experiment, trials, record, x0.shape[:-1])
+    more = (experiment, trials, before, noise)
+    figures, entered = gathered.figures(*more), gathered.entered(*more)
+    found = _trajectory(experiment, trials, record, x0.shape[:-1])
+    shaped = {name: v.reshape(x0.shape[:-1])[()] for name, v in figures.items()}
+    when = entered.reshape(x0.shape[:-1])[()] if gathered.forbidden is not None else None
+    return dataclasses.replace(found, figures=shaped, entered=when)
 
 
 def _trajectory(

@@ -13,11 +13,10 @@ from capsyn.cells.masks import Label
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.problem import Problem
-from capsyn.modelling.settings import SsacSettings
 from capsyn.modelling.transcription import transcribe, transcribe_target
 from capsyn.policies.policy import Policy
 from capsyn.sources.delayed import Answer, delayed
-from capsyn.sources.finite_control_set import FiniteControlSet
+from capsyn.sources.finite_control_set import MADE, FiniteControlSet
 from capsyn.subdivision.subdivide import subdivide
 from capsyn.validation import describe, one_line, one_of
 
@@ -179,9 +178,8 @@ def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **optio
 
     `capsyn.subdivide` makes the policy on the problem's domain and grid. The policy has everything
     of the problem that does not belong to sSAC: model, target, default control, outside rule, dwell
-    time, switching and delay. If the problem has switching, a delay, or a sample time that is not
-    the default, the policy also has the problem's settings. Closed loops take the sample time from
-    these settings.
+    time, switching and delay. It also has the problem's settings, from which closed loops take the
+    sample time; a `FiniteControlSet` has a sample time of its own.
 
     Parameters
     ----------
@@ -210,9 +208,11 @@ def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **optio
         for name in ("partitions", "refinement", "max_level", "outside", "name")
     }
     options = {**own, **options}
-    switching = problem.switching
+    switching, settings, source = problem.switching, problem.settings, dict[str, Any]()
     if isinstance(label, FiniteControlSet):
         switching = label.switching_for(problem)
+        settings = dataclasses.replace(settings, sample_time=label.made["sample_time"])
+        source = {"source": {MADE: dict(label.made)}}
         if label.in_force > 1:
             label, options = label.masks, {**options, "returns": "masks", "in_force": True}
     elif callable(label):
@@ -222,9 +222,6 @@ def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **optio
             label = delayed(_columns(label, len(problem.alphabet) + 1, in_force), problem)
             options["in_force"] = True
     policy = subdivide(label, problem.space, problem.alphabet, **options)
-    settings = problem.settings
-    said = switching is not None or problem.delay > 0 or problem.discrete
-    said = said or settings.sample_time != SsacSettings.sample_time
     return dataclasses.replace(
         policy,
         default=problem.default_control,
@@ -237,7 +234,8 @@ def problem_policy(label: Callable[[np.ndarray], Any], problem: Problem, **optio
         exogenous=problem.exogenous,
         target=transcribe_target(problem),
         model=transcribe(problem),
-        settings=settings if said else None,
+        settings=settings,
+        statistics=policy.statistics | source,
     )
 
 

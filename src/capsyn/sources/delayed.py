@@ -7,13 +7,14 @@ from collections.abc import Callable
 import numpy as np
 
 from capsyn.modelling.problem import Problem
+from capsyn.policies.policy import Policy
 from capsyn.simulation.plant import choose_substeps, plant_of
 
 Answer = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """``(states (B, n), J labels in force) -> answers (B, J, ...)``."""
 
 
-def delayed(answer: Answer, problem: Problem) -> Callable[[np.ndarray], np.ndarray]:
+def delayed(answer: Answer, problem: Problem | Policy) -> Callable[[np.ndarray], np.ndarray]:
     """Return ``states (B, n) -> answers (B, N + 1, ...)``, ``T_d(j, x) = T(j, Phi_d(x, u_j))``.
 
     An `answer` T is asked where the states will be after the problem's delay under the control of

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +25,8 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.switching import Switching
 from capsyn.modelling.transcription import transcribe
 from capsyn.native.compiled import compiled
+from capsyn.policies.policy import Policy
+from capsyn.programs.model import Model
 from capsyn.sources.delayed import delayed
 from capsyn.sources.sequence_costs import BATCH, FiniteControlSetKernel, Moves, NumpyCosts
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number, whole_numbers
@@ -35,6 +37,11 @@ MOST_DEPTH = 200
 """Most moves of a sequence, which only a single symbol comes near."""
 SAMPLES = 2048
 """Random states at which a price that is a share is made a number."""
+
+MOST_STEPS = 1_000_000
+"""Most integration steps of a sequence that a policy's file says it was made with."""
+MADE, NAMES = "finite_control_set", ("depth", "sample_time", "blocks", "steps", "control_weight")
+"""How the statistics of a policy call the control that made it, and what they say of that."""
 
 Costs = Callable[[np.ndarray], np.ndarray]
 """``states (B, n) -> costs (B, N)``, safe to call from threads."""
@@ -57,13 +64,15 @@ class FiniteControlSet:
         Numbers of states n and of symbols N.
     threads : int
         Number of threads that solve. The result does not depend on it.
-    problem : Problem
-        The problem, with numbers in place of prices that are shares.
+    problem : Problem or Policy
+        The problem, with numbers in place of prices that are shares; or the policy that it made.
     spread : float
         The price that stands for 100 % [cost / time unit].
     prices : (N + 1, N), optional
         Cost of a change from each label in force (the default last) to each symbol [cost]; infinite
         if the change is forbidden. None: nothing depends on the symbol in force.
+    made : dict
+        `depth`, `sample_time`, `blocks`, `steps` and `control_weight` of `finite_control_set`.
     """
 
     solver: Costs
@@ -71,9 +80,10 @@ class FiniteControlSet:
     states: int
     symbols: int
     threads: int
-    problem: Problem
+    problem: Problem | Policy
     spread: float
     prices: np.ndarray | None
+    made: Mapping[str, Any]
 
     @property
     def in_force(self) -> int:
@@ -213,8 +223,8 @@ def finite_control_set(
     depth : int
         Number of moves of a sequence, 1 to `MOST_DEPTH`.
     sample_time : float, optional
-        Time of a sample [time unit of the problem]. It must be given, unless the problem is in
-        discrete time and has its own.
+        Time of a sample [time unit of the problem]. Default: that of the problem's settings, or of
+        its map if it is in discrete time.
     blocks : int or (depth,) ints
         Number of samples for which each move is held (move blocking).
     steps : int
@@ -241,6 +251,46 @@ def finite_control_set(
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
     if tail is not None:
         problem = problem.replace(tail=tail)
+    given = {"sample_time": sample_time, "blocks": blocks, "steps": steps}
+    known = {"control_weight": control_weight, "backend": backend, "threads": threads}
+    return _made(problem, transcribe(problem), depth, **given, **known)
+
+
+def source_of(policy: Policy, backend: str = "auto") -> FiniteControlSet | None:
+    """Return the predictive control that a policy was made from, by what it says of itself.
+
+    None: it was not, or has no model any more.
+
+    Raises
+    ------
+    ProblemError
+        What it says makes no sense.
+    """
+    made = policy.statistics.get("source", {}).get(MADE)
+    if made is None or policy.model is None or policy.settings is None:
+        return None
+    if not isinstance(made, dict) or set(made) != set(NAMES):
+        raise ProblemError(f"the source of a policy must say {', '.join(NAMES)}; got {made}")
+    control = _made(policy, policy.model, **made, backend=backend, threads=None)
+    solver: Any = control.solver
+    if (count := int(solver.moves.steps.sum())) > MOST_STEPS:
+        raise ProblemError(f"the source of a policy must take few steps; got {count:,}")
+    return control
+
+
+def _made(
+    problem: Problem | Policy,
+    model: Model,
+    depth: int,
+    sample_time: float | None,
+    blocks: Any,
+    steps: int,
+    control_weight: Any,
+    backend: str,
+    threads: int | None,
+) -> FiniteControlSet:
+    """Return predictive control of a problem, or of a policy made from one, and its model."""
+    assert problem.settings is not None
     values = problem.alphabet.values
     count = len(values)
     depth = whole_number("depth", depth, least=1, most=MOST_DEPTH)
@@ -257,28 +307,33 @@ def finite_control_set(
         settings = dataclasses.replace(settings, control_weight=control_weight)
     efforts = settings.efforts(values)
     one_of("backend", backend, BACKENDS)
-    model = transcribe(problem)
     end = model.terminal_cost.first
     none = np.zeros((count, count))
     moves = Moves(values, efforts, np.full(depth, period / steps), held * steps, none)
+    made = {
+        "depth": depth,
+        "sample_time": settings.period if problem.discrete else period,
+        "blocks": held.tolist(),
+        "steps": steps,
+        "control_weight": settings.control_weight,
+    }
     kernel = compiled(
         lambda: FiniteControlSetKernel.build(model.step, end, moves), backend, "predicting"
     )
     solver = kernel or NumpyCosts(model.step, end, moves)
     control = FiniteControlSet(
         solver, "c" if kernel else "numpy", problem.space.n, count, processors(threads), problem,
-        0.0, None,
+        0.0, None, made,
     )  # fmt: skip
     return _priced(control, period)
 
 
-def _period(problem: Problem, sample_time: float | None, steps: int) -> float:
+def _period(problem: Problem | Policy, sample_time: float | None, steps: int) -> float:
     """Return the time over which costs per time unit count for a sample: 1, of a map."""
+    assert problem.settings is not None
+    own = problem.settings.period
     if not problem.discrete:
-        if sample_time is None:
-            raise ProblemError("`sample_time` must be given for dynamics that are rates; got None")
-        return finite_number("sample_time", sample_time, above=0.0)
-    own = problem.sample_time
+        return finite_number("sample_time", own if sample_time is None else sample_time, above=0.0)
     if sample_time not in (None, own):
         raise ProblemError(
             f"`sample_time` must be left out, or be {own:g}, that of the problem's map; got "
@@ -295,11 +350,12 @@ def _priced(control: FiniteControlSet, period: float) -> FiniteControlSet:
     `period` is that of `_period`.
     """
     problem, spread = control.problem, 0.0
-    if problem.switching is not None and problem.switching.has_share:
+    switching = problem.switching
+    if switching is not None and switching.has_share and isinstance(problem, Problem):
         ranges = np.ptp(control.costs(problem.space.sample(SAMPLES, 0)), axis=1)
         ranges = ranges[np.isfinite(ranges)]
         spread = float(np.median(ranges)) / period if ranges.size else 0.0
-        problem = problem.replace(switching=problem.switching.with_spread(spread))
+        problem = problem.replace(switching=switching.with_spread(spread))
     prices = _prices(problem, period)
     if prices is None:
         return control
@@ -311,7 +367,7 @@ def _priced(control: FiniteControlSet, period: float) -> FiniteControlSet:
     )
 
 
-def _prices(problem: Problem, period: float) -> np.ndarray | None:
+def _prices(problem: Problem | Policy, period: float) -> np.ndarray | None:
     """Return what going from each label to each symbol costs, (N + 1, N), paid over a period.
 
     None: nothing depends on what is in force.

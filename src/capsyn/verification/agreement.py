@@ -26,6 +26,7 @@ from capsyn.execution.processors import processors
 from capsyn.modelling.exogenous import exogenous_text
 from capsyn.modelling.settings import MAX_STEPS
 from capsyn.policies.policy import Policy
+from capsyn.sources.finite_control_set import source_of
 from capsyn.statistics import TOLD, check_confidence, clopper_pearson
 from capsyn.validation import BACKENDS, describe, one_of, whole_number
 from capsyn.verification.tally import Island, Rule, Tally
@@ -183,8 +184,9 @@ def agreement(
     controller : callable, optional
         What the policy is compared with. A function takes states (B, n), or readings, and returns
         symbol indices (B,), -1 for the default, whatever symbol is in force. The controller may
-        also be another policy, or a `FiniteControlSet`. Default: sSAC with the policy's own model,
-        horizon, settings, prices and delay.
+        also be another policy, or a `FiniteControlSet`. Default: the `FiniteControlSet` that made
+        the policy, if one did, else sSAC with the policy's own model, horizon, settings, prices and
+        delay.
     seed : int
         Seed of the states.
     confidence : float
@@ -216,6 +218,7 @@ def agreement(
     seed = whole_number("seed", seed, least=0)
     confidence = check_confidence(confidence)
     one_of("backend", backend, BACKENDS)
+    controller = source_of(policy, backend) if controller is None else controller
     threads = 1 if threads is None and controller is not None else processors(threads)
     if steps is not None:
         steps = whole_number("steps", steps, least=1, most=MAX_STEPS)

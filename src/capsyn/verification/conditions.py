@@ -14,6 +14,7 @@ from capsyn.modelling.targets import describe_target
 from capsyn.policies.policy import Policy
 from capsyn.simulation.exogenous import pairs_of_steps
 from capsyn.simulation.experiment import Experiment
+from capsyn.simulation.options import LoopOptions
 from capsyn.validation import one_line
 from capsyn.verification.trials import TrialOptions, Uniform
 
@@ -32,6 +33,7 @@ def conditions(controller: Any, options: TrialOptions, experiment: Experiment) -
         "hold": options.hold,
         "target": None if target is None else describe_target(target, space),
         "initial": describe_target(options.initial or domain, domain),
+        **_limits(loop, space),
         **_holds(experiment),
         "substeps": experiment.loop.substeps,
         "controller": _controller_name(controller),
@@ -43,6 +45,15 @@ def conditions(controller: Any, options: TrialOptions, experiment: Experiment) -
         "disturbance": _plain(loop.disturbance),
         "parameters": {name: _plain(value) for name, value in loop.parameters.items()},
         **_told(loop.exogenous, experiment.plant.exogenous),
+    }
+
+
+def _limits(loop: LoopOptions, space: Box) -> dict[str, str]:
+    """Return where trials must not be, and where they must stay, in words."""
+    return {
+        name: _name(given) if callable(given) else describe_target(given, space)
+        for name in ("avoid", "stay_in")
+        if (given := getattr(loop, name)) is not None
     }
 
 

@@ -20,6 +20,7 @@ from capsyn.policies.policy import Policy
 from capsyn.programs.program import Program
 from capsyn.simulation.closed_loop import Noise, new_record
 from capsyn.simulation.experiment import Experiment, described, padded, sampling, set_up
+from capsyn.simulation.figures import Gathered
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
 from capsyn.simulation.tracking import (
@@ -73,6 +74,9 @@ def monte_carlo(
     executor: Any = None,
     exogenous: Any = None,
     track: Mapping[str, str | float] | None = None,
+    avoid: Any = None,
+    stay_in: Any = None,
+    costs: Mapping[str, Any] | None = None,
 ) -> MonteCarlo:
     """Return how often a controller reaches the target from random initial states.
 
@@ -123,6 +127,12 @@ def monte_carlo(
         `capsyn.tracking`), until the trial ends. Without `hold`, a trial ends when it arrives.
         `track` cannot be used with an `executor`.
 
+    avoid, stay_in : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
+        A trial fails that is in the one, or not in the other, at some sample until its end.
+    costs : mapping of name to callable ``x -> scalar``, or ``(x, w)``, optional
+        Running costs [cost / time unit] to gather along trials beside the problem's own, for
+        `MonteCarlo.figures`. Each takes as long as the trials once more.
+
     Raises
     ------
     ProblemError
@@ -146,6 +156,9 @@ def monte_carlo(
         threads=threads,
         executor=executor,
         exogenous=exogenous,
+        avoid=avoid,
+        stay_in=stay_in,
+        costs=costs,
     )
     own = (trials, initial, tolerance, within, hold, confidence, track)
     return try_out(controller, TrialOptions(loop, *own))
@@ -178,7 +191,11 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     test = prepared(controller, options)
     if test.experiment.target is None:
         raise ProblemError("`target` must be given: neither policy nor problem has one")
-    return _result(test, _run(test))
+    gathered = Gathered.of(options.loop, test.experiment.plant)
+    before = test.trials.copy()
+    tracked = _run(test)
+    more = (test.experiment, test.trials, before, test.noise)
+    return _result(test, tracked, gathered.figures(*more), gathered.entered(*more))
 
 
 def prepared(controller: Any, options: TrialOptions) -> Prepared:
@@ -283,11 +300,16 @@ def _arrived(experiment: Experiment, trials: np.ndarray) -> np.ndarray:
     return np.where(trials["arrived"] < 0, np.nan, trials["arrived"] / experiment.rate)
 
 
-def _result(test: Prepared, tracked: dict[str, Tracking]) -> MonteCarlo:
+def _result(
+    test: Prepared,
+    tracked: dict[str, Tracking],
+    figures: dict[str, np.ndarray],
+    entered: np.ndarray,
+) -> MonteCarlo:
     """Return how trials went that have run."""
     controller, options, experiment = test.controller, test.options, test.experiment
     drawn, trials, count = test.drawn, test.trials, options.trials
-    success = succeeded(options, experiment, trials)
+    success = succeeded(options, experiment, trials) & np.isnan(entered)
     n = experiment.plant.states
     states = np.vstack([np.hstack([drawn.initial, drawn.exogenous]), trials["state"]])
     costs = default_costs(controller, states, options.loop.backend)
@@ -308,6 +330,8 @@ def _result(test: Prepared, tracked: dict[str, Tracking]) -> MonteCarlo:
         initial_cost=costs[:count],
         final_cost=costs[count:],
         tracking=tracked,
+        figures=figures,
+        entered=entered,
         **vars(drawn),
     )
 

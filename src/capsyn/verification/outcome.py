@@ -11,7 +11,7 @@ import numpy as np
 from capsyn.controllers.command import ENDINGS
 from capsyn.modelling.time_unit import NAMES
 from capsyn.simulation.tracking import Tracking
-from capsyn.statistics import TOLD
+from capsyn.statistics import TOLD, mean_interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,11 @@ class MonteCarlo:
         Exogenous inputs at the start of each trial [their units].
     tracking : mapping of name to Tracking
         How closely each state of `track` followed its reference, (T,) figures each.
+    figures : mapping of name to (T,)
+        What each trial gathered until its end: ``effort``, the integral of ``u^T u``; ``fuel``,
+        that of the sum of ``|u|`` [input units, time unit]; and costs by name.
+    entered : (T,)
+        When it first was where it must not be [time unit]; NaN where never.
     """
 
     seed: int
@@ -76,6 +81,8 @@ class MonteCarlo:
     noises: np.ndarray
     exogenous: np.ndarray
     tracking: Mapping[str, Tracking] = field(default_factory=dict)
+    figures: Mapping[str, np.ndarray] = field(default_factory=dict)
+    entered: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def success_rate(self) -> float:
@@ -107,6 +114,12 @@ class MonteCarlo:
         steps = {k: v for k, v in conditions.items() if isinstance(v, dict) and "low" not in v}
         start = zip(conditions, self.exogenous[index].tolist())
         return {"exogenous": {name: steps.get(name, value) for name, value in start}}
+
+    def _entered(self) -> dict[str, int]:
+        """Return how many trials were where they must not be, if there is such a set."""
+        if not {"avoid", "stay_in"} & set(self.conditions):
+            return {}
+        return {"trials_entered": int(np.isfinite(self.entered).sum())}
 
     def __repr__(self) -> str:
         return (
@@ -146,15 +159,26 @@ class MonteCarlo:
             "cost_left": _spread(left),
             "failing_initial_states": self.failures[:TOLD].tolist(),
             "failing_trials": [self.trial(int(k)) for k in np.flatnonzero(~self.success)[:TOLD]],
-            **({"tracking": _tracked(self.tracking)} if self.tracking else {}),
+            "figures": {k: _figure(v, self.confidence) for k, v in self.figures.items()},
+            **self._entered(),
+            **({"tracking": _tracked(self.tracking, self.confidence)} if self.tracking else {}),
         }
 
 
-def _tracked(tracking: Mapping[str, Tracking]) -> dict[str, Any]:
+def _figure(values: np.ndarray, confidence: float) -> dict[str, float] | None:
+    """Return the spread of the finite values (T,), with the interval of their mean."""
+    known = values[np.isfinite(values)]
+    spread, interval = _spread(known), mean_interval(known, confidence)
+    if spread is None or interval is None:
+        return spread
+    return spread | {"low": interval[0], "high": interval[1]}
+
+
+def _tracked(tracking: Mapping[str, Tracking], confidence: float) -> dict[str, Any]:
     """Return the figures of each tracked state over the trials, biases by their size."""
     return {
         name: {
-            "rms": _spread(figures.rms),
+            "rms": _figure(figures.rms, confidence),
             "bias": _spread(np.abs(figures.bias)),
             "overshoot": _spread(figures.overshoot),
             "settling": _spread(figures.settling),

@@ -155,7 +155,9 @@ def circumstances(conditions: dict[str, Any]) -> str:
 
     Another unit of time than s is said with each time.
     """
-    usual = set("controller duration within hold target initial avoid substeps time_unit".split())
+    usual = set(
+        "controller duration within hold target initial avoid stay_in substeps time_unit".split()
+    )
     units, parts = {}, []
     if "time_unit" in conditions:
         unit = _short(conditions["time_unit"])

@@ -223,7 +223,7 @@ def chatter_hint(policy: Policy, threads: int | None = None) -> str | None:
     if not has_compiler():
         return None
     assert settings is not None
-    rate = 1 / settings.sample_time
+    rate = 1 / settings.period
     duration = HINT_SAMPLES / rate
     with warnings.catch_warnings():  # of a loop that nobody asked for
         warnings.simplefilter("ignore", CapsynWarning)

@@ -21,6 +21,8 @@ from capsyn.statistics import check_confidence
 from capsyn.validation import describe, finite_number, keep, whole_number
 
 MOST_TRIALS = 10**8
+JUDGED_BY = ("avoid", "stay_in", "costs")
+"""Arguments of `monte_carlo` alone, which trees and tuning are not judged by."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class TrialOptions:
     def names() -> set[str]:
         """Return the names of all arguments."""
         fields = (*dataclasses.fields(TrialOptions), *dataclasses.fields(LoopOptions))
-        return {field.name for field in fields} - {"loop"}
+        return {field.name for field in fields} - {"loop", *JUDGED_BY}
 
     @staticmethod
     def of(*, without: Collection[str] = (), **arguments: Any) -> TrialOptions:
@@ -76,7 +78,7 @@ class TrialOptions:
             There is no argument of a name, or a value cannot be used.
         """
         for name in arguments:
-            if name not in TrialOptions.names() or name in without:
+            if name not in TrialOptions.names() or name in (*without, *JUDGED_BY):
                 raise ProblemError(f"there is no argument `{name}` of closed loops")
         shared = {f.name for f in dataclasses.fields(LoopOptions)}
         loop = LoopOptions(**{name: v for name, v in arguments.items() if name in shared})

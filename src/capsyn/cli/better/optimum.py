@@ -105,23 +105,16 @@ def optimal_policy(
     source: str,
     options: dict[str, Any],
     rules: dict[str, Any],
-    unused: dict[str, Any],
 ) -> Policy:
     """Return the policy of a problem whose symbols are the optimum's, with the seconds it took.
 
     `source` is ``optimum``, or ``optimum:T`` for loops of time T; `options` are those of
     `capsyn.subdivide`, and the backend; `rules` are fields of the problem; what is None is its own.
-    `unused` are options by name that must be None.
     """
     from capsyn.execution.processors import processors
     from capsyn.optima.optimum import optimum
 
-    name, colon, text = source.partition(":")
-    if name != "optimum":
-        raise ProblemError(f"--source must be ssac, optimum or optimum:T; got '{source}'")
-    for label, value in unused.items():
-        if value is not None:
-            raise ProblemError(f"--source optimum takes no {label}")
+    _, colon, text = source.partition(":")
     problem = problem.replace(**{key: value for key, value in rules.items() if value is not None})
     if problem.domain.n > MOST_STATES:
         raise ProblemError(

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SHOWN = 20
 """Most settings of the front that are printed."""
-RUN_BY = ("seed", "backend", "threads", "executor", "stop_at_target")
+RUN_BY = ("seed", "backend", "threads", "executor", "stop_at_target", "avoid", "stay_in", "costs")
 """Options of a loop that are not those of the loops of `capsyn.tune`."""
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from capsyn.cli.console import notes, progress_bars, show
+from capsyn.cli.making.source import kind_of, sourced_policy
 from capsyn.cli.options import (
     Backend,
     Dask,
@@ -58,10 +59,12 @@ class ProblemOptions:
         "Settings that capsyn tune found, for what is free.", "--settings", metavar="FILE"
     )
     source: str = option(
-        "Whose symbols: those of sSAC, or the best for closed loops of time T [default: 10 "
-        "horizons], of at most three states.",
+        "Whose symbols: sSAC's; the best for closed loops of time T [default: 10 horizons], of at "
+        "most three states; predictive control with a finite control set, of DEPTH symbols held "
+        "for BLOCK samples each; or a function of states to symbols, or an agent with predict, in "
+        "a file.",
         default="ssac",
-        metavar="ssac|optimum[:T]",
+        metavar="ssac|optimum[:T]|fcs:DEPTH[:BLOCK,..]|FILE.py:NAME",
     )
 
     def grid(self) -> dict[str, Any]:
@@ -87,6 +90,9 @@ class SettingsOptions:
     tolerance: float | None = option("Of the step-doubling check.")
     precision: str | None = option("double or single.")
     sensitivity: str | None = option('Of a model in discrete time: exact or "first order".')
+    sample_time: float | None = option(
+        "Of closed loops [time unit] [default: the problem's, or about a hundredth of the horizon]."
+    )
 
     def of(self, settings: SsacSettings) -> SsacSettings | None:
         """Return a problem's settings with these changes; None where there are none."""
@@ -154,7 +160,6 @@ def synth(
         if checkpoint is None
         else f"the same command goes on from what '{checkpoint}' keeps"
     )
-    from capsyn.cli.better.optimum import optimal_policy
     from capsyn.policies.report import report
     from capsyn.verification.switching_curve import chatter_hint
 
@@ -168,14 +173,14 @@ def synth(
         "delay": switching.delay,
     }
     hint = None
-    if changes.source == "ssac":
+    if kind_of(changes.source) == "ssac":
         more = {"checkpoint": checkpoint, "keep_limits": limits.of()}
         policy = _synthesized(chosen, own, options | rules | more, dask)
         hint = chatter_hint(policy, subdivision.threads)
     else:
-        unused = {"settings of sSAC": own, "--dask": dask, "--checkpoint": checkpoint}
-        unused["--keep-limits"] = limits.of() or None
-        policy = optimal_policy(chosen, changes.source, options, rules, unused)
+        unused = {"--dask": dask, "--checkpoint": checkpoint, "--keep-limits": limits.of() or None}
+        given = {name: value for name, value in vars(settings).items() if value is not None}
+        policy = sourced_policy(chosen, changes.source, options, rules, given, unused)
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
     if hint is not None:

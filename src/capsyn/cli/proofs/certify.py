@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from capsyn.cli.console import print_line, show, working
-from capsyn.cli.loop import LoopTexts, region_or_function, sampled_options
+from capsyn.cli.loop import ControllerTexts, LoopTexts, region_or_function, sampled_options
 from capsyn.cli.options import (
     INITIAL,
     File,
@@ -44,11 +44,7 @@ class CertifyOptions:
     initial: str | None = option(INITIAL, metavar="SET")
     target: str | None = as_in(LoopTexts, "target")
     tolerance: float | None = as_in(LoopTexts, "tolerance")
-    avoid: str | None = option(
-        "States that the loop must never reach: NAME=LOW:HIGH[,..], or FILE.py:NAME of a "
-        "function of x (and w) that is true there.",
-        metavar="SET",
-    )
+    avoid: str | None = as_in(ControllerTexts, "avoid")
     rate: float | None = as_in(LoopTexts, "rate")
     model: str | None = as_in(LoopTexts, "model")
     parameter: list[str] | None = as_in(LoopTexts, "parameter")
