@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from capsyn.errors import ProblemError
 from capsyn.sources.tables.lines import Lines
 from capsyn.sources.text import fail
-from capsyn.validation import describe
+from capsyn.validation import describe, one_line
 
 UNNAMED = re.compile(r"|unnamed: ?\d+", re.IGNORECASE)
 """The name of a column that numbers rows."""
@@ -17,8 +17,8 @@ COUNTED = re.compile(r"(.*?)[\s_]*[\[(]?(\d+)[\])]?")
 """A name that ends in a number, as those of several inputs do."""
 UNIT = re.compile(r"(.*?)(?:\s*\[([^\]]*)\]|\s+\(([^)]*)\))")
 """A name with a unit in brackets."""
-MOST_CHARACTERS = 200
-"""Most characters of a name that is looked into."""
+MOST_CHARACTERS = 100
+"""Most characters of a name."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,10 @@ def columns_of(lines: Lines, inputs: Sequence[str] | None = None) -> Columns:
         heads = [*heads, ""] if end else ["", *heads]
     index = 0 if UNNAMED.fullmatch(heads[0]) and width - end > 2 else None
     places = [k for k in range(width - end) if k != index]
+    for k in places:
+        if len(heads[k]) > MOST_CHARACTERS:
+            wanted = f"names of columns of at most {MOST_CHARACTERS} characters"
+            fail(lines.path, lines.line, wanted, heads[k])
     parts = {k: _unit(heads[k]) for k in places}
     names, units = ({k: part[i] for k, part in parts.items()} for i in (0, 1))
     of_inputs = _named(lines, names, heads, inputs) if inputs else _last(names)
@@ -90,7 +94,7 @@ def columns_of(lines: Lines, inputs: Sequence[str] | None = None) -> Columns:
 
 def _unit(head: str) -> tuple[str, str]:
     """Return name and unit of a column."""
-    match = UNIT.fullmatch(head) if len(head) <= MOST_CHARACTERS else None
+    match = UNIT.fullmatch(head)
     unit = (match[2] if match[2] is not None else match[3]) if match else ""
     if match is None or not match[1] or unit.isdecimal():  # x[0] is a name
         return head, ""
@@ -107,15 +111,10 @@ def _named(
         if len(places) != 1 or places[0] in found:
             raise ProblemError(
                 f"'{lines.path}': `inputs` (--inputs) must name columns of the file, each once, "
-                f"among {', '.join(names.values())}; got {describe(wanted)}"
+                f"among {one_line(', '.join(names.values()))}; got {describe(wanted)}"
             )
         found += places
     return found
-
-
-def _counted(name: str) -> re.Match[str] | None:
-    """Return the parts of a name that ends in a number."""
-    return COUNTED.fullmatch(name) if len(name) <= MOST_CHARACTERS else None
 
 
 def _last(names: dict[int, str]) -> list[int]:
@@ -124,11 +123,11 @@ def _last(names: dict[int, str]) -> list[int]:
     said = [k for k in places if names[k].lower().startswith("input")]
     if said and places[-1] in said and len(said) < len(places):
         return said
-    last = _counted(names[places[-1]])
+    last = COUNTED.fullmatch(names[places[-1]])
     found = [places[-1]]
     if last is not None:
         for k in reversed(places[:-1]):
-            match = _counted(names[k])
+            match = COUNTED.fullmatch(names[k])
             if match is None or match[1] != last[1]:
                 break
             found.insert(0, k)

@@ -14,6 +14,7 @@ from capsyn.modelling.domain import Box
 from capsyn.sources.table import Table, check_points
 from capsyn.sources.tables.axes import grid_of
 from capsyn.sources.text import naming
+from capsyn.validation import one_line
 
 MISSING = ("auto", "error", "outside")
 """What a grid point without a state is."""
@@ -52,7 +53,8 @@ class Points:
     @property
     def called(self) -> list[str]:
         """What errors call the states."""
-        return list(Box.unnamed(self.states.shape[1]) if self.names is None else self.names)
+        names = Box.unnamed(self.states.shape[1]) if self.names is None else self.names
+        return [one_line(name, 100) for name in names]
 
     def _fail(self, row: int, wanted: str, got: str) -> NoReturn:
         raise ProblemError(
@@ -72,8 +74,9 @@ class Points:
             others = len(np.unique(flat // table.counts[-1]))
             if others > 1 and others == len(np.unique(flat)):
                 *rest, last = self.called
+                beside = one_line(", ".join(rest))
                 raise ProblemError(
-                    f"'{self.path}' has one value of '{last}' for each of {', '.join(rest)}: if it "
+                    f"'{self.path}' has one value of '{last}' for each of {beside}: if it "
                     "is an input, `inputs` (--inputs) must name it; if it is a state, "
                     'missing="outside" (--missing outside) takes the other points as outside'
                 )

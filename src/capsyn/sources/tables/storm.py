@@ -21,6 +21,7 @@ from capsyn.sources.tables.json_text import is_real, read_json, told
 from capsyn.sources.tables.points import Points
 from capsyn.sources.tables.symbols import Coder, named
 from capsyn.sources.text import check_alphabet, naming, path_text
+from capsyn.validation import one_line
 
 NO_CHOICE = "loop"
 """The symbol of a choice that comes from no command: Storm adds it where a state has none."""
@@ -67,7 +68,7 @@ def read_storm(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
             with naming(path):
                 check_points((1,) * len(names))
         if list(values) != names and set(values) != set(names):
-            _fail(path, k, f"the variables {', '.join(names)}", list(values))
+            _fail(path, k, f"the variables {one_line(', '.join(names))}", list(values))
         states.append([values[name] for name in names])
         choices.append(_choice(path, k, entry["c"], unnamed))
     if NO_CHOICE in choices and set(choices) <= {"", NO_CHOICE}:
@@ -91,9 +92,9 @@ def _values(path: str, k: int, values: Any) -> dict[str, Any]:
         _fail(path, k, "values of variables (--buildstateval)", values)
     for name, value in values.items():
         if not is_real(value) and not isinstance(value, bool):
-            _fail(path, k, f"a whole number or boolean for '{name}'", value)
+            _fail(path, k, f"a whole number or boolean for '{one_line(name, 100)}'", value)
         if abs(value) > 1e15:
-            _fail(path, k, f"a number within +-1e15 for '{name}'", value)
+            _fail(path, k, f"a number within +-1e15 for '{one_line(name, 100)}'", value)
     return values
 
 

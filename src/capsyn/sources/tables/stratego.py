@@ -36,7 +36,7 @@ from capsyn.sources.tables.regressors import (
 )
 from capsyn.sources.tables.symbols import of_names
 from capsyn.sources.text import check_alphabet, naming, path_text, read_bytes
-from capsyn.validation import describe, finite_number
+from capsyn.validation import describe, finite_number, one_line
 
 STEPS = 1 << 30
 """Lattice steps along the axis of a continuous variable."""
@@ -353,7 +353,8 @@ def _bounds(
     for name in domain:
         if name not in names:
             raise ProblemError(
-                f"`domain` (--domain) must name continuous variables among {', '.join(names)}; got "
+                f"`domain` (--domain) must name continuous variables among "
+                f"{one_line(', '.join(names))}; got "
                 f"{describe(name)}"
             )
     every = [tree for trees in keyed.values() for tree in trees.values()]

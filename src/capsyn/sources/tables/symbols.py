@@ -206,7 +206,7 @@ def _names_or_indices(path: str, where: dict[str, int], alphabet: Alphabet) -> d
     named, rest = ([p for p in where if (p in names) == is_name] for is_name in (True, False))
     for part in rest:
         if part not in indices:
-            wanted = f"symbols among {', '.join(alphabet.names)}, or their indices"
+            wanted = f"symbols among {one_line(', '.join(alphabet.names))}, or their indices"
             fail(path, where[part], wanted, part)
     if named and rest:
         wanted = f"a symbol's name, like '{named[0]}' in line {where[named[0]]}, or indices alone"
