@@ -31,6 +31,7 @@ def test_outside_their_range_operations_have_the_value_at_its_end(function, poin
     finite = np.isfinite(inside)
     assert (inside[finite] == extended(program).evaluate(x)[0][0][finite]).all()
     assert np.isnan(inside[2])
+    assert np.isnan(extended(program).evaluate(x * np.nan)[0][0]).all()
 
 
 @pytest.mark.parametrize("function", [

@@ -263,9 +263,9 @@ _POSITIVE = {"fabs", "sqrt", "exp", "cosh", "hypot", "acosh", "acos"}
 def extended(program: Program) -> Program:
     """Return a program whose operations outside their range have the value at its nearest end.
 
-    ``sqrt(a)`` becomes ``sqrt(fmax(a, 0))``, which is what a model is where the step of an
-    integration oversteps the edge of where it is defined: a tank that has run empty. A program
-    whose operations cannot leave their range is returned as it is.
+    ``sqrt(a)`` becomes that of 0 where a is negative, which is what a model is where the step of
+    an integration oversteps the edge of where it is defined: a tank that has run empty. NaN stays
+    NaN. A program whose operations cannot leave their range is returned as it is.
     """
     positive = _not_negative(program)
     places = [_range(program, k, positive) for k in range(len(program.instructions))]
@@ -280,12 +280,21 @@ def extended(program: Program) -> Program:
         mine = [values[k] for k in operands]
         if place:
             low, high = place
-            mine[0] = builder.apply("fmax", mine[0], builder.constant(low))
-            if high < np.inf:
-                mine[0] = builder.apply("fmin", mine[0], builder.constant(high))
+            mine[0] = _at_least(builder, mine[0], low)
+            if high < np.inf:  # at most it
+                negative = _at_least(builder, builder.apply("neg", mine[0]), -high)
+                mine[0] = builder.apply("neg", negative)
         values.append(builder.apply(name, *mine))
     results = [values[k] for k in program.results]
     return builder.build(program.name, program.inputs, program.outputs, results)
+
+
+def _at_least(builder: ProgramBuilder, value: int, least: float) -> int:
+    """Return a value where it is not below `least`, which it is there; NaN, unlike by fmax, is."""
+    bound = builder.constant(least)
+    below = builder.apply("lt", value, bound)
+    own = builder.apply("select", builder.apply("not", below), value)
+    return builder.apply("add", own, builder.apply("select", below, bound))
 
 
 def _range(program: Program, k: int, positive: Sequence[bool]) -> tuple[float, float] | None:

@@ -27,6 +27,7 @@ from capsyn.modelling.transcription import transcribe
 from capsyn.native.compiled import compiled
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import Model
+from capsyn.programs.program import Program
 from capsyn.sources.delayed import delayed
 from capsyn.sources.sequence_costs import BATCH, FiniteControlSetKernel, Moves, NumpyCosts
 from capsyn.validation import BACKENDS, describe, finite_number, one_of, whole_number, whole_numbers
@@ -68,6 +69,8 @@ class FiniteControlSet:
         The problem, with numbers in place of prices that are shares; or the policy that it made.
     spread : float
         The price that stands for 100 % [cost / time unit].
+    start : two programs
+        Dynamics and running cost, which must be finite where a prediction starts.
     prices : (N + 1, N), optional
         Cost of a change from each label in force (the default last) to each symbol [cost]; infinite
         if the change is forbidden. None: nothing depends on the symbol in force.
@@ -82,6 +85,7 @@ class FiniteControlSet:
     threads: int
     problem: Problem | Policy
     spread: float
+    start: tuple[Program, Program]
     prices: np.ndarray | None
     made: Mapping[str, Any]
 
@@ -93,7 +97,8 @@ class FiniteControlSet:
     def costs(self, states: np.ndarray) -> np.ndarray:
         """Return the least costs (B, N) of the sequences from states (B, n), by first symbol.
 
-        A cost is infinite if no sequence has a finite cost. The costs leave out the price of the
+        A cost is infinite if no sequence has a finite cost, and where the model itself is not
+        finite at the state. The costs leave out the price of the
         first symbol, which depends on the symbol in force. The costs also leave out the delay.
 
         Raises
@@ -103,11 +108,16 @@ class FiniteControlSet:
         """
         states = self._checked(states)
         size = max(BATCH, -(-len(states) // self.threads))
-        parts = [states[k : k + size] for k in range(0, len(states), size)]
-        if len(parts) < 2:
-            return self.solver(states)
+        parts = [states[k : k + size] for k in range(0, max(len(states), 1), size)]
         with ThreadPoolExecutor(self.threads) as pool:
-            return np.concatenate(list(pool.map(self.solver, parts)))
+            run = map if len(parts) < 2 else pool.map
+            costs = np.concatenate(list(run(self.solver, parts)))
+        dynamics, cost = self.start
+        x, u = states.T, self.problem.alphabet.values[0]
+        with np.errstate(all="ignore"):
+            found = np.concatenate([dynamics.evaluate(x, u)[0], cost.evaluate(x)[0]])
+        costs[~np.isfinite(found).all(axis=0)] = np.inf
+        return costs
 
     def masks(self, states: np.ndarray) -> np.ndarray:
         """Return the symbols whose cost ties with the least, as bit masks (B, W), for `states`.
@@ -323,7 +333,7 @@ def _made(
     solver = kernel or NumpyCosts(model.step, end, moves)
     control = FiniteControlSet(
         solver, "c" if kernel else "numpy", problem.space.n, count, processors(threads), problem,
-        0.0, None, made,
+        0.0, (model.dynamics, model.running_cost), None, made,
     )  # fmt: skip
     return _priced(control, period)
 
