@@ -64,8 +64,8 @@ class CompressOptions(LoopTexts):
         before="duration",
     )
     source: str | None = option(
-        "The controller that the policy came from, where the file does not say it, which trees are "
-        "fitted to and judged by: a function of states to symbols, or an agent with predict.",
+        "The controller that trees are fitted to and judged by, if the policy's file does "
+        "not tell it: a function from states to symbols, or an agent with predict.",
         metavar="FILE.py:NAME",
         before="duration",
     )

@@ -39,39 +39,52 @@ class VerifyOptions(ControllerTexts):
     """Options of ``capsyn verify``."""
 
     monte_carlo: int | None = option(
-        "Trials from random initial states.", metavar="N", before="duration"
+        "Run this number of trials from random initial states.", metavar="N", before="duration"
     )
     duration: float | None = option(
-        "Time limit of a trial, as all times in the model's time unit [default: 20]."
+        "Time limit of a trial [time unit of the model, as all times] [default: 20]."
     )
-    initial: str | None = option(INITIAL, metavar="SET", before="target")
-    within: float | None = option("Time to arrive in.", before="model")
-    hold: float | None = option("Time at the end to stay there [default: 0].", before="model")
+    initial: str | None = option(f"Where loops start: {INITIAL}", metavar="SET", before="target")
+    within: float | None = option(
+        "Time within which a trial must arrive [time unit].", before="model"
+    )
+    hold: float | None = option(
+        "Time at the end for which a trial must stay in the target [time unit] [default: 0].",
+        before="model",
+    )
     lyapunov: str | None = option(
-        "A function V of x (and w) whose decrease is proved.", metavar="FILE.py:V", before="seed"
+        "A function V of x (and w) whose decrease is to be proved.",
+        metavar="FILE.py:V",
+        before="seed",
     )
-    depth: int | None = option("Bisections of a cell in the proof [default: 12].", before="seed")
+    depth: int | None = option(
+        "Most bisections of a cell in the proof [default: 12].", before="seed"
+    )
     grid: str | None = option(
-        "Spacing of a grid of signs of dV/dt.", metavar="H[,H..]", before="seed"
+        "Spacing of a grid on which the sign of dV/dt is computed.",
+        metavar="H[,H..]",
+        before="seed",
     )
     agreement: int | None = option(
-        "Random states to compare with the controller that the policy came from.",
+        "Compare the policy with the controller that it came from, at this number of random "
+        "states.",
         metavar="N",
         before="seed",
     )
     source: str | None = option(
-        "That controller, where the file does not say it: a function of states to symbols, or an "
-        "agent with predict.",
+        "The controller that the policy came from, if its file does not tell it: a function "
+        "from states to symbols, or an agent with predict.",
         metavar="FILE.py:NAME",
         before="seed",
     )
     steps: int | None = option(
-        "Steps of sSAC over the horizon: more than the policy's own show what its own hide.",
+        "Steps of sSAC over the horizon for --agreement. More steps than the policy's own "
+        "show what its own steps hide.",
         before="seed",
     )
     optimum: int | None = option(
-        "Closed loops to compare with the best that the symbols allow; --duration is 10 horizons "
-        "unless told.",
+        "Compare this number of closed loops with the best loops that the symbols allow. "
+        "The default of --duration is then 10 horizons.",
         metavar="N",
         before="seed",
     )
@@ -81,12 +94,12 @@ class VerifyOptions(ControllerTexts):
         before="seed",
     )
     control_weight: float | None = option(
-        "Weight R of an effort u^T R u that the optimum's costs count, too.",
+        "Weight R of an effort u^T R u that is added to the optimum's costs.",
         metavar="R",
         before="seed",
     )
     memory: str | None = option(
-        "Most that the grid may take, as 2GB [default: half of what is available].",
+        "Most memory that the grid may take, as 2GB [default: half of the available memory].",
         metavar="BYTES",
         before="seed",
     )
@@ -97,14 +110,20 @@ class VerifyOptions(ControllerTexts):
         metavar="FILE",
         before="seed",
     )
-    confidence: float = option("Of the intervals.", default=0.95, before="seed")
-    require_success: float | None = option("Least share of successes.", before="seed")
-    require_proved: float | None = option("Least share proved.", before="seed")
-    require_agreement: float | None = option("Least agreement.", before="seed")
-    require_optimality: float | None = option(
-        "Least share of the cost that the optimum has.", before="seed"
+    confidence: float = option("Confidence of the intervals.", default=0.95, before="seed")
+    require_success: float | None = option(
+        "Least share of trials that must succeed.", before="seed"
     )
-    save: bool = option("Keep the evidence in the file.", "--save", default=False, before="seed")
+    require_proved: float | None = option(
+        "Least share of the volume on which the decrease must be proved.", before="seed"
+    )
+    require_agreement: float | None = option("Least agreement that must be reached.", before="seed")
+    require_optimality: float | None = option(
+        "Least ratio of the optimum's cost to the policy's cost.", before="seed"
+    )
+    save: bool = option(
+        "Keep the evidence in the policy's file.", "--save", default=False, before="seed"
+    )
     dask: Dask = None
 
 

@@ -49,11 +49,12 @@ class ImportOptions:
         "Default control, which belongs to no symbol [default: 0].", metavar="U[,U..]"
     )
     outside: str | None = option(
-        "error, nearest, or a symbol's name or index [default: error; of a strategy with "
-        "continuous variables nearest]."
+        "What a state outside the domain gets: error, nearest, or a symbol's name or index "
+        "[default: error, or nearest for a strategy with continuous variables]."
     )
     outside_at_once: bool = option(
-        "The symbol of a state outside does not wait for a least time between switches.",
+        "Take the symbol of a state outside the domain at once, without waiting for a least "
+        "time between switches.",
         "--outside-at-once",
         default=False,
     )

@@ -72,11 +72,20 @@ def _outside(policy: Policy, values: Sequence[float]) -> str | None:
 def at(
     file: File,
     output: Annotated[
-        str, typer.Option("--output", "-o", metavar="FILE", help="A policy file of states alone.")
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="The new policy file, whose policy takes states alone.",
+        ),
     ],
     exogenous: Annotated[
         list[str],
-        typer.Option(metavar="NAME=W", help="A value that stays; once for each input."),
+        typer.Option(
+            metavar="NAME=W",
+            help="The constant value of an exogenous input. Give it once for each input.",
+        ),
     ],
 ) -> None:
     """Write the policy that is left where exogenous inputs never change."""
@@ -93,14 +102,19 @@ def at(
 
 def explore(
     file: File,
-    output: Annotated[str, typer.Option("--output", "-o", metavar="HTML", help="Where; one file.")],
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="HTML", help="The file of the page.")
+    ],
     drawing: Annotated[
         str | None,
         typer.Option(
-            help="pendulum, cart-pole, double-tank or none [default: by the problem's name]."
+            help="Animation: pendulum, cart-pole, double-tank or none [default: by the problem's "
+            "name]."
         ),
     ] = None,
-    open_page: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
+    open_page: Annotated[
+        bool, typer.Option("--open", help="Open the page in the browser.")
+    ] = False,
 ) -> None:
     """Write a page where one sees the policy and watches it work."""
     from capsyn.execution.files import check_writable

@@ -32,47 +32,53 @@ class LoopTexts:
     """`capsyn.simulation.options.LoopOptions` as texts."""
 
     duration: float | None = option(
-        "Time to simulate, as all times in the model's time unit.", default=20.0
+        "Time to simulate [time unit of the model, as all times].", default=20.0
     )
     rate: float | None = option(
-        "Samples per time unit [default: 1 over the sample time of the policy, which is about a "
-        "hundredth of its horizon where its problem says none]."
+        "Samples per time unit [default: 1 over the policy's sample time, which is about a "
+        "hundredth of the horizon if the problem gives none]."
     )
     target: str | None = option(
-        "NAME=LOW:HIGH[,..], NAME=VALUE[,..] with --tolerance, or FILE.py:NAME of a function of x "
-        "(and w) that says whether it has arrived.",
+        "States that count as arrived: NAME=LOW:HIGH[,..], NAME=VALUE[,..] with "
+        "--tolerance, or FILE.py:NAME of a function of x (and w) that is true there.",
         metavar="SET",
     )
-    tolerance: float | None = option("Radius of the target.")
+    tolerance: float | None = option("Radius of a target that is given by values.")
     model: str | None = option(
-        "Another plant: a problem as for synth, or FILE.py:NAME of a function of x and u, then w "
-        "where there are exogenous inputs, then p where there are parameters; a policy without a "
-        "model, such as an imported one, takes a problem only.",
+        "Another plant than the policy's model: a problem as for synth, or FILE.py:NAME of "
+        "a function of x and u. The function takes w after these if there are exogenous "
+        "inputs, and then p if there are parameters. A policy without a model, such as an "
+        "imported one, takes a problem only.",
         metavar="PLANT",
     )
     parameter: list[str] | None = option(
-        "A component of p, in the order of p; verify and certify take a range, too. May be "
-        "repeated.",
+        "A parameter of the plant, in the order of p. verify and certify also take a range. "
+        "May be repeated.",
         metavar="NAME=P[:P]",
     )
     exogenous: list[str] | None = option(
-        "What the policy is told beside the state: a value, steps TIME:VALUE,TIME:VALUE, or a CSV "
-        "file of steps with a column time and one for each input. NAME=A:B alone is the step to B "
-        "at time A in simulate, the range from A to B in certify, and in verify, which draws from "
-        "it, and from the box what is not given. May be repeated.",
+        "What the policy is told beside the state: a value, steps TIME:VALUE,TIME:VALUE, or "
+        "a CSV file of steps with a column time and a column for each input. NAME=A:B alone "
+        "is a step to B at time A in simulate, and the range from A to B in verify and "
+        "certify. verify draws from this range, and from the box of inputs that are not "
+        "given. May be repeated.",
         metavar="NAME=W|NAME=T:W,T:W[,..]|FILE.csv",
     )
     disturbance: str | None = option(
-        "Added to the rates, of all states or of each; verify takes a range D[,D..]:D[,D..], too.",
+        "Disturbance that is added to the rates: one number for all states, or one for "
+        "each. verify also takes a range D[,D..]:D[,D..].",
         metavar="D[,D..]",
     )
     noise: str | None = option(
-        "Standard deviation of the measured states, of all or of each, or of each and of each "
-        "exogenous input after them; verify takes a range "
-        "S[,S..]:S[,S..], too.",
+        "Standard deviation of the noise on measured states: one for all states, one for "
+        "each, or one for each state and then each exogenous input. verify also takes a "
+        "range S[,S..]:S[,S..].",
         metavar="S[,S..]",
     )
-    delay: str | None = option("Input delay; verify takes a range T:T, too.", metavar="T")
+    delay: str | None = option(
+        "Time from a sample until its control acts [time unit]. verify also takes a range T:T.",
+        metavar="T",
+    )
     min_dwell: MinDwell = None
     outside: Outside = None
     outside_at_once: OutsideAtOnce = None
@@ -86,30 +92,33 @@ class ControllerTexts(LoopTexts):
     """Options of a loop, what is told of it, and which controller runs it."""
 
     track: list[str] | None = option(
-        "Say how closely a state follows an exogenous input, or a number; in verify until a trial "
-        "arrives, unless there is --hold. Once for each state.",
+        "Tell how closely a state follows an exogenous input or a number. In verify, this "
+        "counts until a trial arrives, unless there is --hold. Give it once for each state.",
         metavar="STATE=NAME|W",
         before="disturbance",
     )
     avoid: str | None = option(
-        "What it must never be in: NAME=LOW:HIGH[,..], or FILE.py:NAME of a function of x (and w) "
-        "that says whether it is.",
+        "States that a loop must never reach: NAME=LOW:HIGH[,..], or FILE.py:NAME of a "
+        "function of x (and w) that is true there.",
         metavar="SET",
         before="model",
     )
     stay_in: str | None = option(
-        "What it must never leave, likewise.", metavar="SET", before="model"
+        "States that a loop must never leave, written as for --avoid.",
+        metavar="SET",
+        before="model",
     )
     cost: list[str] | None = option(
-        "Another running cost to tell, of x (and w) [cost / time unit]. May be repeated.",
+        "Another running cost whose sum is reported, a function of x (and w) [cost / time "
+        "unit]. May be repeated.",
         metavar="FILE.py:NAME",
         before="disturbance",
     )
     online: str | None = option(
-        "ssac or sac: solve online in receding horizon instead of the policy.", before="seed"
+        "Solve online in receding horizon in place of the policy: ssac or sac.", before="seed"
     )
     background: bool = option(
-        "Let the policy be the default control of the online controller.",
+        "Whether the policy is the default control of the online controller.",
         default=False,
         before="seed",
     )

@@ -145,7 +145,9 @@ class SwitchingOptions:
         "pairs. none allows all switches. May be repeated.",
         metavar="FROM:TO[,..]|none",
     )
-    delay: float | None = option("Known input delay, which the policy compensates [time unit].")
+    delay: float | None = option(
+        "Known delay of the input, which the policy compensates [time unit]."
+    )
 
     def of(self, problem: Problem) -> Switching | None:
         """Return the problem's `Switching`, changed, or a new one; None for none."""
@@ -173,12 +175,14 @@ class LimitOptions:
     """How the limits of a problem are kept."""
 
     keep_limits: bool = option(
-        "Keep the problem's limits by construction, at its sample time, wherever that can be done.",
+        "Keep the problem's limits by construction, at the problem's sample time, wherever "
+        "this is possible.",
         "--keep-limits",
         default=False,
     )
     limit_cells: str | None = option(
-        "Cells along each axis that are looked at for that [default: chosen].", metavar="K[,K..]"
+        "Cells along each axis of the set in which limits are kept [default: chosen].",
+        metavar="K[,K..]",
     )
 
     def of(self) -> Any:

@@ -26,20 +26,22 @@ class CurveOptions:
     """Options of ``capsyn switching``."""
 
     curve: bool = option(
-        "Try prices and least times: a table and a picture.", "--curve", default=False
+        "Try prices and least times, and write a table and a picture.", "--curve", default=False
     )
     prices: str | None = option(
-        "Prices to try, as 0,0.3%,1%,3% [default: 0 to 10%].", metavar="P[,P..]"
+        "Prices to try, such as 0,0.3%,1%,3% [default: 0 to 10%].", metavar="P[,P..]"
     )
     holds: str | None = option(
-        "Least times of all symbols to try [time unit; default: the policy's own].",
+        "Least times to try, each for all symbols [time unit] [default: the policy's own].",
         metavar="T[,T..]",
     )
-    trials: int = option("Closed loops from random states, each.", default=200)
-    duration: float | None = option("Their time [time unit; default: 20 horizons].")
-    rate: float | None = option("Samples per time unit [default: by the policy's settings].")
+    trials: int = option(
+        "Number of closed loops from random states for each price and least time.", default=200
+    )
+    duration: float | None = option("Time of a closed loop [time unit] [default: 20 horizons].")
+    rate: float | None = option("Samples per time unit [default: by the policy's sample time].")
     output: str | None = option(
-        "A .png, .svg or .pdf file; the table gets its name with .csv.", "--output", "-o",
+        "The picture: a .png, .svg or .pdf file. The table has the same name with .csv.", "--output", "-o",
         metavar="FILE",
     )  # fmt: skip
     seed: Seed = 0

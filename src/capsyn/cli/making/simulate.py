@@ -25,15 +25,23 @@ class SimulateOptions(ControllerTexts):
     """Options of ``capsyn simulate``."""
 
     x0: list[str] | None = option(
-        "Initial state; may be repeated [default: random].", metavar="X[,X..]", before="duration"
+        "Initial state [default: a random state]. May be repeated.",
+        metavar="X[,X..]",
+        before="duration",
     )
     output: str | None = option(
-        ".csv, .json, .png, .pdf or .svg.", "--output", "-o", metavar="FILE", before="target"
+        "The file of the trajectories: .csv, .json, .png, .pdf or .svg.",
+        "--output",
+        "-o",
+        metavar="FILE",
+        before="target",
     )
-    stop_at_target: bool = option("End where the target is reached.", default=False, before="model")
+    stop_at_target: bool = option(
+        "Whether a trajectory ends when it reaches the target.", default=False, before="model"
+    )
     band: float | None = option(
-        "Largest error of a tracked state that has settled [state unit] [default: 2 % of the "
-        "largest at a change].",
+        "Largest error of a tracked state that counts as settled [state unit] [default: 2 % "
+        "of the largest error at a change].",
         before="disturbance",
     )
 

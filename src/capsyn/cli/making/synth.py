@@ -45,24 +45,30 @@ NO_FILE_NAME = set('/\\:*?"<>|')
 class ProblemOptions:
     """What is made of a problem where its own horizon, default or grid is not wanted."""
 
-    output: str | None = option("Default: NAME.cap", "--output", "-o", metavar="FILE")
+    output: str | None = option(
+        "The policy file [default: NAME.cap].", "--output", "-o", metavar="FILE"
+    )
     horizon: float | None = option("Prediction horizon [time unit, or samples].")
     tail: str | None = option(
-        "Cost to go: riccati[:EFFORT], which also sets a horizon, fit (to closed loops), or none."
+        "Terminal cost for the time after the horizon: riccati[:EFFORT], which also sets a "
+        "horizon, fit (fitted to closed loops), or none."
     )
-    default: str | None = option("Control of the prediction.", metavar="U[,U..]")
-    max_level: int | None = option("Most times that a cell is split along an axis.")
-    partitions: str | None = option("Cells of the root grid per axis.", metavar="Q[,Q..]")
-    refinement: str | None = option("Children of a split cell per axis.", metavar="R[,R..]")
-    leaves: str | None = option("constant, or affine for far fewer solves.")
+    default: str | None = option("Default control, which predictions use.", metavar="U[,U..]")
+    max_level: int | None = option("How often a cell may be split along an axis.")
+    partitions: str | None = option("Cells of the root grid along each axis.", metavar="Q[,Q..]")
+    refinement: str | None = option("Children of a split cell along each axis.", metavar="R[,R..]")
+    leaves: str | None = option("Leaves of the policy: constant, or affine for far fewer solves.")
     tuned: str | None = option(
-        "Settings that capsyn tune found, for what is free.", "--settings", metavar="FILE"
+        "File of settings that capsyn tune found, for the problem's free settings.",
+        "--settings",
+        metavar="FILE",
     )
     source: str = option(
-        "Whose symbols: sSAC's; the best for closed loops of time T [default: 10 horizons], of at "
-        "most three states; predictive control with a finite control set, of DEPTH symbols held "
-        "for BLOCK samples each; or a function of states to symbols, or an agent with predict, in "
-        "a file.",
+        "The controller whose symbols the policy takes. ssac: sSAC. optimum: the best "
+        "symbols for closed loops of time T [default: 10 horizons], for at most three "
+        "states. fcs: predictive control with a finite control set, with DEPTH symbols held "
+        "for BLOCK samples each. FILE.py:NAME: a function from states to symbols, or an "
+        "agent with predict.",
         default="ssac",
         metavar="ssac|optimum[:T]|fcs:DEPTH[:BLOCK,..]|FILE.py:NAME",
     )
@@ -81,17 +87,23 @@ class ProblemOptions:
 class SettingsOptions:
     """Fields of `capsyn.SsacSettings`; None leaves the problem's own."""
 
-    rule: str | None = option("schedule or steepest.")
-    gamma: float | None = option("Wanted sensitivity over cost.")
-    alpha_d: float | None = option("Wanted sensitivity, absolute.")
-    control_weight: float | None = option("Weight R of the effort.")
-    on_no_descent: str | None = option("best or default.")
-    steps: int | None = option("Integration steps over the horizon.")
-    tolerance: float | None = option("Of the step-doubling check.")
-    precision: str | None = option("double or single.")
-    sensitivity: str | None = option('Of a model in discrete time: exact or "first order".')
+    rule: str | None = option("Rule that chooses a symbol: schedule or steepest.")
+    gamma: float | None = option("Wanted sensitivity divided by the cost, 0 or less.")
+    alpha_d: float | None = option("Wanted sensitivity as an absolute value, 0 or less.")
+    control_weight: float | None = option("Weight R of the control effort u^T R u.")
+    on_no_descent: str | None = option(
+        "What a state gets if no symbol lowers the cost: best (the best symbol all the same) or "
+        "default."
+    )
+    steps: int | None = option("Integration steps over the horizon [default: chosen].")
+    tolerance: float | None = option("Tolerance of the check that chooses the steps.")
+    precision: str | None = option("Floating-point precision of the solves: double or single.")
+    sensitivity: str | None = option(
+        'How a model in discrete time tells what a symbol is worth: exact or "first order".'
+    )
     sample_time: float | None = option(
-        "Of closed loops [time unit] [default: the problem's, or about a hundredth of the horizon]."
+        "Sample time of closed loops [time unit] [default: the problem's, or about a "
+        "hundredth of the horizon]."
     )
 
     def of(self, settings: SsacSettings) -> SsacSettings | None:
@@ -109,19 +121,30 @@ class SubdivisionOptions:
     """Arguments of `capsyn.synthesize` for the subdivision."""
 
     test_points: str = option(
-        "vertices or center+faces, then +center, +edge_midpoints, +random:R.",
+        "Points of a cell that are solved: vertices or center+faces, then +center, "
+        "+edge_midpoints, +random:R.",
         default="vertices+center",
     )
-    leaf_error: float = option("Of affine leaves, accepted share.", default=0.01)
+    leaf_error: float = option(
+        "Largest estimated share of an affine leaf in which it may be wrong.", default=0.01
+    )
     refine: str = option(
-        "isotropic, or adaptive: split along the axes that matter.", default="isotropic"
+        "How cells are split: isotropic (along all axes) or adaptive (along the axes that matter).",
+        default="isotropic",
     )
     seed: Seed = 0
-    max_solves: int | None = option("Most solves; affine or adaptive cells spend them.")
-    max_seconds: float | None = option("Stop after so long [s]; the result depends on the machine.")
-    max_memory: str | None = option("Stop before so much, as 2GB.", metavar="BYTES")
+    max_solves: int | None = option(
+        "Most solves. Affine leaves and adaptive splits spend all of them."
+    )
+    max_seconds: float | None = option(
+        "Stop after this time [s]. The result then depends on the machine."
+    )
+    max_memory: str | None = option(
+        "Stop before this much memory is taken, as 2GB.", metavar="BYTES"
+    )
     memory_limit: str | None = option(
-        "Refuse what may take more at worst [default: what is available].", metavar="BYTES"
+        "Refuse a run that may take more memory at worst [default: the available memory].",
+        metavar="BYTES",
     )
     backend: Backend = "auto"
     threads: Threads = None
@@ -149,7 +172,8 @@ def synth(
     checkpoint: Annotated[
         str | None,
         typer.Option(
-            metavar="DIR", help="Keep what is solved there; a run that was killed goes on from it."
+            metavar="DIR",
+            help="Folder that keeps all solves. A run that was killed goes on from there.",
         ),
     ] = None,
     as_json: Json = False,

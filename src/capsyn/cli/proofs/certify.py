@@ -41,7 +41,7 @@ REQUIREMENTS = ("arrival", "staying")
 class CertifyOptions:
     """Options of ``capsyn certify``."""
 
-    initial: str | None = option(INITIAL, metavar="SET")
+    initial: str | None = option(f"Where loops start: {INITIAL}", metavar="SET")
     target: str | None = as_in(LoopTexts, "target")
     tolerance: float | None = as_in(LoopTexts, "tolerance")
     avoid: str | None = as_in(ControllerTexts, "avoid")
