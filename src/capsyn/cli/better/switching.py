@@ -41,7 +41,7 @@ class CurveOptions:
     duration: float | None = option("Time of a closed loop [time unit] [default: 20 horizons].")
     rate: float | None = option("Samples per time unit [default: by the policy's sample time].")
     output: str | None = option(
-        "The picture: a .png, .svg or .pdf file. The table has the same name with .csv.", "--output", "-o",
+        "The picture: .png, .svg or .pdf. The table has its name with .csv.", "--output", "-o",
         metavar="FILE",
     )  # fmt: skip
     seed: Seed = 0
