@@ -58,11 +58,11 @@ class SsacSettings:
         factor that shortens it, how often it is shortened, and the share of the cost that the
         action must save.
     sample_time : float, optional
-        Sample time of closed loops that are given no other [time unit]. If a problem says none, it
-        is about a hundredth of the horizon; see `usual_sample_time`.
+        Sample time of closed loops that are given no other [time unit]. Default: about a hundredth
+        of the horizon; see `usual_sample_time`.
     sensitivity : "exact" or "first order", optional
-        For a discrete-time problem only, what stands in place of ``dJ_dlam``: the change of the
-        cost by one sample under a symbol that the default control follows [cost]. "exact", the
+        Only for a discrete-time problem: what replaces ``dJ_dlam``. It is the change of the cost
+        [cost] when a symbol acts for one sample, and the default control follows. "exact", the
         default there, is this change. "first order" is ``rho_1 . (F(x, u_i) - F(x, u_default))``
         with the adjoint after one sample.
 

@@ -207,8 +207,8 @@ class Guarantee:
     loop : LoopFigures, optional
         Figures of the closed loops that judged the tree.
     lost : dict of name to two shares
-        Symbols, and the default control, whose share of the volume in the tree is 0, or at most
-        half of that in the policy. The shares are the policy's, then the tree's.
+        Symbols, or the default control, that the tree loses: their share of the volume is 0, or at
+        most half of their share in the policy. The shares are the policy's, then the tree's.
     """
 
     mode: str

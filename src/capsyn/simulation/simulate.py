@@ -72,11 +72,11 @@ class Trajectory:
     time_unit : str
         Unit of time of the plant, see `Problem`.
     figures : mapping of name to (...)
-        What each trajectory gathered until its end: ``effort``, the integral of ``u^T u``;
-        ``fuel``, that of the sum of ``|u|`` [input units, time unit]; and costs by name.
+        Sums over each trajectory until its end: ``effort``, the integral of ``u^T u``; ``fuel``,
+        the integral of the sum of ``|u|`` [input units, time unit]; and costs by name.
     entered : (...), optional
-        When it first was where it must not be [time unit], NaN where never. None: there is no such
-        set.
+        When each trajectory first was where it must not be [time unit]; NaN if never. None without
+        such sets.
     """
 
     times: np.ndarray
@@ -295,9 +295,9 @@ def simulate(
         22}`` or pairs (time, value); each value holds from its time until the next.
 
     avoid, stay_in : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
-        Sets that states must not be in, or must not leave; it is noted when they first do.
+        Sets that states must not enter, or must not leave. ``entered`` says when they first do.
     costs : mapping of name to callable ``x -> scalar``, or ``(x, w)``, optional
-        Running costs [cost / time unit] to gather beside the problem's own.
+        Further running costs by name [cost / time unit], whose sums ``figures`` reports.
 
     Raises
     ------

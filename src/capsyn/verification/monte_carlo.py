@@ -128,10 +128,11 @@ def monte_carlo(
         `track` cannot be used with an `executor`.
 
     avoid, stay_in : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
-        A trial fails that is in the one, or not in the other, at some sample until its end.
+        Sets that a trial must not enter, or must not leave. A trial fails if it does so at some
+        sample.
     costs : mapping of name to callable ``x -> scalar``, or ``(x, w)``, optional
-        Running costs [cost / time unit] to gather along trials beside the problem's own, for
-        `MonteCarlo.figures`. Each takes as long as the trials once more.
+        Further running costs by name [cost / time unit], whose sums `MonteCarlo.figures` reports.
+        Each of them takes as long as the trials once more.
 
     Raises
     ------

@@ -54,10 +54,10 @@ class MonteCarlo:
     tracking : mapping of name to Tracking
         How closely each state of `track` followed its reference, (T,) figures each.
     figures : mapping of name to (T,)
-        What each trial gathered until its end: ``effort``, the integral of ``u^T u``; ``fuel``,
-        that of the sum of ``|u|`` [input units, time unit]; and costs by name.
+        Sums over each trial until its end: ``effort``, the integral of ``u^T u``; ``fuel``, the
+        integral of the sum of ``|u|`` [input units, time unit]; and costs by name.
     entered : (T,)
-        When it first was where it must not be [time unit]; NaN where never.
+        When each trial first was where it must not be [time unit]; NaN if never.
     """
 
     seed: int
