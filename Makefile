@@ -13,7 +13,7 @@ DEBIAN_PACKAGES := gcc libc6-dev clang python3-venv \
 help:
 	@echo "make demo     synthesise the paper's two-symbol pendulum policy and draw it"
 	@echo "make test     install what the tests need and run them all"
-	@echo "make test-portable  the same where POSIX is hidden, with zig's compiler, then without any"
+	@echo "make test-portable  the same where POSIX is hidden, by zig's compiler; TESTS=\"tests/cli\": some"
 	@echo "make check    formatting, lint, types"
 	@echo "make bench    measure (ONLY="solve told": some of it), and write benchmarks/README.md and results.json"
 	@echo "make docs     draw the figures and build the site in build/docs; a warning is an error"
@@ -48,7 +48,6 @@ test: debian
 test-portable: $(VENV)/developed
 	PYTHONPATH=tests/support/portable CC="$(CURDIR)/$(BIN)/python -m ziglang cc" \
 	  $(BIN)/python -m pytest -n auto --dist worksteal $(TESTS)
-	PYTHONPATH=tests/support/portable CC=none $(BIN)/python -m pytest -n auto --dist worksteal $(TESTS)
 
 check: $(VENV)/developed
 	$(BIN)/ruff format --check .
