@@ -289,3 +289,21 @@ def test_an_interrupt_does_not_wait_for_compiled_code(tmp_path):
     capsyn("synth", "double-tank-a", "--max-level", "2", "-o", "tank.cap", cwd=tmp_path)
     slow = ["simulate", "tank.cap", "--duration", "50000"]
     assert interrupted(*slow, cwd=tmp_path) == "interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["synth", "cart-pendulum", "--sample-time", "0"], "(`sample_time` is --sample-time)"),
+        (["synth", "cart-pendulum", "--max-level", "-1"], "(`max_level` is --max-level)"),
+        (["synth", "cart-pendulum", "--gamma", "3"], "must be <= 0; got 3"),
+        (["verify", "t.cap", "--monte-carlo", "0"], "(`trials` is --monte-carlo)"),
+        (["verify", "t.cap", "--agreement", "0"], "(`states` is --agreement)"),
+        (["compress", "t.cap", "--mode", "linear", "--states", "0"], ">= 1 and <= 10000000; got 0"),
+        (["switching", "t.cap", "--trials", "0"], "must be a whole number"),
+    ],
+)
+def test_errors_say_the_option_of_an_argument_of_another_name(arguments, words, tmp_path):
+    capsyn("synth", "double-tank-a", "--max-level", "1", "-o", "t.cap", cwd=tmp_path)
+    line = error_of(*arguments, cwd=tmp_path)
+    assert words in line and ("(`" in words or "(`" not in line)

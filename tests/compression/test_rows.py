@@ -114,6 +114,7 @@ def test_exact_trees_equal_the_policy_whatever_is_in_force(grid, tmp_path):
 
 @pytest.mark.parametrize("grid", range(len(GRIDS)))
 @pytest.mark.parametrize("options", [{}, {"node_price": 30.0}, {"level": 1}, {"level": 0}])
+@pytest.mark.filterwarnings("ignore:the tree gives some symbols")
 def test_freedom_takes_rows_whose_labels_were_all_seen(grid, options):
     policy = random_memory(grid, seed=1)
     if options.get("level", 0) > policy.cells.max_level:

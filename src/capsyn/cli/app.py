@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from typing import Annotated, Any
@@ -202,7 +203,7 @@ def _main() -> None:
     try:
         status = typer.main.get_command(app).main(standalone_mode=False)
     except CapsynError as error:
-        _fail(str(error))
+        _fail(_in_options(str(error)))
     except typer.Abort:
         status = INTERRUPTED  # what other versions of Typer return
     except click_error as error:
@@ -217,6 +218,34 @@ def _main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
+ALIASES = {
+    "costs": "cost",
+    "forbidden": "forbid",
+    "parameters": "parameter",
+    "price": "switch_price",
+    "spacing": "grid",
+    "states": "agreement",
+    "trials": "monte_carlo",
+}
+"""Options that mean arguments of Python of other names, where a command has no option of theirs."""
+
+
+def _in_options(message: str) -> str:
+    """Return a message with the options of the arguments that it names in Python's words.
+
+    An option that is called like its argument needs no words.
+    """
+    group: Any = typer.main.get_command(app)
+    command = group.commands.get(sys.argv[1] if len(sys.argv) > 1 else "")
+    known = {} if command is None else {p.name: max(p.opts, key=len) for p in command.params}
+    told = []
+    for name in dict.fromkeys(re.findall(r"`(\w+)`", message)):
+        option = known.get(name) or known.get(ALIASES.get(name, ""), "")
+        if option.startswith("--") and option != f"--{name}":
+            told.append(f"`{name}` is {option}")
+    return message + (f" ({', '.join(told)})" if told else "")
+
+
 def _fail(message: str) -> None:
     print(f"error: {' '.join(message.split())}", file=sys.stderr)
     sys.exit(2)
@@ -224,4 +253,5 @@ def _fail(message: str) -> None:
 
 def _show_warning(message: Any, category: type[Warning], *rest: Any, **more: Any) -> None:
     kind = "" if issubclass(category, CapsynWarning) else f"{category.__name__}: "
-    print(f"warning: {' '.join(f'{kind}{message}'.split())}", file=sys.stderr)
+    text = _in_options(f"{kind}{message}")
+    print(f"warning: {' '.join(text.split())}", file=sys.stderr)
