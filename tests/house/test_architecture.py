@@ -17,7 +17,7 @@ ROOT = Path(capsyn.__file__).parent
 TOP = Path(__file__).parents[2]
 
 ORDER = """
-errors validation random_streams statistics version
+errors validation random_streams statistics version notebook
 
 programs: operations program texts builder patterns ends intervals interval_text
     expansion continuity model step_doubling
@@ -37,9 +37,9 @@ controllers: command formulation solver steps one_step ssac action_kernel action
 controllers.unsolved: diagnosis inside
 subdivision: cell_points propositions limits split_axes affine_fit growing_cells plan
     lattice_points cell_blocks ledger constant rounds subdivide
-automata: rectangles regions face_rates row_faces switching automaton
+automata: rectangles regions face_rates row_faces switching table_html automaton
 simulation: plant options exogenous kernel closed_loop policy_loop trial_job experiment figures
-    simulate tracking
+    shown simulate tracking
 improvement: charged_loop judged quadratic_fit refits rollouts rounds improve
 limits: tubes invariant asked shield telling
 synthesis: remote_labels labelling synthesize fitted_tail

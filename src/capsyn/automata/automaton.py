@@ -12,6 +12,7 @@ import numpy as np
 from capsyn.automata.face_rates import POSSIBLE, SLIDING, UNDECIDED
 from capsyn.automata.regions import Partitions, Region, connected_partitions, guards, regions
 from capsyn.automata.switching import SlidingFace, Switching, known_switching
+from capsyn.automata.table_html import automaton_html
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
 from capsyn.policies.in_force import followers, reachable
@@ -332,7 +333,7 @@ class Automaton:
         data = self.to_json()
         graph = networkx.MultiDiGraph(name=self.name)
         for vertex in data["vertices"]:
-            vertex["value"] = ", ".join(f"{number:g}" for number in vertex["value"])
+            vertex["value"] = ", ".join(f"{v:g}" for v in vertex["value"])
             graph.add_node(vertex.pop("symbol"), **vertex)
         for edge in data["edges"]:
             known = {key: value for key, value in edge.items() if value is not None}
@@ -341,11 +342,12 @@ class Automaton:
 
     def __repr__(self) -> str:
         possible = sum(edge.possible is not False for edge in self.edges)
-        boxes = sum(map(len, self.regions))
-        return (
-            f"Automaton('{self.name}', {len(self.vertices)} vertices, {len(self.edges)} edges "
-            f"({possible} possible), {len(self.partitions)} partitions, {boxes} boxes)"
+        edges, boxes = f"{len(self.edges)} edges ({possible} possible)", sum(map(len, self.regions))
+        return f"Automaton('{self.name}', {len(self.vertices)} vertices, {edges}, " + (
+            f"{len(self.partitions)} partitions, {boxes} boxes)"
         )
+
+    _repr_html_ = automaton_html
 
 
 def edges_between(policy: Policy, vertices: Sequence[int]) -> tuple[Edge, ...]:

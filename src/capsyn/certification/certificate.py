@@ -13,6 +13,7 @@ from capsyn.certification.cell_map import NO_START, OPEN, PROVED, REFUTED, cell_
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
 from capsyn.modelling.time_unit import NAMES
+from capsyn.notebook import table
 from capsyn.statistics import TOLD
 
 
@@ -147,6 +148,18 @@ class Certificate:
             f"Certificate({self.arrival:.2%} proved to arrive within {self.within:.4g} {unit}, "
             f"{self.staying:.2%} to stay, {len(self.refuted)} refuted, {self.open:.2%} open)"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what is proved as a table for notebooks."""
+        unit = self.conditions.get("time_unit", "s")
+        rows = [
+            ("proved to arrive", f"{self.arrival:.2%} within {self.within:.4g} {unit}"),
+            ("proved to stay", f"{self.staying:.2%}"),
+            ("refuted starts", f"{len(self.refuted):,}"),
+            ("open", f"{self.open:.2%}"),
+            ("method", self.method),
+        ]
+        return table(repr(self), rows)
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as plain data, with the first `TOLD` refuted starts."""

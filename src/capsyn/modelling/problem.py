@@ -24,6 +24,7 @@ from capsyn.modelling.tails.riccati import FIT, NO_RUNNING_COST, riccati_tail, t
 from capsyn.modelling.tails.tail import Tail
 from capsyn.modelling.targets import check_target
 from capsyn.modelling.time_unit import check_time_unit
+from capsyn.notebook import table
 from capsyn.validation import describe, finite_number, keep, one_of, true_or_false
 
 
@@ -227,6 +228,29 @@ class Problem:
         """Whether the default control is a law and not a constant."""
         return callable(self.default)
 
+    def _repr_html_(self) -> str:
+        """Return the axes, symbols and times as a table for notebooks."""
+        box, alphabet = self.space, self.alphabet
+        kinds = ["state"] * self.domain.n + ["exogenous input"] * (box.n - self.domain.n)
+        rows: list[Any] = [
+            (f"{name} [{unit}]" if unit else name, kind, f"{low:.4g} to {high:.4g}"
+             + (", periodic" if around else ""))
+            for name, unit, kind, low, high, around in zip(
+                box.names, box.units, kinds, box.lower, box.upper, box.periodic
+            )
+        ]  # fmt: skip
+        for i, (name, unit) in enumerate(zip(alphabet.inputs, alphabet.units)):
+            values = alphabet.values[:, i]
+            span = f"{values.min():.4g} to {values.max():.4g}"
+            rows.append((f"{name} [{unit}]" if unit else name, "input", span))
+        names = ", ".join(alphabet.names[:MOST_NAMED])
+        more = ", .." if len(alphabet) > MOST_NAMED else ""
+        rows.append((f"{len(alphabet)} symbols", "alphabet", names + more))
+        if self.horizon is not None:
+            unit = "samples" if self.discrete else self.time_unit
+            rows.append(("horizon", "", f"{self.horizon:g} {unit}"))
+        return table(f"Problem '{self.name}'", rows)
+
     @functools.cached_property
     def default_control(self) -> np.ndarray:
         """The default control (m,) as a constant: for a law, its value in the middle of the space.
@@ -304,6 +328,8 @@ class Problem:
         return changed
 
 
+MOST_NAMED = 12
+"""Most symbols that a notebook names."""
 _OF_TAILS = frozenset(
     "dynamics domain alphabet exogenous running_cost terminal_cost target tail discrete".split()
 )

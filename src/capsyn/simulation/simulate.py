@@ -24,6 +24,7 @@ from capsyn.simulation.experiment import Experiment, described, deviation, sampl
 from capsyn.simulation.figures import Gathered
 from capsyn.simulation.options import LoopOptions
 from capsyn.simulation.plant import plant_of
+from capsyn.simulation.shown import plain_value, trajectory_html
 from capsyn.validation import describe, finite_number, numbers
 
 
@@ -116,6 +117,8 @@ class Trajectory:
             f"{', '.join(sorted(set(np.ravel(self.ended).tolist())))})"
         )
 
+    _repr_html_ = trajectory_html
+
     def to_json(self) -> dict[str, Any]:
         """Return the trajectory as plain data, with null for NaN.
 
@@ -123,7 +126,9 @@ class Trajectory:
         """
         left_out = {"time_unit", *(() if self.exogenous_names else _EXOGENOUS)}
         left_out |= {"entered"} if self.entered is None else set()
-        plain = {name: _plain(value) for name, value in vars(self).items() if name not in left_out}
+        plain = {
+            name: plain_value(value) for name, value in vars(self).items() if name not in left_out
+        }
         return plain | self._unit
 
     def summary(self) -> list[dict[str, Any]]:
@@ -143,7 +148,7 @@ class Trajectory:
             **{name: np.ravel(values) for name, values in self.figures.items()},
             **({} if self.entered is None else {"entered": np.ravel(self.entered)}),
         }
-        plain = {name: _plain(values) for name, values in columns.items()}
+        plain = {name: plain_value(values) for name, values in columns.items()}
         return [{name: values[k] for name, values in plain.items()} | self._unit for k in ends]
 
     @property
@@ -199,18 +204,6 @@ def check_trajectory_format(path: str | os.PathLike[str]) -> str:
     if kind not in (".csv", ".json"):
         raise ProblemError(f"a trajectory must end in .csv or .json; got '{path}'")
     return kind
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(one) for name, one in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            finite = np.isfinite(value)
-            value = np.array(value, dtype=object)
-            value[~finite] = None
-        return value.tolist()
-    return value
 
 
 def simulate(

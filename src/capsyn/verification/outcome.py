@@ -10,6 +10,7 @@ import numpy as np
 
 from capsyn.controllers.command import ENDINGS
 from capsyn.modelling.time_unit import NAMES
+from capsyn.notebook import table
 from capsyn.simulation.tracking import Tracking
 from capsyn.statistics import TOLD, mean_interval
 
@@ -126,6 +127,26 @@ class MonteCarlo:
             f"MonteCarlo({int(self.success.sum())} of {len(self.success)} trials succeed, "
             f"{self.low:.3%} to {self.high:.3%} with {self.confidence:.0%} confidence)"
         )
+
+    def _repr_html_(self) -> str:
+        """Return the main figures as a table for notebooks."""
+        unit = self.conditions.get("time_unit", "s")
+        moved = self.times > 0
+        figures = {
+            f"time to the target [{unit}]": _spread(self.arrived[self.success]),
+            f"switches per {NAMES[unit]}": _spread(self.switches[moved] / self.times[moved]),
+        }
+        ends = {name: int((self.ended == k).sum()) for k, name in enumerate(ENDINGS)}
+        rows = [
+            ("success", f"{self.success_rate:.2%}", f"{self.low:.2%} to {self.high:.2%}"),
+            *((f"ended: {name}", f"{count:,}", "") for name, count in ends.items() if count),
+            *(
+                (name, f"{told['median']:.4g}", f"{told['min']:.4g} to {told['max']:.4g}")
+                for name, told in figures.items()
+                if told
+            ),
+        ]
+        return table(repr(self), rows, ["", "rate, count or median", "interval or range"])
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as plain data, with the first `TOLD` trials that failed.
