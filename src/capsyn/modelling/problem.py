@@ -96,11 +96,11 @@ class Problem:
         construction if `synthesize` is told ``keep_limits``. The policy's model carries them.
     discrete : bool
         Whether the dynamics are a map ``x+ = F(x, u)``, the states one sample later [state unit].
-        Then `horizon` is a whole number of samples, and running costs are summed over samples.
-        Effort and prices, too, are per sample instead of per time unit.
+        The `horizon` of such a problem is a whole number of samples. Running costs, effort and
+        prices are per sample, and are summed over samples.
     sample_time : float, optional
         Sample time of closed loops [time unit], in place of that of `settings`. A `discrete`
-        problem must give that of its map, and its loops have no other.
+        problem must give the sample time of its map, and its loops use only this one.
 
     Raises
     ------
