@@ -207,6 +207,7 @@ def test_affine_leaves_with_prices_have_no_exact_tree():
         assert np.array_equal(rows[:, column], policy(states, current=current) % (N + 1))
 
 
+@pytest.mark.filterwarnings("ignore:the tree gives some symbols")
 def test_a_controller_without_memory_gives_what_may_follow(quick):
     names = ["off", "heat", "cool"]
     rows = np.concatenate([np.arange(4)[:, None].repeat(4, 1), [[0, 1, 2, 0]]])
