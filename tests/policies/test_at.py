@@ -222,6 +222,7 @@ CASES = [*MADE, "exact", "freedom", "linear", "features"]
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.filterwarnings("ignore:the tree gives some symbols")
 def test_policies_of_problems(case, tmp_path):
     policy = policy_of(case)
     at = checked(policy, 12)
@@ -245,6 +246,7 @@ def test_cuts_are_compressed(case):
     assert np.array_equal(tree(x), at(x))
 
 
+@pytest.mark.filterwarnings("ignore:the tree gives some symbols")
 def test_a_cut_is_compressed_against_its_controller():
     tree = compress(made("affine").at([22.3, 31.0]), mode="linear", agreement=0.9)
     assert tree.guarantee.controller == "ssac" and tree.guarantee.reached
