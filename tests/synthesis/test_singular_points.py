@@ -8,9 +8,12 @@ import pytest
 
 import capsyn
 from capsyn.cells.masks import masks_of_members
+from capsyn.controllers.ssac import policy_controller
 from capsyn.controllers.unsolved.inside import FARTHEST, InsideAnswers
 from capsyn.errors import SynthesisError
+from capsyn.improvement.refits import plan_like, remade
 from capsyn.modelling.domain import Box
+from capsyn.verification.switching_curve import repriced
 
 ROOTS = {
     "plain": ca.sqrt,
@@ -178,3 +181,19 @@ def test_a_loop_of_another_model_keeps_to_its_range():
         policy, [0.2], duration=2.0, rate=20, model=lambda x, u: [-0.5 * ca.sqrt(x[0])]
     )
     assert np.isfinite(leaky.states).all() and abs(leaky.states[-1, 0]) < 0.01
+
+
+def test_policies_that_are_made_again_are_solved_inside_too():
+    policy = capsyn.synthesize(tank())
+    again = repriced(policy, policy_controller(policy), capsyn.Switching(price=0.01))
+    tail = remade(
+        policy,
+        plan_like(policy, policy.cells, None, None, 4),
+        policy.model.terminal_cost,
+        0.5,
+        "auto",
+        1,
+    )
+    for made in (again, tail):
+        assert made.statistics["limit_points"] == 1
+        assert made.statistics["not_finite_points"] == 0

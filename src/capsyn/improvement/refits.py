@@ -13,6 +13,7 @@ from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.ssac import batch_controller
+from capsyn.controllers.unsolved.diagnosis import Diagnosis
 from capsyn.errors import ProblemError, SynthesisError, warn
 from capsyn.improvement.charged_loop import ChargedLoop
 from capsyn.improvement.quadratic_fit import Starts, costs_to_go, fitted
@@ -295,6 +296,7 @@ def remade(
         threads,
         in_force=controller.in_force,
         prices=None if prices is None else PriceRatios.of(prices),
+        diagnosis=Diagnosis(controller.formulation),
     )
     made = carry_out(plan, labelling, policy.space, policy.alphabet)
     return dataclasses.replace(

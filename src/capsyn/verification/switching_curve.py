@@ -13,6 +13,7 @@ import numpy as np
 from capsyn.cells.affine_leaves import PriceRatios
 from capsyn.cells.cell_tree import CellTree
 from capsyn.controllers.ssac import BatchController, policy_controller
+from capsyn.controllers.unsolved.diagnosis import Diagnosis
 from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.execution.processors import processors
 from capsyn.modelling.discrete import horizon_time
@@ -274,8 +275,16 @@ def repriced(
     )
     label, returns = (controller.scored, "masks+scores") if affine else (controller.masks, "masks")
     ratios = PriceRatios.of(prices)
-    how = (returns, controller.preference, processors(threads), None, controller.in_force, ratios)
-    made = carry_out(plan, Labelling(label, *how), policy.space, policy.alphabet)
+    labelling = Labelling(
+        label,
+        returns,
+        controller.preference,
+        processors(threads),
+        in_force=controller.in_force,
+        prices=ratios,
+        diagnosis=Diagnosis(formulation),
+    )
+    made = carry_out(plan, labelling, policy.space, policy.alphabet)
     return dataclasses.replace(
         policy,
         cells=made.cells,
