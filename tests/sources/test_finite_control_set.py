@@ -169,11 +169,12 @@ def test_a_policy_of_another_switching_is_refused():
         control(priced.domain.sample(5), 7)
 
 
-def test_the_sample_time_of_the_problem_is_kept():
+def test_the_sample_time_is_that_of_the_predictions():
     fast = pendulum(settings=SsacSettings(sample_time=1e-4), max_level=0)
-    policy = problem_policy(finite_control_set(fast, 1, sample_time=0.1), fast)
-    assert policy.settings == fast.settings and policy.horizon is None
-    assert len(simulate(policy, [0.2, 0.0], 0.01).times) == 101
+    for said, samples in ((None, 100), (0.005, 2)):  # None: the problem's own
+        policy = problem_policy(finite_control_set(fast, 1, sample_time=said), fast)
+        assert policy.settings.sample_time == (said or 1e-4) and policy.horizon is None
+        assert len(simulate(policy, [0.2, 0.0], 0.01).times) == samples + 1
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -223,7 +224,8 @@ def test_a_policy_of_it_carries_the_problem():
     policy = problem_policy(control, problem)
     states = problem.domain.sample(5000, 1)
     assert (policy(states) == control(states)).mean() > 0.9
-    assert policy.model is not None and policy.settings is None and policy.min_dwell == 0.01
+    assert policy.model is not None and policy.min_dwell == 0.01
+    assert policy.settings.sample_time == 0.1 and policy.horizon is None
     assert policy.domain == problem.domain and policy.name == "cart-pendulum"
     assert simulate(policy, [0.2, 0.0], 1.0, 100.0).ended == "time"
     coarse = problem_policy(control, problem, max_level=0, name="coarse")
