@@ -86,7 +86,8 @@ class Problem:
     leaves : "constant" or "affine"
         "constant" gives each cell one symbol. "affine" gives cells on a switching surface rows that
         are affine in the state. Affine leaves take far fewer solves and cells from three dimensions
-        on, see `subdivide`. `partitions` and `max_level` belong to the leaves chosen here.
+        on, see `subdivide`. If you change `leaves`, choose `partitions` and `max_level`
+        again.
     tail : "riccati", "riccati:EFFORT", "fit" or callable ``x -> scalar``, or ``(x, w)``, optional
         A terminal cost that stands for the cost after the horizon, in place of `terminal_cost`. A
         tail is a function, or is made by `riccati_tail`. For "fit", `synthesize` finds it with
