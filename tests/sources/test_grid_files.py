@@ -266,6 +266,8 @@ def test_arguments_for_other_formats_are_refused(tmp_path):
     ):
         with pytest.raises(ProblemError, match=words):
             read_table(path, **more)
+    with pytest.raises(TypeError, match="domian"):
+        read_table(path, domian={"x": (0, 1)})
     for name in ("t.csv", "t.scs", "t.npz"):
         with pytest.raises(ProblemError, match="`alphabet` must be a capsyn.Alphabet; got 3"):
             read_table(name, 3)

@@ -214,6 +214,17 @@ def test_files_may_be_written_in_other_ways(change, file):
     same_as(read_scots(file(changed)), table)
 
 
+@pytest.mark.parametrize("ending", ["\n", "\r\n"])
+@pytest.mark.parametrize("comment", ["#", "##", "# ", "#SCOTS:i"])
+def test_a_comment_among_the_rows_takes_no_row_with_it(comment, ending, file):
+    _, text = good()
+    rows = f"1 2\n{comment}\n4 0\n#\n#\n5 1\n#END\n#"
+    found = read_scots(file((head_of(text) + rows).replace("\n", ending)))
+    assert np.flatnonzero(found.masks.ravel(order="F")).tolist() == [1, 4, 5]
+    with pytest.raises(ProblemError, match="line 4[34]: expected #END, .*; the file ends"):
+        read_scots(file((head_of(text) + "1 2\n#").replace("\n", ending)))
+
+
 @pytest.mark.parametrize("digits", [4, 6])
 @pytest.mark.parametrize("turns", [1, 3])
 def test_steps_may_be_rounded(digits, turns, file):

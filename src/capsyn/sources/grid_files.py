@@ -7,7 +7,7 @@ import math
 import os
 import re
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -122,7 +122,8 @@ def read_table(
     missing: str = "auto",
     inputs: Sequence[str] | None = None,
     format: str | None = None,
-    **more: Any,
+    states: str | os.PathLike[str] | None = None,
+    domain: Mapping[str, tuple[float, float]] | None = None,
 ) -> Table | Strategy:
     """Return the table, or the strategy, in a file of any known format.
 
@@ -136,8 +137,10 @@ def read_table(
         Arguments of `read_csv`, for a CSV file.
     format : str, optional
         One of `FORMATS`. Default: the format that the file's content looks like.
-    more
-        ``states`` of `read_prism`, or ``domain`` of `read_stratego`.
+    states
+        Argument of `read_prism`.
+    domain
+        Argument of `read_stratego`.
 
     Raises
     ------
@@ -149,7 +152,7 @@ def read_table(
     if format is not None:
         one_of("format", format, FORMATS)
     kind = _format(path) if format is None else format
-    options = {"missing": missing, "inputs": inputs, "states": None, "domain": None} | more
+    options = {"missing": missing, "inputs": inputs, "states": states, "domain": domain}
     unset = {"missing": "auto", "inputs": None, "states": None, "domain": None}
     readers: dict[str, tuple[Callable[..., Table | Strategy], tuple[str, ...]]] = {
         "csv": (read_csv, ("missing", "inputs")),

@@ -35,7 +35,7 @@ MOST_INPUTS = 1 << 53
 _GRIDS = ("#SCOTS:V0", "#SCOTS:STATE_SPACE", "#SCOTS:INPUT_SPACE")
 WORDS = (*_GRIDS, "#TYPE:", "#MEMBER:", "#VECTOR:", "#MATRIX:", "#BEGIN:", "#END")
 """What lines of the format begin with, without blanks and in capitals; others are comments."""
-COMMENT = re.compile(rb"#(?:[#\s]|SCOTS:)[^\n]*")
+COMMENT = re.compile(rb"#(?:[# \t\r]|(?=\n)|\Z|SCOTS:)[^\n]*")
 """A comment among the rows."""
 ROUNDED = 0.1
 """How far corners may be from whole steps, in steps: writers round to 6 digits."""

@@ -156,6 +156,31 @@ def test_the_domain_may_be_given(file):
         read_stratego(file(plain), domain={"p": (0, 1)})
 
 
+@pytest.mark.parametrize(
+    "domain, words",
+    [
+        ({"t": 5}, "must have a pair of bounds for 't'; got 5"),
+        ({"t": (0, 1, 2)}, "must have a pair of bounds for 't'; got "),
+        ({"t": None}, "must have a pair of bounds for 't'; got None"),
+        ({"t": (1, 1)}, "must have a lower bound below the upper for 't'; got 1.0 and 1.0"),
+        ({"t": ("a", 1)}, "`domain['t']` must be "),
+        ([("t", (0, 1))], "must map names of variables to pairs of bounds; got "),
+        (3, "must map names of variables to pairs of bounds; got 3"),
+    ],
+)
+def test_a_domain_that_is_none_is_told(domain, words, tmp_path):
+    with pytest.raises(ProblemError) as error:
+        read_stratego(tmp_path / "none.json", domain=domain)
+    assert words in str(error.value) and "`domain" in str(error.value)
+
+
+def test_a_table_has_no_continuous_variables_to_bound(file):
+    plain = stratego(((0,), (1,)), depth=0)
+    plain["pointvars"] = []
+    with pytest.raises(ProblemError, match="continuous variables among none; got 'd0'"):
+        read_stratego(file(plain), domain={"d0": (0, 1)})
+
+
 def changed(plain, **changes):
     return plain | changes
 

@@ -231,6 +231,7 @@ def read_stratego(
     """
     path = path_text(path)
     check_alphabet(alphabet)
+    ranges = _ranges(domain)
     data = read_json(path)
     refuse = Refuse(f"'{path}'")
     if not isinstance(data, dict):
@@ -262,9 +263,9 @@ def read_stratego(
         key: {symbols[a]: trees[a] for a in sorted(trees, key=symbols.__getitem__)}
         for key, trees in found.items()
     }
+    bounds = _bounds(keyed, names[len(variables[0]) :], ranges)
     if not variables[1]:
         return _table(path, names, keyed, alphabet)
-    bounds = _bounds(keyed, names[len(variables[0]) :], domain)
     source = hashlib.sha256(read_bytes(path)).hexdigest()
     strategy = Strategy(path, source, alphabet, names, keyed, bounds)
     with naming(path):
@@ -343,31 +344,51 @@ def _table(
     return Points(path, names, None, states, lines, bits, "regressor").whole_table(alphabet)
 
 
+def _ranges(domain: Any) -> dict[str, tuple[float, float]]:
+    """Return the bounds of variables that a user gives."""
+    if domain is None:
+        return {}
+    if not isinstance(domain, Mapping):
+        raise ProblemError(
+            "`domain` (--domain) must map names of variables to pairs of bounds; got "
+            f"{describe(domain)}"
+        )
+    ranges = {}
+    for name, ends in domain.items():
+        try:
+            low, high = ends
+        except (TypeError, ValueError):
+            raise ProblemError(
+                f"`domain` (--domain) must have a pair of bounds for {describe(name)}; got "
+                f"{describe(ends)}"
+            ) from None
+        low, high = (finite_number(f"domain[{name!r}]", end) for end in (low, high))
+        if not low < high:
+            raise ProblemError(
+                f"`domain` (--domain) must have a lower bound below the upper for "
+                f"{describe(name)}; got {low!r} and {high!r}"
+            )
+        ranges[name] = low, high
+    return ranges
+
+
 def _bounds(
     keyed: dict[tuple[int, ...], dict[int, Regressor]],
     names: list[str],
-    domain: Mapping[str, tuple[float, float]] | None,
+    ranges: dict[str, tuple[float, float]],
 ) -> list[tuple[float, float]]:
     """Return the bounds of continuous variables."""
-    domain = {} if domain is None else dict(domain)
-    for name in domain:
+    for name in ranges:
         if name not in names:
             raise ProblemError(
                 f"`domain` (--domain) must name continuous variables among "
-                f"{one_line(', '.join(names))}; got "
-                f"{describe(name)}"
+                f"{one_line(', '.join(names)) or 'none'}; got {describe(name)}"
             )
     every = [tree for trees in keyed.values() for tree in trees.values()]
     bounds = []
     for k, name in enumerate(names):
-        if name in domain:
-            low, high = (finite_number(f"domain[{name!r}]", end) for end in domain[name])
-            if not low < high:
-                raise ProblemError(
-                    f"`domain` (--domain) must have a lower bound below the upper for '{name}'; "
-                    f"got {low!r} and {high!r}"
-                )
-            bounds.append((low, high))
+        if name in ranges:
+            bounds.append(ranges[name])
             continue
         cuts = np.concatenate([tree.bound[tree.axis == k] for tree in every])
         low, high = (cuts.min(), cuts.max()) if len(cuts) else (0.0, 0.0)
