@@ -273,7 +273,7 @@ def test_networkx_is_asked_for_where_it_is_missing(monkeypatch):
 def test_dot_text():
     text = one_way().to_dot({0: "#112233", 1: "#445566", 2: "#778899"})
     assert text == one_way().to_dot({0: "#112233", 1: "#445566", 2: "#778899"})
-    assert '    0 [label="1", style=filled, fillcolor="#112233", fontcolor="white"];' in text
+    assert '    0 [label="1", style=filled, fillcolor="#112233", fontcolor="#ffffff"];' in text
     assert '    0 -> 1 [label="A2"];' in text
     assert '    1 -> 0 [label="A1", style=dashed, color="#999999", fontcolor="#999999"];' in text
     assert text.count("->") == 9 and text.count("dashed") == 4

@@ -257,3 +257,13 @@ def test_a_model_that_takes_more_parameters_is_told_so():
     text = str(caught.value)
     assert "an index is out of range; it may take more parameters (`parameters`, --para" in text
     assert "\n" not in text
+
+
+def test_roots_keep_to_their_range_once_in_loops_and_not_in_proofs():
+    problem = relay_problem(dynamics=lambda x, u: [u[0] - ca.sqrt(x[0])], domain=Box([0], [1]))
+    plant = plant_of(online_controller(problem, backend="numpy"))
+    again = dataclasses.replace(dataclasses.replace(plant, time_unit="h"), time_unit="s")
+    assert again.in_loops == plant.in_loops and plant.in_loops[0] != plant.dynamics
+    one_state, none = np.array([[-1e-7]]), np.zeros((0, 1))
+    assert plant.rates(one_state, np.zeros((1, 1)), none) == 0.0
+    assert np.isnan(plant.dynamics.evaluate(one_state, np.zeros((1, 1)))[0]).all()

@@ -288,3 +288,26 @@ def test_states_of_another_shape_are_refused(backend, shape):
     )
     with pytest.raises(ProblemError, match=r"`states` must be of shape \(B, 2\)"):
         control(np.zeros(shape))
+
+
+@pytest.mark.parametrize("values", [[-1.0, 1.0, 4.0], [1.0, -1.0, 4.0]])
+def test_a_symbol_under_which_the_model_is_not_finite_is_none_the_others_are(values):
+    problem = Problem(
+        name="root", dynamics=lambda x, u: [ca.sqrt(x[0] * u[0]) - x[0]], domain=Box([0.05], [2]),
+        alphabet=Alphabet(values), default=1.0, horizon=1.0, running_cost=lambda x: (x[0] - 1) ** 2,
+    )  # fmt: skip
+    costs = finite_control_set(problem, 1, sample_time=0.1, backend="numpy").costs([[0.5], [1.5]])
+    undefined = values.index(-1.0)
+    assert np.isinf(costs[:, undefined]).all()
+    assert np.isfinite(np.delete(costs, undefined, axis=1)).all()
+
+
+def test_a_prediction_that_is_lost_is_not_cheap_by_a_table():
+    table = ca.interpolant("table", "linear", [[0.0, 1.0, 2.0]], [2.0, 1.0, 0.0])
+    problem = Problem(
+        name="log", dynamics=lambda x, u: [ca.log(x[0]) + u[0]], domain=Box([0.05], [2]),
+        alphabet=Alphabet([-1.0, 1.0]), default=0.0, horizon=1.0,
+        running_cost=lambda x: table(x[0]),
+    )  # fmt: skip
+    costs = finite_control_set(problem, 1, sample_time=0.5, backend="numpy").costs([[0.1], [1.0]])
+    assert np.isinf(costs[0]).all() and np.isfinite(costs[1]).all()

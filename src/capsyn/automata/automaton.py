@@ -15,6 +15,7 @@ from capsyn.automata.switching import SlidingFace, Switching, known_switching
 from capsyn.automata.table_html import automaton_html
 from capsyn.errors import ProblemError
 from capsyn.modelling.domain import Box
+from capsyn.policies.colors import ink_on
 from capsyn.policies.in_force import followers, reachable
 from capsyn.policies.policy import Policy
 from capsyn.validation import describe
@@ -387,9 +388,7 @@ def _edge(source: int, target: int, region: int, analysis: Switching | None) -> 
 
 def _filled(color: str) -> str:
     """Return the attributes of a vertex of a colour ``#rrggbb``, with a text that can be read."""
-    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
-    dark = 0.299 * red + 0.587 * green + 0.114 * blue < 128
-    return f', style=filled, fillcolor="{color}", fontcolor="{"white" if dark else "black"}"'
+    return f', style=filled, fillcolor="{color}", fontcolor="{ink_on(color)}"'
 
 
 def _known(status: int) -> bool | None:

@@ -11,6 +11,7 @@ from capsyn.explorer.memory_data import memory_data, needs_memory, one_hold
 from capsyn.modelling.discrete import horizon_time
 from capsyn.policies.file import content_of
 from capsyn.policies.policy import Policy
+from capsyn.programs.builder import loop_programs
 from capsyn.programs.continuity import rate_kinks
 from capsyn.programs.step_doubling import FALLING, KINKED, STALLS, UNRESOLVED
 from capsyn.simulation.closed_loop import SLACK
@@ -94,13 +95,14 @@ def _sampled(policy: Policy) -> dict[str, Any] | None:
     """Return what the page chooses the steps of closed loops by, as `choose_substeps` does."""
     if (model := policy.model) is None or policy.discrete:
         return None
+    programs = loop_programs(model.dynamics, model.running_cost, discrete=False)
     return {
         "states": policy.space.sample(SAMPLES, 0),
         "accuracy": ACCURACY,
         "cost_accuracy": COST_ACCURACY,
         "percentile": PERCENTILE,
         "pieces": PIECES,
-        "sides": len(rate_kinks(model.dynamics, model.running_cost).results),
+        "sides": len(rate_kinks(*programs).results),
         "kinked": KINKED,
         "ladder": list(LADDER),
         "falling": FALLING,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from capsyn.cells.feature_tree import FeatureTree
 from capsyn.modelling.targets import target_program
 from capsyn.policies.policy import Policy
-from capsyn.programs.builder import extended
+from capsyn.programs.builder import loop_programs
 from capsyn.programs.continuity import rate_kinks
 from capsyn.programs.program import Program
 from capsyn.programs.texts import JAVASCRIPT, javascript_lines
@@ -45,9 +45,7 @@ def model_javascript(policy: Policy) -> str:
     model = policy.model
     if model is None:
         return "export const model = null;\n"
-    dynamics, cost = model.dynamics, model.running_cost
-    if not policy.discrete:
-        dynamics, cost = extended(dynamics), extended(cost)
+    dynamics, cost = loop_programs(model.dynamics, model.running_cost, policy.discrete)
     programs = {
         "dynamics": dynamics,
         "runningCost": cost,

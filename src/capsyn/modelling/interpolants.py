@@ -86,11 +86,8 @@ def _called(name: str, function: ca.Function, given: ca.SX) -> ca.SX:
     if function.__hash__() in _tables:
         return ca.vec(function(given))
     if function.class_name() in _KINDS:
-        value = ca.vec(table_function(name, function)(given))
-        if all(part.is_symbolic() for part in ca.vertsplit(given)):
-            return value
         # what is not a number stays none, though fmin and fmax take the other operand
-        return value + 1e-300 * ca.sum1(given)
+        return ca.vec(table_function(name, function)(given)) + 1e-300 * ca.sum1(given)
     given_to = [ca.SX.sym("i", function.sparsity_in(i)) for i in range(function.n_in())]
     plain = function if function.class_name() == "SXFunction" else None
     with contextlib.suppress(RuntimeError):  # what has no symbolic form
@@ -126,7 +123,7 @@ class _Refused(Exception):
     """Why an interpolant has no plain function."""
 
 
-@functools.lru_cache(maxsize=32)
+@functools.cache  # for good: an address in `_tables` is not used again
 def _table_function(text: str) -> ca.Function:
     interpolant = ca.Function.deserialize(text)
     if interpolant.n_in() != 1 or interpolant.size2_in(0) != 1:

@@ -228,8 +228,8 @@ class CompiledSweeps:
         """Return the kernel of a task on a grid; `KernelBuildError` if it fails."""
         plant = task.plant
         programs = {
-            "dynamics": plant.dynamics,
-            "running_cost": plant.running_cost,
+            "dynamics": plant.in_loops[0],
+            "running_cost": plant.in_loops[1],
             "inside": task.inside,
         }
         source = "\n".join(

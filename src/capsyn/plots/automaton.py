@@ -11,7 +11,7 @@ import numpy as np
 from capsyn.execution.files import write_text
 from capsyn.plots.figure import FORMATS, check_format, literal, reproducible, save_figure
 from capsyn.plots.transition_matrix import draw_matrix, matrix_size
-from capsyn.policies.colors import symbol_colors
+from capsyn.policies.colors import ink_on, symbol_colors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,7 +96,7 @@ def plot_automaton(automaton: Automaton, ax: Axes | None = None) -> Axes:
             x,
             y,
             literal(text),
-            color=_text_color(color),
+            color=ink_on(color),
             fontsize=min(13.0, fit),
             ha="center",
             va="center",
@@ -281,11 +281,6 @@ def _arrow_color(automaton: Automaton, edge: Edge) -> str:
     color = vertex_colors(automaton)[edge.target]
     parts = (int(color[k : k + 2], 16) * 2 // 3 for k in (1, 3, 5))
     return "#" + "".join(f"{part:02x}" for part in parts)
-
-
-def _text_color(color: str) -> str:
-    red, green, blue = (int(color[k : k + 2], 16) for k in (1, 3, 5))
-    return "white" if 0.299 * red + 0.587 * green + 0.114 * blue < 140 else "black"
 
 
 def _draw_legend(ax: Axes, automaton: Automaton, arrows: list[Edge], short: bool) -> None:

@@ -289,6 +289,18 @@ def extended(program: Program) -> Program:
     return builder.build(program.name, program.inputs, program.outputs, results)
 
 
+def loop_programs(
+    dynamics: Program, running_cost: Program, discrete: bool
+) -> tuple[Program, Program]:
+    """Return dynamics and running cost as closed loops take them: rates `extended`, a map itself.
+
+    A map has no states between samples that could overstep where it is defined.
+    """
+    if discrete:
+        return dynamics, running_cost
+    return extended(dynamics), extended(running_cost)
+
+
 def _at_least(builder: ProgramBuilder, value: int, least: float) -> int:
     """Return a value where it is not below `least`, which it is there; NaN, unlike by fmax, is."""
     bound = builder.constant(least)

@@ -19,12 +19,12 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.targets import Target
 from capsyn.modelling.transcription import transcribe, transcribe_target, user_program
 from capsyn.policies.policy import Policy
-from capsyn.programs.builder import extended
+from capsyn.programs.builder import loop_programs
 from capsyn.programs.continuity import rate_kinks
 from capsyn.programs.model import Model
 from capsyn.programs.program import Ports, Program
 from capsyn.programs.step_doubling import KINKED, fewest_steps
-from capsyn.validation import describe, keep
+from capsyn.validation import describe
 
 SAMPLES = 256
 """Random states at which `choose_substeps` tries steps."""
@@ -62,9 +62,10 @@ class Plant:
     exogenous: Box | None = None  # names and units of what it is told, after the states in x
     sample_time: float | None = None  # of a map [time unit]; None: its dynamics are rates
 
-    def __post_init__(self) -> None:
-        if self.sample_time is None:  # a map has no states between samples to keep in range
-            keep(self, dynamics=extended(self.dynamics), running_cost=extended(self.running_cost))
+    @functools.cached_property
+    def in_loops(self) -> tuple[Program, Program]:
+        """Dynamics and running cost as closed loops take them; see `loop_programs`."""
+        return loop_programs(self.dynamics, self.running_cost, self.sample_time is not None)
 
     @functools.cached_property
     def space(self) -> Box:
@@ -74,7 +75,7 @@ class Plant:
     @functools.cached_property
     def kinks(self) -> Program:
         """Conditions (x, u) or (x, u, p) that are constant where rates and cost are smooth."""
-        return rate_kinks(self.dynamics, self.running_cost)
+        return rate_kinks(*self.in_loops)
 
     @property
     def told(self) -> int:
@@ -99,7 +100,7 @@ class Plant:
     def rates(self, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Return the rates (n, B) of states (n, B) under controls (m, B), parameters (P, B)."""
         inputs = (x, u, p) if self.parameters else (x, u)
-        return self.dynamics.evaluate(*inputs)[0]
+        return self.in_loops[0].evaluate(*inputs)[0]
 
     def advance(
         self,
@@ -121,7 +122,7 @@ class Plant:
             return self._iterated(x, cost, u, p, push, duration > 0, substeps)
 
         def slope(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return self.rates(y, u, p) + push, self.running_cost.evaluate(y)[0][0]
+            return self.rates(y, u, p) + push, self.in_loops[1].evaluate(y)[0][0]
 
         with np.errstate(all="ignore"):
             h = duration / substeps

@@ -42,7 +42,7 @@ def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> Simulatio
     """Return the kernel that runs trials of this kind; `KernelBuildError` if it fails."""
     queue = trials.dtype["queue"].shape[0]
     discrete = plant.sample_time is not None
-    return SimulationKernel.build(plant.dynamics, plant.running_cost, loop.inside, queue, discrete)
+    return SimulationKernel.build(*plant.in_loops, loop.inside, queue, discrete)
 
 
 def policy_decide(policy: Policy, outside: Outside) -> Decide:

@@ -97,9 +97,9 @@ class FiniteControlSet:
     def costs(self, states: np.ndarray) -> np.ndarray:
         """Return the least costs (B, N) of the sequences from states (B, n), by first symbol.
 
-        A cost is infinite if no sequence has a finite cost, and where the model itself is not
-        finite at the state. The costs leave out the price of the
-        first symbol, which depends on the symbol in force. The costs also leave out the delay.
+        A cost is infinite if no sequence has a finite cost, or if the model is not finite at the
+        state under the first symbol. The costs leave out the price of the first symbol, which
+        depends on the symbol in force. The costs also leave out the delay.
 
         Raises
         ------
@@ -113,10 +113,11 @@ class FiniteControlSet:
             run = map if len(parts) < 2 else pool.map
             costs = np.concatenate(list(run(self.solver, parts)))
         dynamics, cost = self.start
-        x, u = states.T, self.problem.alphabet.values[0]
         with np.errstate(all="ignore"):
-            found = np.concatenate([dynamics.evaluate(x, u)[0], cost.evaluate(x)[0]])
-        costs[~np.isfinite(found).all(axis=0)] = np.inf
+            costs[~np.isfinite(cost.evaluate(states.T)[0][0])] = np.inf
+            for k, u in enumerate(self.problem.alphabet.values):
+                rates = dynamics.evaluate(states.T, u)[0]
+                costs[~np.isfinite(rates).all(axis=0), k] = np.inf
         return costs
 
     def masks(self, states: np.ndarray) -> np.ndarray:
