@@ -252,6 +252,28 @@ def refused_unread(archive, key, head, words, how=zipfile.ZIP_DEFLATED):
     assert peak < 4e6 < 1 << 26
 
 
+ENCODINGS = ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("shift", range(4))
+def test_a_format_is_told_by_the_beginning_of_a_file(encoding, shift, tmp_path, monkeypatch):
+    """Wherever the beginning ends, also within a character; what follows is not read."""
+    path = tmp_path / "t.txt"
+    text = "#SCOTS:v0.2\n" + "x" * shift + "\U0001f600\n\u0a0a" * 100_000 + "\nState: ("
+    path.write_bytes(text.encode(encoding))
+    tracemalloc.start()
+    with pytest.raises(ProblemError, match="is for files of format csv only; '.*' is scots"):
+        read_table(path, missing="outside")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    size = path.stat().st_size
+    monkeypatch.setattr("capsyn.sources.text.MOST_BYTES", size - 1)
+    with pytest.raises(ProblemError, match="must have at most"):
+        read_table(path, missing="outside")
+    assert peak < size
+
+
 def test_arguments_for_other_formats_are_refused(tmp_path):
     with pytest.raises(ProblemError, match="cannot read 't.txt'"):
         read_table("t.txt")

@@ -175,13 +175,12 @@ def read_table(
 
 def _format(path: str) -> str:
     """Return the format that a file's content looks like."""
-    data = read_bytes(path)
+    head = read_bytes(path, HEAD)
     ending = os.path.splitext(path)[1].lower()
-    if data.startswith(b"PK") or ending == ".npz":
+    if head.startswith(b"PK") or ending == ".npz":
         return "npz"
-    head = data[: HEAD & ~3]
     try:
-        text = decoded(path, head[: head.rfind(b"\n") + 1] or head).lstrip()
+        text = decoded(path, head, whole=False).lstrip()
     except ProblemError:
         text = ""
     if text.startswith("#SCOTS") or ending == ".scs":

@@ -44,15 +44,18 @@ def check_alphabet(alphabet: Any) -> None:
         raise ProblemError(f"`alphabet` must be a capsyn.Alphabet; got {describe(alphabet)}")
 
 
-def read_bytes(path: str) -> bytes:
-    """Return what is in a file of at most `MOST_BYTES`; `ProblemError` where there is none."""
+def read_bytes(path: str, most: int = -1) -> bytes:
+    """Return what is in a file of at most `MOST_BYTES`; `ProblemError` where there is none.
+
+    With `most`, only as many bytes of its beginning are read.
+    """
     try:
         if os.path.exists(path) and not os.path.isfile(path):
             raise ProblemError(f"'{path}' is no file")
         if os.path.getsize(path) > MOST_BYTES:
             raise ProblemError(f"'{path}' must have at most {MOST_BYTES:,} bytes")
         with open(path, "rb") as file:
-            return file.read()
+            return file.read(most)
     except ProblemError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a null byte in the path
@@ -69,11 +72,12 @@ def check_room(path: str, size: int, factor: int) -> None:
         check_memory(factor * size, f"the table in '{path}'")
 
 
-def decoded(path: str, data: bytes) -> str:
+def decoded(path: str, data: bytes, whole: bool = True) -> str:
     """Return the text of a file's bytes; `ProblemError` where they are none.
 
     A byte order mark says the encoding. Without one it is UTF-16 where every other byte at the
-    beginning is 0, else UTF-8, and where that fails Windows-1252 or Latin-1.
+    beginning is 0, else UTF-8, and where that fails Windows-1252 or Latin-1. Of a file's beginning,
+    which is not the `whole`, the last character may be cut.
     """
     mark = next((mark for mark in MARKS if data.startswith(mark)), b"")
     body, head = data[len(mark) :], data[:64]
@@ -87,7 +91,7 @@ def decoded(path: str, data: bytes) -> str:
     text = None
     for encoding in encodings:
         with contextlib.suppress(UnicodeDecodeError):
-            text = body.decode(encoding)
+            text = codecs.getincrementaldecoder(encoding)().decode(body, final=whole)
             break
     if text is None or re.search(r"[\x00-\x08\x0e-\x1f\x7f]", text):
         raise ProblemError(f"'{path}' is no text in {' or '.join(encodings[:2])}")

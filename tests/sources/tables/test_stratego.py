@@ -1,7 +1,9 @@
 """Strategies of UPPAAL Stratego: the tree has the symbol that the file says, at all states."""
 
+import hashlib
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from capsyn.sources.callables import labels_of
 from capsyn.sources.grid_files import read_table
 from capsyn.sources.table import Table
 from capsyn.sources.tables.stratego import read_stratego
+from capsyn.sources.text import read_bytes
 from support.exports.policies import assert_equal
 from support.processes.command_line import capsyn as command
 from support.processes.command_line import error_of
@@ -85,6 +88,34 @@ def test_trees_have_the_actions_of_the_file(keys, minimize, numbers, file):
         "Ball[0].v",
     )
     assert tree.guarantee.agreement == 1 and tree.guarantee.changed == 0
+
+
+def test_states_of_many_valuations_have_the_symbols_of_each(file):
+    keys = tuple((a, b) for a in range(-3, 4) for b in range(0, 9, 2))
+    plain = stratego(keys, depth=2)
+    strategy = read_stratego(file(plain))
+    rng = np.random.default_rng(1)
+    states = np.column_stack([rng.integers(-5, 6, (600, 2)), rng.uniform(-5, 5, (600, 2))])
+    assert texts(strategy, strategy(states)) == expected(plain, states, 2)
+    states[:4, 0] = np.nan, 0.5, np.inf, -0.0
+    assert (strategy(states[:3]) == -1).all()
+    zero = states[3:4] + [0.0, 0, 0, 0]  # no longer -0.0
+    assert strategy(states[3:4]) == strategy(zero) and not np.signbit(zero[0, 0])
+    assert strategy(states[:0]).shape == (0,)
+
+
+def test_a_file_is_read_once(file, monkeypatch):
+    """What is hashed is what was read, though the file may change meanwhile."""
+    path = file(stratego(seed=2))
+    wanted = hashlib.sha256(path.read_bytes()).hexdigest()
+
+    def read_and_change(path):
+        data = read_bytes(path)
+        Path(path).write_text("{}")
+        return data
+
+    monkeypatch.setattr("capsyn.sources.tables.stratego.read_bytes", read_and_change)
+    assert read_stratego(path).source == wanted
 
 
 def test_states_at_a_bound_are_low(file):

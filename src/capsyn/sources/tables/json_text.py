@@ -7,7 +7,7 @@ import math
 from typing import Any, NoReturn
 
 from capsyn.errors import ProblemError
-from capsyn.sources.text import check_room, decoded, read_bytes
+from capsyn.sources.text import check_room, decoded
 from capsyn.validation import describe, one_line
 
 MEMORY = 32
@@ -20,8 +20,8 @@ class _Refused(ValueError):
     """What JSON allows, and a table must not have."""
 
 
-def read_json(path: str) -> Any:
-    """Return what is in a JSON file.
+def json_of(path: str, data: bytes) -> Any:
+    """Return what is in the bytes of a JSON file; `path` is for errors.
 
     Raises
     ------
@@ -29,7 +29,6 @@ def read_json(path: str) -> Any:
         No JSON, nested too deeply, a key that comes twice in one object, or numbers that are not
         finite.
     """
-    data = read_bytes(path)
     check_room(path, len(data), MEMORY)
     text = decoded(path, data)
     try:

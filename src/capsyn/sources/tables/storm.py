@@ -17,10 +17,10 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.sources.table import MOST_POINTS, Table, check_points
-from capsyn.sources.tables.json_text import is_real, read_json, told
+from capsyn.sources.tables.json_text import is_real, json_of, told
 from capsyn.sources.tables.points import Points
 from capsyn.sources.tables.symbols import Coder, named
-from capsyn.sources.text import check_alphabet, naming, path_text
+from capsyn.sources.text import check_alphabet, naming, path_text, read_bytes
 from capsyn.validation import one_line
 
 NO_CHOICE = "loop"
@@ -48,7 +48,7 @@ def read_storm(path: str | os.PathLike[str], alphabet: Alphabet | None = None) -
     """
     path = path_text(path)
     check_alphabet(alphabet)
-    entries = read_json(path)
+    entries = json_of(path, read_bytes(path))
     if not isinstance(entries, list) or not entries:
         raise ProblemError(f"'{path}' must be a list of states, as Storm writes it")
     if len(entries) > MOST_POINTS:

@@ -23,7 +23,7 @@ from capsyn.modelling.grid import MAX_COUNT
 from capsyn.policies.guarantee import Guarantee
 from capsyn.policies.policy import DecisionTree
 from capsyn.sources.table import MOST_AXES, MOST_SYMBOLS, Table
-from capsyn.sources.tables.json_text import read_json
+from capsyn.sources.tables.json_text import json_of
 from capsyn.sources.tables.numbers import number
 from capsyn.sources.tables.points import Points
 from capsyn.sources.tables.regressors import (
@@ -94,8 +94,12 @@ class Strategy:
         """Return the symbols (B,) of states (B, n) as in the file; -1 if there is none."""
         states = np.asarray(states, dtype=float)
         found = np.full(len(states), -1)
-        for key, trees in self.regressors.items():
-            rows = np.flatnonzero((states[:, : self.discrete] == key).all(axis=1))
+        keys = states[:, : self.discrete]
+        order = np.lexsort(keys.T) if self.discrete else np.arange(len(states))
+        new = (keys[order[1:]] != keys[order[:-1]]).any(axis=1)
+        for rows in np.split(order, np.flatnonzero(new) + 1):
+            if not len(rows) or not (trees := self.regressors.get(tuple(keys[rows[0]]))):
+                continue
             costs = [tree.values(states[rows, self.discrete :]) for tree in trees.values()]
             best = np.argmin(costs, axis=0)
             none = np.isinf(np.min(costs, axis=0))
@@ -231,8 +235,9 @@ def read_stratego(
     """
     path = path_text(path)
     check_alphabet(alphabet)
-    ranges = _ranges(domain)
-    data = read_json(path)
+    ranges = _ranges({} if domain is None else domain)
+    text = read_bytes(path)
+    data = json_of(path, text)
     refuse = Refuse(f"'{path}'")
     if not isinstance(data, dict):
         refuse("an object, as saveStrategy of UPPAAL Stratego writes it", data)
@@ -266,7 +271,7 @@ def read_stratego(
     bounds = _bounds(keyed, names[len(variables[0]) :], ranges)
     if not variables[1]:
         return _table(path, names, keyed, alphabet)
-    source = hashlib.sha256(read_bytes(path)).hexdigest()
+    source = hashlib.sha256(text).hexdigest()
     strategy = Strategy(path, source, alphabet, names, keyed, bounds)
     with naming(path):
         box = strategy.box(1)
@@ -346,8 +351,6 @@ def _table(
 
 def _ranges(domain: Any) -> dict[str, tuple[float, float]]:
     """Return the bounds of variables that a user gives."""
-    if domain is None:
-        return {}
     if not isinstance(domain, Mapping):
         raise ProblemError(
             "`domain` (--domain) must map names of variables to pairs of bounds; got "
