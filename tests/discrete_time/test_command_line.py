@@ -82,3 +82,9 @@ def test_what_cannot_be_is_one_line(folder, words, message):
     assert done.returncode == 2
     assert message in done.stderr and len(done.stderr.strip().splitlines()) == 1
     assert not (folder / "q.cap").exists()
+
+
+def test_another_sample_time_is_refused(folder):
+    done = run_here(["synth", "stock.py", "--sample-time", "0.25", "-o", "no.cap"], folder)
+    assert done.returncode == 2 and not (folder / "no.cap").exists()
+    assert "--sample-time must be left out, or be 0.5" in done.stderr

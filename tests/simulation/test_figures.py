@@ -6,7 +6,7 @@ import pytest
 
 import capsyn
 from capsyn import Ball, Box, monte_carlo, simulate
-from capsyn.errors import ProblemError
+from capsyn.errors import CapsynWarning, ProblemError
 from capsyn.statistics import mean_interval
 from support.backends import needs_compiler
 
@@ -124,3 +124,17 @@ def test_refusals(policy, options, message):
     ):
         with pytest.raises(ProblemError, match=message):
             run()
+
+
+def test_a_cost_that_is_not_finite_is_told_with_how_often(policy):
+    costs = {"odd": lambda x: ca.log(x[0] - 100)}
+    with pytest.warns(CapsynWarning, match="the cost 'odd' is not finite in 3 of 3 loops"):
+        assert np.isnan(
+            simulate(policy, policy.domain.sample(3), 0.2, costs=costs).figures["odd"]
+        ).all()
+
+
+@pytest.mark.parametrize("name", ["avoid", "stay_in"])
+def test_a_set_that_is_no_condition_is_named(policy, name):
+    with pytest.raises(ProblemError, match=f"`{name}` must return a condition"):
+        simulate(policy, [0.1, 0.1], 0.2, **{name: lambda x: x[0]})

@@ -239,7 +239,7 @@ def _told(given: Any, plant: Plant) -> dict[str, tuple[float, float]]:
 
 def _avoided(avoid: Any, plant: Plant) -> Target | None:
     if callable(avoid) and not isinstance(avoid, Program):
-        avoid = target_condition(avoid, plant.states, plant.told)
+        avoid = target_condition(avoid, plant.states, plant.told, "avoid")
     avoid = of_states(avoid, plant.domain, plant.exogenous)
     check_target(avoid, plant.space, "avoid")
     return avoid

@@ -273,17 +273,19 @@ def transcribe_target(problem: Problem) -> Target | None:
     return target_condition(target, problem.domain.n, problem.space.n - problem.domain.n)
 
 
-def target_condition(function: Callable[..., Any], n: int, told: int = 0) -> Program:
-    """Return the program of a target that a user's function of `n` states decides.
+def target_condition(
+    function: Callable[..., Any], n: int, told: int = 0, name: str = "target"
+) -> Program:
+    """Return the program of a set, the argument `name`, that a function of `n` states decides.
 
     Its x are states and, after them, `told` exogenous inputs, which the function takes as w. A
     function that fails, or returns no condition, is a `ProblemError`.
     """
-    program = user_program("target", function, (("x", n + told),), INSIDE, told=told)
+    program = user_program(name, function, (("x", n + told),), INSIDE, told=told)
     result = program.results[0] - program.input_count
-    name = program.instructions[result][0] if result >= 0 else ""
-    if name not in OPERATIONS or not OPERATIONS[name].boolean:
-        raise ProblemError("`target` must return a condition on the state, such as x[0] < 0.1")
+    last = program.instructions[result][0] if result >= 0 else ""
+    if last not in OPERATIONS or not OPERATIONS[last].boolean:
+        raise ProblemError(f"`{name}` must return a condition on the state, such as x[0] < 0.1")
     return program
 
 

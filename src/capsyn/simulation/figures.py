@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from capsyn.errors import ProblemError
+from capsyn.errors import ProblemError, warn
 from capsyn.modelling.exogenous import of_states
 from capsyn.modelling.targets import INSIDE, Target, check_target, target_program
 from capsyn.modelling.transcription import target_condition, user_program
@@ -63,6 +63,11 @@ class Gathered:
             run = before.copy()
             dataclasses.replace(experiment, plant=plant, loop=loop).run(run, noise, None)
             found[name] = run["cost"].copy()
+            if lost := int((~np.isfinite(found[name])).sum()):
+                warn(
+                    f"the cost '{name}' is not finite in {lost} of {len(run)} loops, which no mean "
+                    "of it counts"
+                )
         return found
 
     def entered(
@@ -101,7 +106,7 @@ def _forbidden(options: LoopOptions, plant: Plant) -> Program | None:
 
 def _set(name: str, given: Target | None, plant: Plant) -> Target | None:
     if callable(given) and not isinstance(given, Program):
-        given = target_condition(given, plant.states, plant.told)
+        given = target_condition(given, plant.states, plant.told, name)
     given = of_states(given, plant.domain, plant.exogenous)
     check_target(given, plant.space, name)
     return given

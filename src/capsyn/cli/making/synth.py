@@ -189,6 +189,11 @@ def synth(
 
     chosen, path = _chosen_problem(problem, changes)
     chosen = chosen.replace(switching=switching.of(chosen))
+    if chosen.discrete and settings.sample_time not in (None, chosen.sample_time):
+        raise ProblemError(
+            f"--sample-time must be left out, or be {chosen.sample_time:g}, that of the problem's "
+            f"map; got {settings.sample_time:g}"
+        )
     own, options = settings.of(chosen.settings), changes.grid() | vars(subdivision)
     rules: dict[str, Any] = {
         "outside": outside,
