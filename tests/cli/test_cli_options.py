@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from capsyn import SsacSettings, synthesize
+from capsyn import Alphabet, Box, SsacSettings, problems, synthesize
 from capsyn.cli.better.tune import tune
 from capsyn.cli.evidence import KINDS, VerifyOptions, verify
 from capsyn.cli.loop import ControllerTexts, LoopTexts
 from capsyn.cli.making.simulate import SimulateOptions, simulate
 from capsyn.cli.making.synth import SettingsOptions, SubdivisionOptions
-from capsyn.cli.options import flat, option
+from capsyn.cli.options import SwitchingOptions, assignments, flat, listed, option, region
 from capsyn.simulation.options import LoopOptions
 
 
@@ -41,6 +41,18 @@ def test_a_dataclass_of_options_is_flattened_in_its_place():
     assert parameters["also"].default == 4 and parameters["file"].default is inspect.Parameter.empty
     command(file="f", first=5, middle=6, also=7, last=8, end=True)
     assert values == [("f", More(first=5, last=8, middle=6, also=7), True)]
+
+
+def test_blanks_in_lists_mean_nothing():
+    assert listed(" a, b ,c") == ["a", "b", "c"]
+    assert assignments("--at", ["a = 1", " b=2 "]) == {"a": "1", "b": "2"}
+    assert region("--stay-in", "x1 = -1 : 1, x2 = 0:2", ["x1", "x2"]) == Box(
+        [-1, 0], [1, 2], names=["x1", "x2"]
+    )
+    found = SwitchingOptions(hold=["a = 1, b= 2"], forbid=["a : b, b:a"]).of(
+        problems.get("cart-pendulum").replace(alphabet=Alphabet([-1, 1], names=["a", "b"]))
+    )
+    assert found.hold == {"a": 1.0, "b": 2.0} and found.forbidden == (("a", "b"), ("b", "a"))
 
 
 def defaults(kind):

@@ -38,6 +38,11 @@ def test_what_a_map_must_say(changes, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_policy_of_a_map_needs_no_settings(policy):
+    bare = dataclasses.replace(policy, settings=None)
+    assert bare.settings is None and bare.horizon == policy.horizon
+
+
 def test_rates_have_no_sensitivity_of_a_sample():
     exact = SsacSettings(sensitivity="exact")
     with pytest.raises(ProblemError, match="`sensitivity` must be left out"):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -94,7 +95,27 @@ def test_synth_makes_the_policy_of_the_optimum(run, folder):
     for source, words in (("best", "must be ssac, optimum"), ("optimum:x", "must be a number")):
         assert words in run("synth", "double-tank-b", "--source", source, code=2)[1]
     _, err = run("synth", "double-tank-b", "--source", "optimum", "--gamma", "-1", code=2)
-    assert "takes no settings of sSAC" in err
+    assert "--source optimum takes no --gamma" in err
+
+
+def test_the_optimum_is_sampled_at_the_time_asked_for(run, folder):
+    run("synth", "double-tank-b", "--switch-price", "none", "--source", "optimum:1",
+        "--sample-time", "0.05", "--max-level", "1", "-o", "slow.cap")  # fmt: skip
+    slow, problem = Policy.load(folder / "slow.cap"), problems.plain("double-tank-b")
+    settings = dataclasses.replace(problem.settings, sample_time=0.05)
+    wanted = optimum(problem, 1.0, rate=20).policy(problem.replace(settings=settings, max_level=1))
+    assert slow.settings.sample_time == 0.05
+    assert np.array_equal(slow.cells.leaf_labels(), wanted.cells.leaf_labels())
+
+
+def test_ranges_are_for_the_trials_beside_the_optimum(run):
+    """And files of further costs are loaded once."""
+    loaded = "open('loaded', 'a', encoding='utf-8').write('once')"
+    Path("more.py").write_text(f"{loaded}\ndef more(x):\n    return x[0]\n", encoding="utf-8")
+    out, _ = run("verify", "tank.cap", "--monte-carlo", "5", "--optimum", "5", *LOOP,
+        "--target", "x2=0.3:0.5", "--noise", "0:0.01", "--cost", "more.py:more")  # fmt: skip
+    assert "times the least cost" in out
+    assert Path("loaded").read_text(encoding="utf-8") == "once"
 
 
 def test_the_picture_has_all_starts_and_the_worst(folder):

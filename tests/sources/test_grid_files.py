@@ -304,7 +304,7 @@ def test_the_command_makes_a_policy_that_other_commands_take(tmp_path):
     path, made = tmp_path / "t.scs", tmp_path / "t.cap"
     path.write_text(scots_text(table, [0.0, -1.0], [0.1, 0.2]))
     out, _ = capsyn(
-        "import", path, "-o", made, "--states", "angle,rate", "--alphabet", "-5;5",
+        "import", path, "-o", made, "--states", "angle, rate", "--alphabet", "-5;5",
         "--default", "0", "--outside", "5", "--name", "mine",
     )  # fmt: skip
     assert "from a table of 240 points" in " ".join(out.split()) and "in gaps" in out

@@ -21,13 +21,7 @@ from capsyn.cli.import_table import import_table
 from capsyn.cli.look import at, explore, query
 from capsyn.cli.making.simulate import simulate
 from capsyn.cli.making.synth import synth
-from capsyn.cli.options import (
-    Current,
-    File,
-    Json,
-    assignments,
-    number,
-)
+from capsyn.cli.options import Current, File, Json, assignments, listed, number
 from capsyn.cli.paper import bench, reproduce
 from capsyn.cli.printed import print_report
 from capsyn.cli.proofs.certify import certify, check
@@ -163,7 +157,7 @@ def plot(
     check_writable(output)
     policy = Policy.load(file)
     names = policy.space.names
-    axes = tuple(name.strip() for name in plane.split(",")) if plane else names[:2]
+    axes = tuple(listed(plane)) if plane else names[:2]
     values = {name: number(name, text) for name, text in assignments("--at", at or []).items()}
     save_policy_plot(policy, output, axes, values, outlines, current=current)
     typer.echo(f"wrote {output}")

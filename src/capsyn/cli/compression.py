@@ -11,7 +11,16 @@ import typer
 
 from capsyn.cli.console import print_table, show, working
 from capsyn.cli.loop import LoopTexts, loop_options
-from capsyn.cli.options import INITIAL, File, Json, flat, number_or_range, option, starts
+from capsyn.cli.options import (
+    INITIAL,
+    File,
+    Json,
+    flat,
+    number_or_range,
+    option,
+    option_name,
+    starts,
+)
 from capsyn.cli.printed import print_automaton, print_compression
 from capsyn.cli.problem_finder import given_source
 from capsyn.errors import ProblemError
@@ -127,8 +136,8 @@ class CompressOptions(LoopTexts):
         own = set(FOR_LOOPS) | {f.name for f in dataclasses.fields(LoopTexts)} - {*SHARED}
         given = [name for name in own if getattr(self, name) is not None]
         if self.judge != "loop":
-            for name in sorted(given):
-                raise ProblemError(f"--{name.replace('_', '-')} is for --judge loop only")
+            if given:
+                raise ProblemError(f"{option_name(min(given))} is for --judge loop only")
             return {}
         if self.target is not None and self.bytes is None:
             raise ProblemError("--target needs --bytes")

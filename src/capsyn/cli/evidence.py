@@ -22,6 +22,7 @@ from capsyn.cli.options import (
     number_or_range,
     one_or_list,
     option,
+    option_name,
     starts,
 )
 from capsyn.cli.printed import print_agreement, print_lyapunov
@@ -164,7 +165,7 @@ def _show_trials(data: dict[str, Any], sentence: str, file: str, options: Verify
         "duration rate model min_dwell outside outside_at_once target tolerance avoid stay_in cost "
         "track online background"
     ).split()
-    values = {_option(name): getattr(options, name) for name in repeated}
+    values = {option_name(name): getattr(options, name) for name in repeated}
     values["--no-outside-at-once"] = options.outside_at_once is False
     values["--stop-at-target"] = not options.hold
     failing = data["failing_trials"]
@@ -255,11 +256,6 @@ KINDS = (
 """All kinds of evidence, in the order in which they are looked for and printed."""
 
 
-def _option(name: str) -> str:
-    """Return the option of a field."""
-    return f"--{name.replace('_', '-')}"
-
-
 @flat
 def verify(file: File, options: VerifyOptions, as_json: Json = False) -> None:
     """Give evidence for a policy.
@@ -319,11 +315,11 @@ def _with_kinds(policy: Policy, options: VerifyOptions) -> VerifyOptions:
 def _check_requirements(options: VerifyOptions) -> None:
     """Raise `ProblemError` where a requirement is no share, or of a kind that is not asked for."""
     for kind in KINDS:
-        least, option = getattr(options, kind.requirement), _option(kind.requirement)
+        least, option = getattr(options, kind.requirement), option_name(kind.requirement)
         if least is not None and not 0 <= least <= 1:
             raise ProblemError(f"{option} must be between 0 and 1; got {least:g}")
         if least is not None and getattr(options, kind.name) is None:
-            raise ProblemError(f"{option} needs {_option(kind.name)}")
+            raise ProblemError(f"{option} needs {option_name(kind.name)}")
 
 
 def _check_owners(options: VerifyOptions) -> None:
@@ -331,8 +327,8 @@ def _check_owners(options: VerifyOptions) -> None:
     for name in dict.fromkeys(name for kind in KINDS for name in kind.own):
         owners = [kind.name for kind in KINDS if name in kind.own]
         if getattr(options, name) and all(getattr(options, owner) is None for owner in owners):
-            needed = " or ".join(map(_option, owners))
-            raise ProblemError(f"{_option(name)} needs {needed}")
+            needed = " or ".join(map(option_name, owners))
+            raise ProblemError(f"{option_name(name)} needs {needed}")
 
 
 def _missed(options: VerifyOptions, evidence: dict[str, Any]) -> list[str]:
@@ -343,7 +339,7 @@ def _missed(options: VerifyOptions, evidence: dict[str, Any]) -> list[str]:
         if least is None:
             continue
         data = evidence[kind.name]
-        asked = f"{_option(kind.requirement)} {least:g} is not met"
+        asked = f"{option_name(kind.requirement)} {least:g} is not met"
         if not data.get("bound", True):
             sentences.append(f"{asked}: the optimum is no bound")
         elif (share := data[kind.figure]) < least:

@@ -10,7 +10,16 @@ from typing import Any
 import typer
 
 from capsyn.cli.console import show, working
-from capsyn.cli.options import File, Json, OutsideAtOnce, assignments, flat, one_or_list, option
+from capsyn.cli.options import (
+    File,
+    Json,
+    OutsideAtOnce,
+    assignments,
+    flat,
+    listed,
+    one_or_list,
+    option,
+)
 
 TARGETS = "c, structured-text, verilog, fmu, python, javascript, dot, json"
 
@@ -75,7 +84,7 @@ def export(file: File, options: ExportOptions, as_json: Json = False) -> None:
     from capsyn.policies.policy import Policy
 
     to = options.to
-    targets = TARGETS.split(", ") if to == "all" else [part.strip() for part in to.split(",")]
+    targets = TARGETS.split(", ") if to == "all" else listed(to)
     own = _own_options(options)
     check_options(targets, own)
     plan = _plan_options(options)

@@ -15,6 +15,7 @@ from capsyn.cli.options import (
     assignments,
     check_states,
     flat,
+    listed,
     number,
     number_list,
     option,
@@ -133,22 +134,22 @@ def _table(file: str, symbols: Alphabet | None, options: ImportOptions) -> Table
         file,
         symbols,
         options.missing,
-        None if options.inputs is None else options.inputs.split(","),
+        None if options.inputs is None else listed(options.inputs),
         options.format,
         states=options.exported_states,
         domain=None if domain is None else _ranges("--domain", domain),
     )
     known = table.box().names
     if options.states is not None:
-        names = options.states.split(",")
-        if len(names) != len(known):
+        states = listed(options.states)
+        if len(states) != len(known):
             raise ProblemError(f"--states must name {len(known)} states; got '{options.states}'")
-        table = dataclasses.replace(table, names=names)
+        table = dataclasses.replace(table, names=states)
     if options.periodic is not None:
         if not isinstance(table, Table):
             raise ProblemError("--periodic is for tables; the file has a strategy")
         known = table.box().names
-        turns = options.periodic.split(",")
+        turns = listed(options.periodic)
         check_states("--periodic", turns, known)
         table = dataclasses.replace(table, periodic=[axis in turns for axis in known])
     return table
@@ -169,7 +170,7 @@ def _symbols(text: str) -> Alphabet:
 def _ranges(name: str, text: str) -> dict[str, tuple[float, float]]:
     """Return the bounds of ``NAME=LOW:HIGH,..``."""
     found = {}
-    for key, value in assignments(name, text.split(",")).items():
+    for key, value in assignments(name, listed(text)).items():
         low, colon, high = value.partition(":")
         if not colon:
             raise ProblemError(f"{name} must be NAME=LOW:HIGH; got '{key}={value}'")

@@ -17,6 +17,7 @@ from capsyn.cli.options import (
     number,
     one_or_list,
     option,
+    option_name,
     region,
 )
 from capsyn.errors import ProblemError
@@ -166,13 +167,9 @@ def _judged(policy: Policy | Problem, texts: ControllerTexts) -> dict[str, Any]:
         costs[name] = find_function(text)
     sets = {"avoid": texts.avoid, "stay_in": texts.stay_in}
     return {"costs": costs or None} | {
-        name: None if text is None else region_or_function(_option(name), text, known)
+        name: None if text is None else region_or_function(option_name(name), text, known)
         for name, text in sets.items()
     }
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 def sampled_options(
@@ -189,12 +186,12 @@ def sampled_options(
         "parameters": {name: one(name, text) for name, text in parameters.items()},
         "delay": None if texts.delay is None else one("--delay", texts.delay),
         "target": _target(policy, texts.target, texts.tolerance),
-        "exogenous": _exogenous(texts.exogenous, one),
+        "exogenous": exogenous_inputs(texts.exogenous, one),
     }
     return {name: value for name, value in values.items() if value is not None}
 
 
-def _exogenous(texts: list[str] | None, one: Callable[[str, str], Any]) -> Any:
+def exogenous_inputs(texts: list[str] | None, one: Callable[[str, str], Any] = number) -> Any:
     """Return what exogenous inputs are by name; None for nothing. `one` gives that of one text."""
     if not texts:
         return None

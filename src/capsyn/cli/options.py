@@ -81,6 +81,11 @@ def as_in(options: Any, name: str) -> Any:
     return dataclasses.field(default=field.default, metadata=field.metadata | {"before": None})
 
 
+def option_name(field: str) -> str:
+    """Return the option of a field, as ``--max-level`` of ``max_level``."""
+    return f"--{field.replace('_', '-')}"
+
+
 def flat(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command for Typer, each of whose dataclasses of options is one option a field.
 
@@ -216,7 +221,7 @@ def _pairs(texts: list[str], own: Sequence[tuple[str, str]]) -> list[Any]:
     """Return the forbidden transitions that texts mean, beside those of the problem."""
     if texts == ["none"]:
         return []
-    pairs = [part.split(":") for text in texts for part in _parts(text)]
+    pairs = [[name.strip() for name in part.split(":")] for text in texts for part in _parts(text)]
     if any(len(pair) != 2 for pair in pairs):
         raise ProblemError(f"--forbid must be FROM:TO; got '{' '.join(texts)}'")
     return [*own, *pairs]
@@ -224,7 +229,7 @@ def _pairs(texts: list[str], own: Sequence[tuple[str, str]]) -> list[Any]:
 
 def _parts(text: str) -> list[str]:
     """Return the parts of a list, whose commas are not those in brackets, as of ``(0, 1)``."""
-    return re.split(r",(?![^()]*\))", text)
+    return [part.strip() for part in re.split(r",(?![^()]*\))", text)]
 
 
 def price(name: str, text: str) -> Any:
@@ -251,6 +256,11 @@ def executor(address: str | None) -> Iterator[Any]:
 
     with lasting(), connect(address) as client:
         yield client
+
+
+def listed(text: str) -> list[str]:
+    """Return the parts of a list such as ``a, b``, without the blanks around them."""
+    return [part.strip() for part in text.split(",")]
 
 
 def number(name: str, text: str) -> float:
@@ -296,10 +306,10 @@ def whole_number_list(name: str, text: str | None) -> list[int] | int | None:
 
 
 def assignments(name: str, items: list[str]) -> dict[str, str]:
-    """Return the texts of items such as ``NAME=TEXT``, each name once."""
+    """Return the texts of items such as ``NAME=TEXT``, each name once, without outer blanks."""
     values: dict[str, str] = {}
     for item in items:
-        key, equals, value = item.partition("=")
+        key, equals, value = (part.strip() for part in item.partition("="))
         if not equals or key in values:
             raise ProblemError(f"{name} must be NAME=VALUE, once for a name; got '{item}'")
         values[key] = value
@@ -308,8 +318,9 @@ def assignments(name: str, items: list[str]) -> dict[str, str]:
 
 def check_states(name: str, texts: Sequence[str], known: Sequence[str]) -> None:
     """Raise `ProblemError` at the first name that is not that of a state."""
-    for unknown in (text for text in texts if text not in known):
-        raise ProblemError(f"{name} must name states among {', '.join(known)}; got '{unknown}'")
+    unknown = [text for text in texts if text not in known]
+    if unknown:
+        raise ProblemError(f"{name} must name states among {', '.join(known)}; got '{unknown[0]}'")
 
 
 def region(
@@ -340,6 +351,6 @@ def starts(text: str | None, known: Sequence[str]) -> Box | None:
 
 def _bounds(name: str, text: str, known: Sequence[str]) -> tuple[list[str], list[list[float]]]:
     """Return the states that a set is about, and what stands between colons for each."""
-    parts = assignments(name, text.split(","))
+    parts = assignments(name, listed(text))
     check_states(name, list(parts), known)
     return list(parts), [[number(k, value) for value in v.split(":")] for k, v in parts.items()]

@@ -101,10 +101,11 @@ def check_samples(problem: Any) -> None:
             + describe(problem.horizon)
         )
     samples = whole_number("horizon", horizon, least=1, most=MAX_STEPS)
-    if problem.settings.steps not in (None, samples):
+    steps = problem.settings.steps if problem.settings else None
+    if steps not in (None, samples):
         raise ProblemError(
             "`steps` must be left out for a `discrete` problem: its map is iterated once a sample; "
-            f"got {problem.settings.steps}"
+            f"got {steps}"
         )
     keep(problem, horizon=float(samples))
 

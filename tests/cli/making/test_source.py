@@ -98,6 +98,7 @@ def test_a_function_or_an_agent_makes_a_policy_that_is_compared_with_it(run, nam
     ("options", "message"),
     [
         (["--source", "mpc"], "--source must be ssac, optimum[:T], fcs:DEPTH[:BLOCK,..] or FILE"),
+        (["--source", "ssac:7"], "DEPTH[:BLOCK,..] or FILE.py:NAME; got 'ssac:7'"),
         (["--source", "fcs:x"], "--source fcs must be whole numbers"),
         (["--source", "fcs:1,2"], "--source fcs must have one depth"),
         (["--source", "fcs:0"], "`depth` must be a whole number >= 1"),

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from capsyn.cli.console import print_line
-from capsyn.cli.loop import loop_options
+from capsyn.cli.loop import exogenous_inputs
 from capsyn.cli.options import number, starts, whole_number_list
 from capsyn.errors import ProblemError
 from capsyn.modelling.discrete import horizon_time
@@ -39,7 +39,6 @@ def compare_with_optimum(policy: Policy, options: Any, client: Any) -> dict[str,
     duration = options.duration
     if duration is None:
         duration = HORIZONS * (horizon_time(policy) or 1.0)
-    loop = loop_options(policy, dataclasses.replace(options, duration=duration))
     best = optimum(
         policy,
         duration,
@@ -48,7 +47,7 @@ def compare_with_optimum(policy: Policy, options: Any, client: Any) -> dict[str,
         starts=options.optimum,
         initial=starts(options.initial, policy.domain.names),
         seed=options.seed,
-        exogenous=loop.exogenous,
+        exogenous=exogenous_inputs(options.exogenous),
         control_weight=options.control_weight or 0.0,
         memory=options.memory,
         backend=options.backend,
@@ -100,22 +99,16 @@ def _number(value: float | None) -> str:
     return "no end" if value is None else f"{value:.4g}"
 
 
-def optimal_policy(
-    problem: Problem,
-    source: str,
-    options: dict[str, Any],
-    rules: dict[str, Any],
-) -> Policy:
+def optimal_policy(problem: Problem, source: str, options: dict[str, Any]) -> Policy:
     """Return the policy of a problem whose symbols are the optimum's, with the seconds it took.
 
     `source` is ``optimum``, or ``optimum:T`` for loops of time T; `options` are those of
-    `capsyn.subdivide`, and the backend; `rules` are fields of the problem; what is None is its own.
+    `capsyn.subdivide`, and the backend; what is None is the problem's own.
     """
     from capsyn.execution.processors import processors
     from capsyn.optima.optimum import optimum
 
     _, colon, text = source.partition(":")
-    problem = problem.replace(**{key: value for key, value in rules.items() if value is not None})
     if problem.domain.n > MOST_STATES:
         raise ProblemError(
             f"--source optimum is for at most {MOST_STATES} states; got {problem.domain.n}"

@@ -14,6 +14,7 @@ from capsyn.cli.options import (
     Seed,
     Threads,
     flat,
+    listed,
     number_list,
     option,
     price,
@@ -84,7 +85,7 @@ def _switching_curve(file: str, options: CurveOptions, loop: dict[str, Any], as_
     policy = Policy.load(file)
     prices = PRICES
     if options.prices is not None:
-        prices = tuple(price("--prices", text) for text in options.prices.split(","))
+        prices = tuple(price("--prices", text) for text in listed(options.prices))
     holds = None if options.holds is None else number_list("--holds", options.holds)
     with working("trying prices") as say:
         points = switching_curve(policy, prices, holds, **loop, progress=say)

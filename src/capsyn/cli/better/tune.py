@@ -16,6 +16,7 @@ from capsyn.cli.options import (
     Json,
     assignments,
     flat,
+    listed,
     number,
     number_or_range,
     option,
@@ -179,7 +180,7 @@ def _free(texts: list[str] | None) -> dict[str, Free]:
         if colon:
             found[name] = Free(_bound(low), _bound(high))
         else:
-            found[name] = Free(choices=[_choice(part) for part in text.split(",")])
+            found[name] = Free(choices=[_choice(part) for part in listed(text)])
     return found
 
 

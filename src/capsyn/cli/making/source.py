@@ -6,7 +6,7 @@ import dataclasses
 from typing import TYPE_CHECKING, Any
 
 from capsyn.cli.better.optimum import optimal_policy
-from capsyn.cli.options import whole_number_list
+from capsyn.cli.options import option_name, whole_number_list
 from capsyn.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from capsyn.policies.policy import Policy
 
 SOURCES = "ssac, optimum[:T], fcs:DEPTH[:BLOCK,..] or FILE.py:NAME"
-SETTINGS = {"fcs": ("sample_time", "control_weight"), "optimum": ()}
+SETTINGS = {"fcs": ("sample_time", "control_weight"), "optimum": ("sample_time",)}
 """Settings that a source takes; functions take the sample time."""
 
 
 def kind_of(source: str) -> str:
     """Return which kind of source a text names: ssac, optimum, fcs or function."""
-    name = source.partition(":")[0]
-    if name in ("ssac", "optimum", "fcs"):
+    name, colon, _ = source.partition(":")
+    if name in ("optimum", "fcs") or source == "ssac":
         return name
-    if ":" not in source:
+    if not colon or name == "ssac":
         raise ProblemError(f"--source must be {SOURCES}; got '{source}'")
     return "function"
 
@@ -47,15 +47,16 @@ def sourced_policy(
 
     kind = kind_of(source)
     taken = SETTINGS.get(kind, ("sample_time",))
-    wrong = [f"--{name.replace('_', '-')}" for name in settings if name not in taken]
-    for name in [*wrong, *(name for name, value in unused.items() if value is not None)]:
-        raise ProblemError(f"--source {kind if kind != 'function' else source} takes no {name}")
-    if kind == "optimum":
-        return optimal_policy(problem, source, options, rules)
-    given = {key: value for key, value in options.items() if value is not None}
-    backend, threads = given.pop("backend"), processors(given.get("threads"))
+    wrong = [option_name(name) for name in settings if name not in taken]
+    wrong += [name for name, value in unused.items() if value is not None]
+    if wrong:
+        raise ProblemError(f"--source {kind if kind != 'function' else source} takes no {wrong[0]}")
     problem = problem.replace(**{key: value for key, value in rules.items() if value is not None})
     problem = problem.replace(settings=dataclasses.replace(problem.settings, **settings))
+    if kind == "optimum":
+        return optimal_policy(problem, source, options)
+    given = {key: value for key, value in options.items() if value is not None}
+    backend, threads = given.pop("backend"), processors(given.get("threads"))
     if kind == "fcs":
         from capsyn.sources.finite_control_set import finite_control_set
 

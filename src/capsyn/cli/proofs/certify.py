@@ -22,6 +22,7 @@ from capsyn.cli.options import (
     number,
     one_or_list,
     option,
+    option_name,
     starts,
     whole_number_list,
 )
@@ -166,7 +167,7 @@ def _with_replays(
     if certificate.replays:
         return certificate
     names = "rate model target tolerance delay min_dwell".split()
-    values = {f"--{name.replace('_', '-')}": getattr(options, name) for name in names}
+    values = {option_name(name): getattr(options, name) for name in names}
     start: dict[str, Any] = dict.fromkeys(["delay", "disturbance", "noise"], [])
     for kind in ("parameters", "exogenous"):
         start[kind] = {name: _middle(value) for name, value in given.get(kind, {}).items()}
