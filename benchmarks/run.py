@@ -140,10 +140,14 @@ def page(setting, rows):
     lines = [INTRODUCTION, *(f"- {key}: {value}" for key, value in setting.items())]
     named = {(row["question"], row["what"]): row for row in rows}
     wanted = [(question, what) for question in FIRST for what in FIRST[question]]
+    measured = {row["question"] for row in rows}
     missing = [what for question, what in wanted if (question, what) not in named]
+    for question, what in wanted:
+        if (question, what) not in named and question in measured:
+            sys.exit(f"no question has the row {what!r}, which is to be among the first")
     if missing:
-        sys.exit(f"no question has the row {missing[0]!r}, which is to be among the first")
-    lines += table("First of all", [named[key] for key in wanted])
+        print(f"not measured yet, of what is to be among the first: {', '.join(missing)}")
+    lines += table("First of all", [named[key] for key in wanted if key in named])
     for question in QUESTIONS:
         title = question.replace("_", " ").capitalize()
         lines += table(title, [row for row in rows if row["question"] == question])
