@@ -341,6 +341,9 @@ def test_the_command_names_what_is_wrong(tmp_path):
     out = tmp_path / "t.cap"
     capsyn("import", path, "--periodic", "x", cwd=tmp_path)
     assert Policy.load(out).domain.periodic == (True, False) and Policy.load(out).name == "t"
+    capsyn("import", path, "--states", "a, b ", "--periodic", " b, a", cwd=tmp_path)
+    assert Policy.load(out).domain.names == ("a", "b")
+    assert Policy.load(out).domain.periodic == (True, True)
     assert "--periodic must name states among x, v; got 'w'" in error_of(
         "import", path, "-o", out, "--periodic", "x,w,q,r,s,t"
     )  # the first that is none

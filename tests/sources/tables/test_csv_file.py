@@ -163,7 +163,19 @@ def test_vectors_are_those_of_an_alphabet(file):
             "x,v,fill,drain\n0,0,0,1\n0,1,1,0\n1,0,1,0\n1,1,0,1\n",
             "has one value of 'fill' for each of x, v: if it is an input, `inputs` (--inputs) must",
         ),
-        ("x;u\n0.5;1\n1,5;1\n2;1\n", "line 3: expected a finite number for 'x'; got '1,5'"),
+        ("x;u\n0.5;1\n1,5;1\n2;1\n", "line 3: expected a finite number for 'x', with the "
+         "decimal mark of the other rows; got '1,5'"),
+        ("x;u\n0;1\n1_0;1\n20;1\n", "line 3: expected a finite number for 'x'; got '1_0'"),
+        ("x;u\n0;1\n1;1_0\n2;5\n", "line 3: expected controls that are finite numbers; got '1_0'"),
+        ("x;u1;u2\n0;1;1\n1;1;1_0\n", "line 3: expected controls that are finite num"),
+        ("x;u\n0;1\n\u0661;1\n2;5\n", "line 3: expected a finite number for 'x'; got '\u0661'"),
+        ("x;u\n0;1\n1;\u0661\n2;5\n", "line 3: expected controls that are finite numbers; got"),
+        ("x;u\n0;1,000\n1;0.5\n", "line 2: expected controls that are finite numbers, with the "
+         "decimal mark of the other rows; got '1,000'"),
+        ("x;u\n0;0.5\n1;2|1,5\n", "line 3: expected controls that are finite numbers, with the de"),
+        ("x;u1;u2\n0;1,000;0\n1;0.5;0\n", "line 2: expected controls that are finite numbers, wi"),
+        ("x;u\n0,5;1\n1,5;1\nx.y;1\n", "line 4: expected a finite number for 'x'; got 'x.y'"),
+        ("x;u\n1e300;1\n2;1\n", "line 2: expected a number within +-1e+290 for 'x'; got '1e300'"),
         (",x,u\n0.5,1,1\n1,2,1\n", "line 1: expected a name for column 1, which does not number"),
         ("x,u,\n0,1,\n1,1,2\n", "line 3: expected nothing behind the last separator; got '2'"),
         ("#PERMISSIVE\n0,1\n1,1\n", "line 2: expected #BEGIN, the number of states"),
@@ -177,6 +189,37 @@ def test_what_cannot_be_read_is_told(text, words, file):
     with pytest.raises(ProblemError) as error:
         read_csv(file(text))
     assert words in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("rows", [("0,5", "1", "1.5"), ("0.5", "1", "1,5"), ("0", "0,5", "1.0")])
+def test_a_column_has_one_decimal_mark_however_it_is_read(rows, file, monkeypatch):
+    for chunk in (1, 2, 3):
+        monkeypatch.setattr("capsyn.sources.tables.lines.CHUNK", chunk)
+        path = file("x;u\n" + "".join(f"{row};1\n" for row in rows))
+        with pytest.raises(ProblemError, match="'x', with the decimal mark of the other rows; got"):
+            read_csv(path)
+        each = read_csv(file("x;u\n0,5;1.5\n1,0;1.25\n1,5;1.5\n"))  # its own
+        assert each.first == 0.5 and each.alphabet.values.ravel().tolist() == [1.25, 1.5]
+
+
+@pytest.mark.parametrize(
+    "comment, names",
+    [
+        ("# made on 2024, by me", None),
+        ("# author: me, 2024", None),
+        ("# 2024-01-01, v1", None),
+        ("# see, https://example.org", None),
+        ("# ,", None),
+        ("# x, u", ("x",)),
+        ("# x' [m / s], u (N)", ("x'",)),
+        ('% "Ball[0].p", u', ("Ball[0].p",)),
+        ("// F\u00fcllung[l],u_1", ("F\u00fcllung",)),
+    ],
+)
+def test_a_comment_has_names_of_columns_where_it_looks_like_them(comment, names, file):
+    found = read_csv(file(f"{comment}\n0,1\n1,2\n"))
+    assert found.box().names == (names or ("x1",)) and found.masks.tolist() == [1, 2]
+    assert names is None or found.alphabet.inputs[0].startswith("u")
 
 
 def test_inputs_must_be_columns(file):

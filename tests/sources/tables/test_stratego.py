@@ -259,7 +259,7 @@ def test_other_files_are_refused(plain, words, file):
 
 def test_the_command_imports_a_strategy(file, tmp_path):
     path, made = file(stratego(seed=8)), tmp_path / "s.cap"
-    out, _ = command("import", path, "-o", made, "--domain", "Ball[0].p=-2:2")
+    out, _ = command("import", path, "-o", made, "--domain", "Ball[0].v=-6:6, Ball[0].p=-2:2")
     policy = Policy.load(made)
     assert policy.outside == "nearest" and policy.domain.lower[2] == -2 and "tree" in out
     command("import", path, "-o", made, "--states", "a,b,p,v", "--outside", "error")

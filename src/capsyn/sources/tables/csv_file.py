@@ -24,7 +24,7 @@ from capsyn.modelling.domain import LARGEST
 from capsyn.sources.table import MOST_POINTS, Table, check_points
 from capsyn.sources.tables.columns import Columns, columns_of
 from capsyn.sources.tables.lines import Lines, lines_of
-from capsyn.sources.tables.numbers import numbers
+from capsyn.sources.tables.numbers import Column, numbers, one_mark
 from capsyn.sources.tables.points import MISSING, Points
 from capsyn.sources.tables.symbols import Coder, one_input, several_inputs
 from capsyn.sources.text import (
@@ -129,13 +129,14 @@ def _read(lines: Lines, columns: Columns, alphabet: Alphabet | None) -> tuple[Po
     if len(lines.rows) > MOST_POINTS * 64:
         raise ProblemError(f"'{path}' must have at most {MOST_POINTS * 64:,} rows")
     coders = [Coder() for _ in columns.inputs]
+    axes = [Column() for _ in columns.states]
     states, numbered, codes, index = [], [], [], []
     for rows, at in lines.chunks(columns.width):
         fields = list(zip(*rows))
         if columns.end and any(fields[-1]):
             row = next(k for k, text in enumerate(fields[-1]) if text)
             fail(path, at[row], "nothing behind the last separator", fields[-1][row])
-        states.append(_states(path, columns, fields, at))
+        states.append(_states(path, columns, axes, fields, at))
         codes.append(np.stack([code(fields[k], at) for code, k in zip(coders, columns.inputs)], 1))
         numbered.append(np.array(at))
         if columns.index is not None:
@@ -157,15 +158,19 @@ def _read(lines: Lines, columns: Columns, alphabet: Alphabet | None) -> tuple[Po
     return Points(path, own, own_units, every, where, bits), alphabet
 
 
-def _states(path: str, columns: Columns, fields: list[Any], at: list[int]) -> np.ndarray:
+def _states(
+    path: str, columns: Columns, axes: list[Column], fields: list[Any], at: list[int]
+) -> np.ndarray:
     """Return the states (B, n) in columns of fields."""
-    states = np.stack([numbers(fields[k]) for k in columns.states], axis=1)
+    states = np.stack([axis(fields[k]) for axis, k in zip(axes, columns.states)], axis=1)
     wrong = np.argwhere(~(np.abs(states) <= LARGEST))
     if len(wrong):
         i, axis = wrong[0]
-        kind = f"number within +-{LARGEST:g}" if np.isfinite(states[i, axis]) else "finite number"
         place = columns.states[axis]
-        fail(path, at[i], f"a {kind} for '{columns.names[place]}'", fields[place][i])
+        text = fields[place][i]
+        far, of = np.isfinite(states[i, axis]), f"for '{columns.names[place]}'"
+        kind = f"a number within +-{LARGEST:g} {of}" if far else f"a finite number {of}"
+        fail(path, at[i], kind if far else one_mark(text, kind), text)
     return states
 
 

@@ -25,6 +25,8 @@ SAMPLE = 20
 """Lines that the separator is chosen by."""
 CHUNK = 1 << 16
 """Rows that are read at a time."""
+NAME = re.compile(r"[^\W\d][^\s:;]{0,99}(?:\s{0,9}\[[^\]]{0,40}\]|\s{1,9}\([^)]{0,40}\))?")
+"""A name, with a unit in brackets, in a comment that has the names of the columns."""
 WORD = re.compile(r'"[^"]*"|[^\s"]+(?:\s+[\[(][^\])]{0,40}[\])])?')
 """A name between blanks, with a unit in brackets."""
 
@@ -108,7 +110,7 @@ def lines_of(path: str, text: str) -> Lines:
         return Lines(path, first, lines[0], separator, rows[1:], lines[1:])
     above = [k for k in comments if k < numbers[0]]
     names = _names(every[above[-1]].lstrip().lstrip("#%/"), separator) if above else []
-    if len(names) != len(first) or all(is_number(name) for name in names):
+    if len(names) != len(first) or not _are_names(names):
         return Lines(path, None, lines[0], separator, rows, lines)
     return Lines(path, names, above[-1] + 1, separator, rows, lines)
 
@@ -130,6 +132,11 @@ def _names(row: str, separator: str) -> list[str]:
     if separator == " ":
         return [word.strip('"') for word in WORD.findall(row)]
     return [field.strip() for field in _fields(row, separator)]
+
+
+def _are_names(parts: list[str]) -> bool:
+    """Return whether the parts of a comment look like names; that of a number of rows is empty."""
+    return any(parts) and all(not part or NAME.fullmatch(part) for part in parts)
 
 
 def _separator(rows: list[str]) -> str:

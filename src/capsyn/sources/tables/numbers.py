@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Sequence
 
@@ -54,14 +55,33 @@ def _tight(text: str) -> str:
     return re.sub(r"\s*([,;])\s*", r"\1", " ".join(text.split()))
 
 
-def numbers(texts: Sequence[str]) -> np.ndarray:
-    """Return the numbers (B,) that texts are; NaN where one is none.
+class Column:
+    """The numbers of a column, all with one decimal mark: the point, if the first have any."""
 
-    A comma is no decimal mark beside texts that have points.
-    """
-    try:
-        return np.array(texts, dtype=float)
-    except ValueError:
-        points = any("." in text for text in texts)
-        kept = ["" if points and "," in text else text for text in texts]
+    def __init__(self) -> None:
+        self.mark = ""
+
+    def __call__(self, texts: Sequence[str]) -> np.ndarray:
+        """Return the numbers (B,) that the next texts are; NaN where one is none."""
+        joined = " ".join(texts)
+        if not self.mark:
+            marks = [mark for mark in ".," if mark in joined]
+            if len(marks) > 1:  # those of numbers: names and vectors have some, too
+                marks = [k for k in marks if any(k in text and is_number(text) for text in texts)]
+            self.mark = marks[0] if marks else ""
+        if self.mark != "," and joined.isascii() and "_" not in joined:  # float() takes 1_0
+            with contextlib.suppress(ValueError):
+                return np.array(texts, dtype=float)
+        other = {".": ",", ",": "."}.get(self.mark)
+        kept = ["" if other and other in text else text for text in texts]
         return np.array([number(text) for text in kept], dtype=float)
+
+
+def numbers(texts: Sequence[str]) -> np.ndarray:
+    """Return the numbers (B,) that the texts of a column are; see `Column`."""
+    return Column()(texts)
+
+
+def one_mark(text: str, what: str) -> str:
+    """Return what is expected instead of a text that is no number of its column."""
+    return f"{what}, with the decimal mark of the other rows" if is_number(text) else what

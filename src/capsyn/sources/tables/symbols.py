@@ -10,12 +10,13 @@ import numpy as np
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.sources.table import MOST_SYMBOLS
-from capsyn.sources.tables.numbers import is_none, is_number, number, vector
+from capsyn.sources.tables.numbers import is_none, is_number, numbers, one_mark, vector
 from capsyn.sources.text import fail, naming
 from capsyn.validation import describe, one_line
 
 RESERVED = {"error", "nearest", "default"}
 """Names that no symbol may have: `_` is added."""
+CONTROLS = "controls that are finite numbers"
 
 
 class Coder:
@@ -128,10 +129,10 @@ def several_inputs(
     """
     columns = []
     for coder in coders:
-        values = np.array([number(text) + 0.0 for text in coder.texts])
+        values = numbers(coder.texts) + 0.0
         for text, line, value in zip(coder.texts, coder.lines, values):
             if not np.isfinite(value) and not is_none(text):
-                fail(path, line, "controls that are finite numbers", text)
+                fail(path, line, one_mark(text, CONTROLS), text)
         columns.append(values)
     kinds, first, back = np.unique(codes, axis=0, return_index=True, return_inverse=True)
     vectors = np.stack([column[kinds[:, i]] for i, column in enumerate(columns)], axis=1)
@@ -179,10 +180,10 @@ def _own(
 
     Controls of names are their numbers, in the order of the file.
     """
-    found = {part: number(part) + 0.0 for part in where}
+    found = dict(zip(where, (numbers(list(where)) + 0.0).tolist()))
     odd = [part for part, value in found.items() if not np.isfinite(value)]
     if odd and len(odd) < len(found):
-        fail(path, where[odd[0]], "controls that are finite numbers", odd[0])
+        fail(path, where[odd[0]], one_mark(odd[0], CONTROLS), odd[0])
     vectors = {part: vector(part) for part in odd}
     if odd and len({len(v) for v in vectors.values()} - {0}) == 1 and all(vectors.values()):
         rows = sorted(set(vectors.values()))
