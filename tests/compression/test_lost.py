@@ -1,14 +1,20 @@
 """Symbols that a tree loses are named with both shares: in its guarantee, its file, a warning."""
 
+import dataclasses
 import warnings
 
 import numpy as np
 import pytest
 
 from capsyn import Alphabet, Box, Policy, compress, subdivide
+from capsyn.cells.split_tree import LEAF, SplitTree
+from capsyn.compression.lost import _shares, with_lost
 from capsyn.errors import CapsynWarning, ProblemError
+from capsyn.modelling.switching import DEFAULT
 from capsyn.policies.guarantee import Guarantee
+from capsyn.policies.policy import DecisionTree
 from capsyn.policies.report import report
+from support.trees import random_affine_policy
 
 RARE = Alphabet([-1, 0, 1], names=["left", "off", "right"])
 
@@ -59,6 +65,60 @@ def test_nothing_is_said_where_all_symbols_stay(policy):
     for tree in trees:
         assert not tree.guarantee.lost and "lost" not in tree.guarantee.to_json()
         assert not [hint for hint in report(tree)["hints"] if "never" in hint]
+
+
+def cut(policy, *nodes):
+    """Return a decision tree of nodes (split, threshold, second), oblique along x + y."""
+    split, threshold, second = np.array(nodes, dtype=np.int32).T
+    planes = np.ones(((split >= 0).sum(), policy.domain.n), dtype=np.int32)
+    cells = SplitTree(policy.cells.counts, split, threshold, second, planes)
+    cells.check(len(policy.alphabet))
+    known = {f.name: getattr(policy, f.name) for f in dataclasses.fields(Policy)}
+    return DecisionTree(**known | {"cells": cells, "guarantee": Guarantee("linear", "0" * 64)})
+
+
+@pytest.fixture(scope="module")
+def dotted():
+    """Return a policy of 90,000 cells, of which one is off."""
+
+    def corner(x):
+        return np.where(x.min(axis=1) > 0.992, 1, np.where(x.sum(axis=1) < 0, 0, 2))
+
+    return subdivide(corner, Box([-1, -1], [1, 1]), RARE, partitions=300, max_level=0)
+
+
+HALVES = [(2, 300, 2), (LEAF, 0, 1), (LEAF, 2, 2)]
+
+
+def test_a_symbol_is_gone_where_no_leaf_has_it_whether_sampled_or_not(dotted):
+    tree, sampled = cut(dotted, *HALVES), set()
+    for seed in range(6):
+        sampled.add(_shares(dotted, tree, seed)[0][1])
+        with pytest.warns(CapsynWarning, match="off from"):
+            lost = with_lost(tree, dotted, seed).guarantee.lost
+        assert lost == {"off": (pytest.approx(1 / 90_000), 0.0)}
+    assert 0.0 in sampled and len(sampled) > 1
+
+
+def test_a_sampled_state_is_no_loss_where_a_leaf_has_the_symbol(dotted):
+    elsewhere = [(2, 1, 2), (LEAF, 1, 1), (3, 300, 4), (LEAF, 0, 3), (LEAF, 2, 4)]
+    tree, sampled = cut(dotted, *elsewhere), set()
+    for seed in range(6):
+        own, left, _ = _shares(dotted, tree, seed)
+        sampled.add(bool(own[1] > 0 and left[1] == 0))
+        assert not with_lost(tree, dotted, seed).guarantee.lost
+    assert True in sampled
+
+
+def test_whole_cells_beside_affine_leaves_count_without_samples(monkeypatch):
+    policy = random_affine_policy(3)
+    monkeypatch.setattr("capsyn.compression.lost.STATES", 1)
+    whole = np.unique(policy.cells.constant_leaves(len(policy.transitions)))
+    names = [*policy.alphabet.names, DEFAULT]
+    assert len(whole) > 1
+    with pytest.warns(CapsynWarning):
+        lost = with_lost(cut(policy, (LEAF, whole[0], 0)), policy, 0).guarantee.lost
+    assert {names[k] for k in whole[1:]} <= set(lost) and names[whole[0]] not in lost
 
 
 def test_a_symbol_that_was_never_used_is_no_loss_and_a_hint_of_the_policy():

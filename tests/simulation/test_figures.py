@@ -105,6 +105,22 @@ def test_means_have_their_interval(policy):
     assert mean_interval(values[:1], 0.9) is None
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_state_that_is_not_finite_has_left_where_it_must_stay(policy, backend):
+    """Within a sample: at the one before it is inside."""
+    blow = {"model": lambda x, u: [1 + 0 * u[0], ca.exp(1000 * x[0])], "rate": 1.0, "substeps": 1}
+    run = blow | {"backend": backend}
+    sets = {"stay_in": Box([-2, -2], [2, 2]), "avoid": Box([1, 1], [2, 2])}
+    x0 = [[-0.1, 0.0], [-2.0, 0.0]]
+    found = simulate(policy, x0, 2.0, stay_in=sets["stay_in"], **run)
+    assert np.isfinite(found.states[0, 0]).all() and not np.isfinite(found.states[0, 1]).all()
+    assert np.array_equal(found.entered, [1.0, np.nan], equal_nan=True)
+    assert np.isnan(simulate(policy, x0, 2.0, avoid=sets["avoid"], **run).entered).all()
+    start, far = Box([-0.1, 0.0], [-0.1, 0.0]), Ball([1.5, 1.5], 0.1)
+    trials = monte_carlo(policy, 3, duration=2.0, initial=start, target=far, **run, **sets)
+    assert trials.to_json()["trials_entered"] == 3
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -35,6 +35,7 @@ class Gathered:
 
     costs: dict[str, Program]  # x -> rate, by name
     forbidden: Program | None  # x -> whether it is where it must not be
+    stays: bool  # whether states must stay in a set
 
     @staticmethod
     def of(options: LoopOptions, plant: Plant) -> Gathered:
@@ -49,7 +50,7 @@ class Gathered:
                 )
             told, ports = plant.told, (("x", plant.n),)
             costs[name] = user_program("costs", function, ports, (("cost", 1),), told=told)
-        return Gathered(costs, _forbidden(options, plant))
+        return Gathered(costs, _forbidden(options, plant), options.stay_in is not None)
 
     def figures(
         self, experiment: Experiment, trials: np.ndarray, before: np.ndarray, noise: Noise | None
@@ -75,7 +76,8 @@ class Gathered:
     ) -> np.ndarray:
         """Return when trials (T,) first were where they must not be [time unit]; NaN where never.
 
-        That is looked at at every sample until their end.
+        That is looked at at every sample until their end. A state that is not finite is outside the
+        set in which it must stay.
         """
         if self.forbidden is None:
             return np.full(len(trials), np.nan)
@@ -84,6 +86,8 @@ class Gathered:
         dataclasses.replace(experiment, loop=loop).run(run, noise, None)
         sample = run["arrived"]
         never = (sample < 0) | (sample > trials["end"])
+        left = never & self.stays & ~np.isfinite(trials["state"]).all(axis=1)
+        sample, never = np.where(left, trials["end"], sample), never & ~left
         return np.where(never, np.nan, sample / experiment.rate)
 
 

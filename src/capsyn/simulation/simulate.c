@@ -2,8 +2,9 @@
  *
  * Needs lookup.c, STATES, INPUTS, PARAMETERS, QUEUE, DISCRETE (whether the dynamics are a map) and
  * the programs dynamics, running_cost and inside before it, and -ffp-contract=off.
- * `closed_loop.py` says what happens at a sample, and does the same in NumPy. Trials do not see each other, and each goes through the same
- * instructions whatever its place, so that results do not depend on how trials are grouped.
+ * `closed_loop.py` says what happens at a sample, and does the same in NumPy. Trials do not see
+ * each other, and each goes through the same instructions whatever its place, so that results do
+ * not depend on how trials are grouped.
  */
 enum { NONE = -2, RUNNING = 0, ARRIVED = 1, LEFT_DOMAIN = 2, NOT_A_STATE = 3 };
 

@@ -286,7 +286,6 @@ def simulate(
         Exogenous inputs of a model that has them, held over each sample. A value by name is a
         number, numbers (...) shaped as `x0`, a function of time, or steps. Steps are ``{0: 20, 60:
         22}`` or pairs (time, value); each value holds from its time until the next.
-
     avoid, stay_in : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
         Sets that states must not enter, or must not leave. ``entered`` says when they first do.
     costs : mapping of name to callable ``x -> scalar``, or ``(x, w)``, optional

@@ -126,7 +126,6 @@ def monte_carlo(
         What states should follow. `MonteCarlo.tracking` then says how closely they follow it (see
         `capsyn.tracking`), until the trial ends. Without `hold`, a trial ends when it arrives.
         `track` cannot be used with an `executor`.
-
     avoid, stay_in : Ball, Box or callable ``x -> true or false``, or ``(x, w)``, optional
         Sets that a trial must not enter, or must not leave. A trial fails if it does so at some
         sample.

@@ -57,10 +57,11 @@ def test_sizes_name_compilers():
         assert re.fullmatch(r"[a-z-]*gcc \d+\.\d+\.\d+", measured["compiler"])
 
 
-def test_a_compiler_that_does_not_end_is_left_out(tmp_path, monkeypatch):
+@pytest.mark.parametrize("driver", ["wait", "exit"])  # the second leaves what it started alone
+def test_a_compiler_that_does_not_end_is_left_out(tmp_path, monkeypatch, driver):
     monkeypatch.setattr(c_sizes, "SECONDS", 0.3)
     started = time.monotonic()
-    assert c_sizes.run_tool(["sh", "-c", "(sleep 2; touch late) & wait"], tmp_path) is None
+    assert c_sizes.run_tool(["sh", "-c", f"(sleep 2; touch late) & {driver}"], tmp_path) is None
     assert time.monotonic() - started < 1.9
     time.sleep(2)
     assert not (tmp_path / "late").exists()  # what it started has ended too

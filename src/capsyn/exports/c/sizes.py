@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import re
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Iterable
@@ -85,7 +87,15 @@ def run_tool(command: list[str], directory: Path, errors: int = subprocess.DEVNU
 
 
 def _end(number: int) -> None:
-    """End a process and all that it started, such as a driver and its compiler."""
+    """End a process and all that it started, such as a driver and its compiler.
+
+    It leads a group of processes where the system has these: what it started is found there though
+    it has died itself.
+    """
+    if hasattr(os, "killpg"):
+        with contextlib.suppress(ProcessLookupError):  # all have ended
+            os.killpg(number, signal.SIGKILL)
+        return
     import psutil  # heavy for what is rarely needed
 
     with contextlib.suppress(psutil.NoSuchProcess):
