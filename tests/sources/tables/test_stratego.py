@@ -1,9 +1,9 @@
 """Strategies of UPPAAL Stratego: the tree has the symbol that the file says, at all states."""
 
 import hashlib
+import io
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +15,6 @@ from capsyn.sources.callables import labels_of
 from capsyn.sources.grid_files import read_table
 from capsyn.sources.table import Table
 from capsyn.sources.tables.stratego import read_stratego
-from capsyn.sources.text import read_bytes
 from support.exports.policies import assert_equal
 from support.processes.command_line import capsyn as command
 from support.processes.command_line import error_of
@@ -109,12 +108,12 @@ def test_a_file_is_read_once(file, monkeypatch):
     path = file(stratego(seed=2))
     wanted = hashlib.sha256(path.read_bytes()).hexdigest()
 
-    def read_and_change(path):
-        data = read_bytes(path)
-        Path(path).write_text("{}")
-        return data
+    def open_and_change(name, *options):
+        file = io.BytesIO(path.read_bytes())
+        path.write_text("{}")
+        return file
 
-    monkeypatch.setattr("capsyn.sources.tables.stratego.read_bytes", read_and_change)
+    monkeypatch.setattr("capsyn.sources.text.open", open_and_change, raising=False)
     assert read_stratego(path).source == wanted
 
 
