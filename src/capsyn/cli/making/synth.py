@@ -189,11 +189,7 @@ def synth(
 
     chosen, path = _chosen_problem(problem, changes)
     chosen = chosen.replace(switching=switching.of(chosen))
-    if chosen.discrete and settings.sample_time not in (None, chosen.sample_time):
-        raise ProblemError(
-            f"--sample-time must be left out, or be {chosen.sample_time:g}, that of the problem's "
-            f"map; got {settings.sample_time:g}"
-        )
+    _check_sample_time(chosen, settings.sample_time)
     own, options = settings.of(chosen.settings), changes.grid() | vars(subdivision)
     rules: dict[str, Any] = {
         "outside": outside,
@@ -216,6 +212,15 @@ def synth(
         data["hints"] = [*data["hints"], hint]
     end = f"wrote {path} in {sum(policy.timings.values()):.2f} s"
     show(as_json, data, lambda: print_report(data), end)
+
+
+def _check_sample_time(problem: Problem, given: float | None) -> None:
+    """Raise `ProblemError` where a sample time is given that is not that of a problem's map."""
+    if problem.discrete and given not in (None, problem.sample_time):
+        raise ProblemError(
+            f"--sample-time must be left out, or be {problem.sample_time:g}, that of the problem's "
+            f"map; got {given:g}"
+        )
 
 
 def _synthesized(
