@@ -68,7 +68,7 @@ def test_the_curve(tmp_path):
         "synth", "cart-pendulum", "--switch-price", "none", "--max-level", 2, "-o", path
     )
     (hint,) = [line for line in out.splitlines() if "--switch-price" in line]
-    assert "times a second at 1000 samples: --switch-price" in hint
+    assert "times per second at 1000 samples: --switch-price" in hint
     loop = ["--trials", 30, "--duration", 5]
     prices = ["--curve", "--prices", "0,1%,30%", "--holds", "0,0.05", "-o", picture]
     points = json.loads(capsyn("switching", path, *loop, *prices, "--json")[0])["points"]

@@ -204,7 +204,7 @@ def test_outside_error_names_the_first_such_state(plane, backend):
         plane(states, backend=backend)
     assert str(caught.value) == (
         "state 1 must lie in the domain [-2, 2] x [-2, 2]; got (0, 2.5) "
-        '(outside="nearest" or a safe symbol would answer)'
+        '(outside="nearest" or a symbol would answer)'
     )
     with pytest.raises(
         OutsideDomainError, match=r"^(the state|state 0) must be finite; got \(nan, 0\)$"

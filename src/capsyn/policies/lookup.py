@@ -173,10 +173,10 @@ def outside_text(domain: Box, state: np.ndarray, index: int | None, what: str = 
     if domain.contains(state[None])[0]:
         return (
             f"{which} must be where the policy has a symbol; {text} is in a gap "
-            "(a safe symbol would answer)"
+            "(a symbol as `outside` would answer)"
         )
     bounds = " x ".join(f"[{low:g}, {high:g}]" for low, high in zip(domain.lower, domain.upper))
     return (
         f"{which} must lie in the domain {bounds}; got {text} "
-        '(outside="nearest" or a safe symbol would answer)'
+        '(outside="nearest" or a symbol would answer)'
     )

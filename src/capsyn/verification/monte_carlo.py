@@ -190,7 +190,10 @@ def try_out(controller: Any, options: TrialOptions) -> MonteCarlo:
     """Return what `monte_carlo` does."""
     test = prepared(controller, options)
     if test.experiment.target is None:
-        raise ProblemError("`target` must be given: neither policy nor problem has one")
+        raise ProblemError(
+            "`target` must be given: neither policy nor problem has one; to try whether loops stay "
+            "in a set, give it as the target, and as `hold` how long"
+        )
     gathered = Gathered.of(options.loop, test.experiment.plant)
     before = test.trials.copy()
     tracked = _run(test)

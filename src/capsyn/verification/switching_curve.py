@@ -233,7 +233,7 @@ def chatter_hint(policy: Policy, threads: int | None = None) -> str | None:
         if not switches > CHATTER * rate:
             return None
         unit = policy.time_unit
-        told = f"it switches {switches:.3g} times a {NAMES[unit]} at {rate:g} samples"
+        told = f"it switches {switches:.3g} times per {NAMES[unit]} at {rate:g} samples"
         if sum(policy.timings.values()) > HINT_SECONDS:
             return f"{told}: `capsyn switching FILE --curve` shows what a price does with that"
         points = switching_curve(
