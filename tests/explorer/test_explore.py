@@ -13,7 +13,7 @@ import capsyn.explorer
 from capsyn import Alphabet, Box, Policy, compress, explore, simulate, subdivide
 from capsyn.errors import ProblemError
 from capsyn.explorer.explore import page
-from support.explorer.page import OUTPUT, hex_color, synthesized
+from support.explorer.page import OUTPUT, hex_color, json_of, synthesized
 from support.features import exact
 from support.processes.command_line import capsyn as run_capsyn
 from support.processes.command_line import run_apart
@@ -619,14 +619,14 @@ def test_the_wheel_says_how_to_zoom(show):
 def test_evidence_of_another_content_is_not_shown():
     evidence = {"trials": 10, "successes": 9, "low": 0.5, "high": 1.0, "confidence": 0.95}
     policy = pendulum(1).with_evidence(monte_carlo=evidence)
-    assert "9 of 10 trials" in page(policy)
-    assert "9 of 10 trials" not in page(dataclasses.replace(policy, min_dwell=0.5))
+    assert "9 of 10 trials" in str(json_of(page(policy)))
+    assert "9 of 10 trials" not in str(json_of(page(dataclasses.replace(policy, min_dwell=0.5))))
 
 
 def test_statistics_of_any_size_are_only_told():
     policy = pendulum(1)
     huge = {**policy.statistics, "solves": 10**400}
-    assert f"{10**400:,}" in page(dataclasses.replace(policy, statistics=huge))
+    assert f"{10**400:,}" in str(json_of(page(dataclasses.replace(policy, statistics=huge))))
 
 
 def test_without_dynamics_there_are_map_automaton_and_facts(show):
@@ -737,7 +737,7 @@ def test_the_command(tmp_path, monkeypatch):
     opened = ("--open", "--drawing", "none")  # Python looks for browsers once in a process
     run_capsyn("explore", tmp_path / "p.cap", "-o", page, *opened, run=run_apart)
     assert seen.read_text().strip() == page.as_uri()
-    assert '"drawing":null' in page.read_text()
+    assert json_of(page.read_text(encoding="utf-8"))["drawing"] is None
 
 
 def test_errors_say_what_is_wrong(tmp_path):

@@ -30,6 +30,7 @@ from capsyn.errors import CapsynWarning, PolicyFormatError, ProblemError
 from capsyn.explorer.facts import facts
 from capsyn.plots.policy import plot_policy
 from capsyn.policies.report import report
+from support.explorer.page import json_of
 from support.processes.command_line import capsyn, error_of
 from support.proofs.limits import PERIOD, double_integrator, worst_limit
 
@@ -267,7 +268,7 @@ def test_pages_and_pictures_say_it(tmp_path):
     assert near.mean() > 0.9 and kept.keeps_limits(edge * 1.03).mean() < 0.1
     assert "limits are kept inside" in [t.get_text() for t in ax.get_legend().get_texts()]
     explore(kept, tmp_path / "page.html")
-    assert "kept from" in (tmp_path / "page.html").read_text()
+    assert "kept from" in str(json_of((tmp_path / "page.html").read_text(encoding="utf-8")))
 
 
 PROBLEM = """

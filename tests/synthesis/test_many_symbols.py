@@ -85,6 +85,7 @@ def replaced(array, document, arrays):
     arrays["mixed_labels"] = np.ascontiguousarray(array)
 
 
+@pytest.mark.filterwarnings("ignore:the tree gives some symbols half as often")
 @pytest.mark.parametrize("mode", ["exact", "freedom"])
 def test_trees(mode):
     source = synthesize(valves(7))

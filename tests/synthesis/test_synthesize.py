@@ -1,5 +1,6 @@
 """From a problem to a policy: the two-symbol law, counts, determinism, systems of one's own."""
 
+import dataclasses
 import itertools
 import os
 import time
@@ -233,7 +234,7 @@ def test_overrides_reach_the_policy():
     )
     tree = policy.cells
     assert (tree.partitions, tree.refinement, tree.max_level) == ((4, 5), (2, 3), 2)
-    assert policy.settings == settings
+    assert policy.settings == dataclasses.replace(settings, sample_time=0.001)  # the problem's
     assert policy.outside == 1 and policy([1.0, 99.0]) == 1
     assert policy.min_dwell == 0.25
     assert policy.statistics["test_points"] == "vertices+random:2"
