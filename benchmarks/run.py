@@ -84,7 +84,8 @@ get.
 `make bench` runs one script for each question, each script in a process of its own. It writes
 this file and `results.json`. Times are medians. Trust the ratios more than the times, since each
 ratio is measured within one run. The column "wanted" is what the project asks of itself on two
-cores.
+cores. A question that was not measured again keeps its rows, so some rows come from another machine
+than the last one, which is named here:
 """
 
 
@@ -130,7 +131,8 @@ def table(title, rows):
     for row in rows:
         value, wanted = row["value"], row.get("wanted") or ""
         figure = f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
-        cells = row["what"], f"{figure} {row['unit']}", wanted, met(value, wanted)
+        what = row["what"].replace("|", r"\|")
+        cells = what, f"{figure} {row['unit']}", wanted, met(value, wanted)
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 
