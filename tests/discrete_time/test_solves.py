@@ -172,7 +172,9 @@ def test_linear_maps_and_quadratic_costs_have_the_answers_of_the_textbook():
 
 
 def test_a_tail_of_a_map_needs_a_goal_that_it_can_hold():
-    grows = lambda x, u: [1.5 * x[0], 0.5 * x[1] + u[0]]  # noqa: E731
+    def grows(x, u):
+        return [1.5 * x[0], 0.5 * x[1] + u[0]]
+
     more = {"running_cost": lambda x: ca.dot(x, x), "terminal_cost": None, "tail": "riccati"}
     plane = {"domain": Box([-1, -1], [1, 1]), "alphabet": [-1.0, 1.0], "default": 0.0}
     with pytest.raises(ProblemError, match=r"moves there as \(1.5\)\^k no symbol changes"):

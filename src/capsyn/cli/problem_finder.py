@@ -78,10 +78,7 @@ def find_function(text: str, others: tuple[type, ...] = ()) -> Any:
     ProblemError
         There is none, or the file fails.
     """
-    place, colon, name = text.rpartition(":")
-    if not colon or not name.isidentifier():
-        raise ProblemError(f"a function must be given as FILE.py:NAME; got '{text}'")
-    function = getattr(_load(place), name, None)
+    place, name, function = _named(text, "a function")
     if not callable(function) and not isinstance(function, others):
         raise ProblemError(f"'{place}' must hold a function named '{name}'")
     return function
@@ -97,13 +94,21 @@ def find_controller(text: str) -> Any:
     ProblemError
         There is none, or the file fails.
     """
-    place, colon, name = text.rpartition(":")
-    if not colon or not name.isidentifier():
-        raise ProblemError(f"a controller must be given as FILE.py:NAME; got '{text}'")
-    found = getattr(_load(place), name, None)
+    place, name, found = _named(text, "a controller")
     if not callable(found) and not callable(getattr(found, "predict", None)):
         raise ProblemError(f"'{place}' must hold a function or an agent named '{name}'")
     return found
+
+
+def _named(text: str, what: str) -> tuple[str, str, Any]:
+    """Return place and name of ``PLACE:NAME``, and what is there under the name, None if nothing.
+
+    `what` must be given so, as errors say.
+    """
+    place, colon, name = text.rpartition(":")
+    if not colon or not name.isidentifier():
+        raise ProblemError(f"{what} must be given as FILE.py:NAME; got '{text}'")
+    return place, name, getattr(_load(place), name, None)
 
 
 def given_source(policy: Any, text: str | None) -> Any:

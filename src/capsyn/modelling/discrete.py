@@ -34,6 +34,14 @@ def refuse_map(source: Any, name: str, why: str) -> None:
         )
 
 
+def charged_time(own: float | None, period: float) -> float:
+    """Return what a cost per time unit counts over a period [time unit].
+
+    Of a map, which has its `own` sample time, costs are per sample and count once.
+    """
+    return period if own is None else 1.0
+
+
 def check_period(own: float | None, unit: str, name: str, period: float) -> None:
     """Raise unless a sample time, or one over a ``"rate"``, as `name` says, is a map's `own`.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import Alphabet
-from capsyn.modelling.discrete import check_period
+from capsyn.modelling.discrete import charged_time, check_period
 from capsyn.modelling.domain import Box
 from capsyn.modelling.exogenous import exogenous_text, one_exogenous
 from capsyn.modelling.problem import Problem
@@ -132,7 +132,7 @@ def task_of(
         raise ProblemError("`stop_at_target` needs a target; there is none")
     period = _period(source, rate)
     check_period(model.sample_time, source.time_unit, "rate", period)
-    charged = period if model.sample_time is None else 1.0  # a map's costs are per sample
+    charged = charged_time(model.sample_time, period)
     model, objective = _gathering(model, source.time_unit)
     alphabet = source.alphabet
     warn_of_parts(rules, period, source.time_unit)

@@ -12,7 +12,7 @@ import numpy as np
 
 from capsyn.errors import ProblemError, warn
 from capsyn.modelling.alphabet import Alphabet
-from capsyn.modelling.discrete import check_period, whole_samples
+from capsyn.modelling.discrete import charged_time, check_period, whole_samples
 from capsyn.modelling.domain import Box
 from capsyn.modelling.exogenous import joined
 from capsyn.modelling.problem import Problem
@@ -153,8 +153,8 @@ class Plant:
         return x, cost
 
     def charged_time(self, period: float) -> float:
-        """Return what a cost per time unit counts over a sample; of a map, per sample: once."""
-        return period if self.sample_time is None else 1.0
+        """Return what a cost per time unit counts over a sample; see `charged_time`."""
+        return charged_time(self.sample_time, period)
 
     def check_loop(self, name: str, period: float, substeps: int | None) -> None:
         """Raise where a map's loop is asked for another sample time, as `name`, or for substeps."""

@@ -81,7 +81,10 @@ def iterated(step, running, end, x, controls):
 
 def stock_costs(x, depth=4):
     """Return the least cost (B, 3) of all sequences of harvests from stocks (B,), by the first."""
-    away = lambda x: (x - WANTED) ** 2  # noqa: E731
+
+    def away(x):
+        return (x - WANTED) ** 2
+
     best = np.full((len(x), len(HARVESTS)), np.inf)
     for sequence in itertools.product(range(len(HARVESTS)), repeat=depth):
         cost = iterated(grown, away, away, x, [HARVESTS[k] for k in sequence])
