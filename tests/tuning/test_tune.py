@@ -245,6 +245,22 @@ def test_what_was_under_way_is_the_first_when_a_study_goes_on(tmp_path, monkeypa
     assert tune(block, **options, **study).to_json() == whole.to_json()
 
 
+def test_a_trial_has_an_owner_from_its_first_moment(tmp_path, monkeypatch):
+    """A process that ends as soon as it has asked for settings leaves them to the next."""
+    options = {"success": 0.5, "trials": 1, "starts": 20, "fresh": 20} | LOOPS
+    study = {"storage": tmp_path / "study.journal"}
+
+    def ends(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("capsyn.tuning.study.Study._try", ends)
+    monkeypatch.setattr("capsyn.tuning.study.os.getpid", lambda: 2**22 + 1)  # of no process
+    with pytest.raises(KeyboardInterrupt):
+        tune(block, **options, **study)
+    monkeypatch.undo()
+    assert tune(block, **options, **study).to_json() == tune(block, **options).to_json()
+
+
 def test_lost_loops_come_before_what_is_least_where_no_success_is_asked_for():
     cheap = dataclasses.replace(figures(None, 0.1, 1.0), lost=40)
     goal = Goal(least="cost")

@@ -123,7 +123,12 @@ class Study:
                     progress(f"settings {done + 1} of {count}")
                 # another process may go on with what was left, too, and be first with the same
                 with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):
-                    self._try(self._left() or self._study.ask(), stages)
+                    self._try(self._left() or self._asked(), stages)
+
+    def _asked(self) -> Any:
+        """Return the next trial, which has its owner from the moment it is in the storage."""
+        self._study.enqueue_trial({}, user_attrs={OWNER: f"{HOST} {os.getpid()}"})
+        return self._study.ask()
 
     def _left(self) -> Any:
         """Return a trial that was begun by a process of this machine that is no more, or None."""
