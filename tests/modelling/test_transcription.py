@@ -12,7 +12,12 @@ import pytest
 from capsyn import Box, Problem, problems
 from capsyn.controllers.solver import bind_default, make_solver
 from capsyn.errors import ProblemError
-from capsyn.modelling.transcription import program_from_casadi, transcribe, user_program
+from capsyn.modelling.transcription import (
+    candidate_insertion,
+    program_from_casadi,
+    transcribe,
+    user_program,
+)
 from capsyn.native.compiler import COMMON_FLAGS, find_compiler, usual_flags
 from capsyn.native.source import declarations, hand_written
 from capsyn.programs.model import Model
@@ -316,3 +321,37 @@ def test_a_users_function_that_cannot_be_used_is_named(function, message):
     with pytest.raises(ProblemError) as caught:
         user_program("target", function, (("x", 2),), (("inside", 1),))
     assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
+
+
+CANDIDATES = {
+    "affine": lambda: problems.plain("cart-pendulum"),
+    "not affine": lambda: small_problem(
+        lambda x, u: [ca.sin(x[1] * u[0]), u[0] ** 2 * x[0]], default=0.3
+    ),
+    "law, exogenous": lambda: problems.plain("building"),
+    "roots": lambda: problems.plain("double-tank-b"),
+    "map": lambda: small_problem(
+        lambda x, u: [x[0] + 0.1 * x[1], 0.9 * x[1] + u[0] * ca.cos(x[0])],
+        discrete=True, sample_time=0.1, horizon=5,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CANDIDATES)
+def test_the_insertion_of_one_control_is_that_of_the_models_symbols(case):
+    problem = CANDIDATES[case]()
+    model, found = transcribe(problem), candidate_insertion(problem)
+    law = model.prediction is not None
+    program = model.prediction.insertion if law else model.insertion
+    size = (("gradients", 1), ("scales", 1))
+    assert (found.inputs, found.outputs) == ((*program.inputs, ("v", problem.alphabet.m)), size)
+    rng = np.random.default_rng(0)
+    states, rho = problem.space.sample(50).T, rng.normal(size=(problem.space.n, 50))
+    control = [] if law else [problem.default_control + rng.normal(size=problem.alphabet.m)]
+    arguments = [states, *control, rho, rng.random((1, 50)), [1e-9]]
+    gradients, scales = program.evaluate(*arguments)
+    assert np.isfinite(gradients).all() and (scales > 0).any()
+    for symbol, value in enumerate(problem.alphabet.values):
+        gradient, scale = found.evaluate(*arguments, value)
+        np.testing.assert_allclose(scale[0], scales[symbol], rtol=1e-9, atol=1e-14)
+        assert (np.abs(gradient[0] - gradients[symbol]) <= 1e-9 * scale[0] + 1e-14).all()

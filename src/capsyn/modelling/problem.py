@@ -186,7 +186,7 @@ class Problem:
                 raise ProblemError(NO_RUNNING_COST)
             self.system()  # is checked; its tail is yet to be found
         else:
-            terminal = self.functions() and self._terminal
+            terminal = self.functions() and self.terminal
             if self.horizon is None and isinstance(terminal, Tail):
                 keep(self, horizon=terminal.horizon)
         keep(self, horizon=finite_number("horizon", self.horizon, above=0.0))
@@ -212,8 +212,14 @@ class Problem:
         return joined(self.domain, self.exogenous)
 
     @functools.cached_property
-    def _terminal(self) -> Callable[..., Any] | None:
-        """The terminal cost, or the tail in its place."""
+    def terminal(self) -> Callable[..., Any] | None:
+        """The terminal cost, or the tail in its place; None without either.
+
+        Raises
+        ------
+        ProblemError
+            The tail is "fit", which `synthesize` finds, or a Riccati tail that does not exist.
+        """
         if not isinstance(self.tail, str):
             return self.tail or self.terminal_cost
         effort = tail_effort(self.tail)
@@ -284,7 +290,7 @@ class Problem:
         z = ca.SX.sym("z", self.space.n)
         name = "terminal_cost" if self.tail is None else "tail"
         arguments = split_reading(z, {}, self.domain.n)
-        terminal = expression(name, self._terminal or (lambda *_: 0.0), arguments, 1)
+        terminal = expression(name, self.terminal or (lambda *_: 0.0), arguments, 1)
         return {**self.system(), "terminal_cost": casadi_function("terminal_cost", [z], terminal)}
 
     def system(self) -> dict[str, ca.Function]:
@@ -323,8 +329,8 @@ class Problem:
         said = vars(self)["_says_sample_time"]
         changes["settings"] = self.settings.replaced(changes.get("settings", self.settings), said)
         changed = object.__new__(type(self))
-        if not changes.keys() & _OF_TAILS and "_terminal" in vars(self):
-            vars(changed)["_terminal"] = self._terminal  # a tail takes a while
+        if not changes.keys() & _OF_TAILS and "terminal" in vars(self):
+            vars(changed)["terminal"] = self.terminal  # a tail takes a while
         Problem.__init__(changed, **fields | changes)
         return changed
 

@@ -184,12 +184,13 @@ def transcribe(problem: Problem) -> Model:
     derivative of ``f(x, default(x, w), w)``. Of a discrete-time problem a step is its map.
     """
     functions, m, symbols = problem.functions(), problem.alphabet.m, len(problem.alphabet)
-    arguments, values = _programs(problem, functions, ca.SX.sym("u", m))
+    controls = [ca.DM(value) for value in problem.alphabet.values]
+    arguments, values = _programs(problem, functions, ca.SX.sym("u", m), controls)
     ports = model_ports(problem.space.n, m, symbols)
     programs = _transcribed(arguments, values, ports)
     prediction = None
     if problem.has_law:
-        arguments, values = _programs(problem, functions, None)
+        arguments, values = _programs(problem, functions, None, controls)
         own = Prediction.ports(problem.space.n, m, symbols)
         prediction = Prediction(**_transcribed(arguments, values, own))
     limits = None
@@ -198,6 +199,21 @@ def transcribe(problem: Problem) -> Model:
         limits = program_from_casadi("limits", functions["limits"], (("x", problem.space.n),), size)
     time = problem.sample_time if problem.discrete else None
     return Model(**programs, prediction=prediction, limits=limits, sample_time=time)
+
+
+def candidate_insertion(problem: Problem) -> Program:
+    """Return the insertion of `transcribe` for one control `v` (m,) that is an input, the last.
+
+    It is ``(x, u, rho, cost, rounding, v) -> (gradient, scale)``; under a default law, which it
+    then follows, without `u`. Of exogenous inputs x is the reading, as in `Model`.
+    """
+    m, law = problem.alphabet.m, problem.has_law
+    v = ca.SX.sym("v", m)
+    u = None if law else ca.SX.sym("u", m)
+    arguments, values = _programs(problem, problem.functions(), u, [v])
+    inputs, outputs = (Prediction.ports if law else model_ports)(problem.space.n, m, 1)["insertion"]
+    own = {"insertion": ((*inputs, ("v", m)), outputs)}
+    return _transcribed({"insertion": [*arguments["insertion"], v]}, values, own)["insertion"]
 
 
 def _transcribed(
@@ -217,9 +233,15 @@ def _transcribed(
 
 
 def _programs(
-    problem: Problem, functions: dict[str, ca.Function], u: ca.SX | None
+    problem: Problem,
+    functions: dict[str, ca.Function],
+    u: ca.SX | None,
+    controls: Sequence[ca.SX | ca.DM],
 ) -> tuple[dict[str, Sequence[ca.SX]], dict[str, Sequence[ca.SX]]]:
-    """Return arguments and values of the programs of a model, under u or, of None, the law."""
+    """Return arguments and values of the programs of a model, under u or, of None, the law.
+
+    The insertion is that of `controls`.
+    """
     n, size = problem.domain.n, problem.space.n
     z, dt, whole = ca.SX.sym("z", size), ca.SX.sym("dt"), ca.SX.sym("rho", size)
     rho = ca.vertcat(whole[:n], ca.SX.zeros(size - n))
@@ -237,7 +259,7 @@ def _programs(
         moved, gathered = extended_function(dynamics), extended_function(running)
         end, cost = runge_kutta_step(moved, gathered, z, inputs, dt)
     terminal, rates = functions["terminal_cost"](z), dynamics(z, *inputs)
-    change = [given(z, ca.DM(value)) - rates for value in problem.alphabet.values]
+    change = [given(z, control) - rates for control in controls]
     widths = ca.DM(problem.space.widths)
     sensitivity = ca.norm_2(widths * rho) + rounding * ca.fabs(total)
     noise = rounding * ca.norm_2(rates / widths)

@@ -1,0 +1,1 @@
+"""Which symbols to have: candidates, and the choice of an alphabet among them."""
