@@ -63,9 +63,9 @@ certification: question refute proof_file certify
 certification.checker: bounds sets flows cells moving pieces
 certification: check
 tuning: free family figures goal study advice tune
-alphabets: candidates
+alphabets: candidates judged
 plots: figure symbols policy pieces trajectory transition_matrix automaton curve switching optimum
-    certificate
+    certificate alphabet
 exports: crossings text plan constants golden sequence target certificate identifiers
     feature_texts
 exports.c: language styles.mirrors styles.diagram styles.stream styles.table styles.nested
@@ -79,6 +79,7 @@ exports.javascript: target
 exports.policy_json: target
 exports.fmu: times description build target
 exports: python_module dot export
+alphabets: study
 explorer: packed memory_data policy_data program_javascript expression formulas facts page_data
     explore
 paper: cases figures pendulum tanks reproduction

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from capsyn.modelling.discrete import check_map
 from capsyn.modelling.exogenous import check_exogenous, of_states
 from capsyn.modelling.switching import DEFAULT, check_switching
 from capsyn.modelling.targets import check_target
-from capsyn.modelling.time_unit import check_time_unit
+from capsyn.modelling.time_unit import NAMES, check_time_unit
 from capsyn.validation import describe, finite_number, keep, read_only, true_or_false
 
 STATISTICS: dict[str, tuple[type, ...]] = {
@@ -38,6 +39,16 @@ STATISTICS: dict[str, tuple[type, ...]] = {
 RATIOS = ("wanted_over_reachable", "effort_over_choice", "reach")
 TABLE = ("points", "outside", "several")
 SAMPLE = tuple("states no_descent held_back indifferent not_finite negative_cost".split()) + RATIOS
+
+KINDS = ("chosen", "own", "uniform", "random")
+"""Kinds of alphabets in a table: that of the search, those of the user, and two to compare with."""
+SIZES = ("cells", "solves", "nodes", "bytes")
+"""What the policy of an alphabet takes."""
+BOUNDS = ("objective", "low", "high")
+"""The mean of the objective, and its interval."""
+SHARES = ("success", "success_low", "success_high")
+MOST_ROWS, MOST_NAMES = 1000, 100
+"""Most rows of a table, and most figures or weights by name."""
 
 
 def check_fields(policy: Any, structure: type) -> None:
@@ -183,4 +194,67 @@ def checked_statistics(data: Any) -> dict[str, Any]:
         raise PolicyFormatError("its statistic 'table' is of another kind")
     if sample and (not set(sample) >= set(SAMPLE) or not numbers):
         raise PolicyFormatError("its statistic 'sample' is of another kind")
+    if "alphabet" in data and not is_alphabet_study(data["alphabet"]):
+        raise PolicyFormatError("its statistic 'alphabet' is of another kind")
     return data
+
+
+def checked_row(row: dict[str, Any]) -> None:
+    """Raise `ProblemError` unless the figures of a row are what a study writes."""
+    if row.get("kind") not in KINDS:
+        raise ProblemError(f"a row of the table is of no kind; got {describe(row.get('kind'))}")
+    wrong = [name for name in ("count", "tried") if not _is_count(row.get(name), least=1)]
+    wrong += [name for name in ("lost",) if not _is_count(row.get(name))]
+    wrong += [name for name in SIZES if name not in row or not _is_known(row[name], _is_count)]
+    wrong += [name for name in BOUNDS if name not in row or not _is_known(row[name], _is_number)]
+    wrong += [name for name in SHARES if name not in row or not _is_known(row[name], _is_share)]
+    if not is_named(row.get("figures")):
+        wrong.append("figures")
+    if wrong:
+        raise ProblemError(f"a row of the table has a wrong {wrong[0]}")
+
+
+def is_named(data: Any) -> bool:
+    """Return whether plain data is finite numbers by name, and not too many."""
+    return (
+        isinstance(data, dict)
+        and len(data) <= MOST_NAMES
+        and all(isinstance(name, str) and name.isprintable() for name in data)
+        and all(map(_is_number, data.values()))
+    )
+
+
+def is_alphabet_study(data: Any) -> bool:
+    """Return whether plain data is what a policy's statistics say of the study of its alphabet."""
+    if not isinstance(data, dict) or not is_named(data.get("objective")):
+        return False
+    rows, texts = data.get("rows"), [data.get(name) for name in ("problem", "time_unit")]
+    if not isinstance(rows, list) or len(rows) > MOST_ROWS:
+        return False
+    if not all(isinstance(text, str) and text.isprintable() for text in texts):
+        return False
+    if not all(isinstance(row, dict) and _is_count(row.get("alphabet"), 1) for row in rows):
+        return False
+    try:
+        for row in rows:
+            checked_row(row)
+    except ProblemError:
+        return False
+    counts = [data.get(name) for name in ("count", "fresh", "searched", "candidates")]
+    return texts[1] in NAMES and all(map(_is_count, counts))
+
+
+def _is_known(value: Any, fits: Any) -> bool:
+    return value is None or bool(fits(value))
+
+
+def _is_count(value: Any, least: int = 0) -> bool:
+    return type(value) is int and least <= value < 1 << 53
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and abs(value) < math.inf
+
+
+def _is_share(value: Any) -> bool:
+    return _is_number(value) and 0 <= value <= 1
