@@ -87,7 +87,7 @@ def test_the_table_marks_the_chosen_and_leaves_out_what_nobody_knows():
     study = motor_study()
     rows = columns(study.summary()["rows"], "min", study.count)
     assert list(rows[0]) == [
-        "symbols", "kind", "best", "objective", "95 % interval", "success", "cost",
+        "kind", "symbols", "best", "objective", "95 % interval", "success", "cost",
         "switches / min", "cells", "solves", "nodes", "bytes", "lost",
     ]  # fmt: skip
     assert [row["best"] for row in rows] == ["", "", "*", "", ""]

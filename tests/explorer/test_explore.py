@@ -15,6 +15,7 @@ from capsyn.errors import ProblemError
 from capsyn.explorer.explore import page
 from support.explorer.page import OUTPUT, hex_color, json_of, synthesized
 from support.features import exact
+from support.problems.study import motor_study
 from support.processes.command_line import capsyn as run_capsyn
 from support.processes.command_line import run_apart
 from support.trees import random_policy
@@ -461,6 +462,18 @@ def test_facts_and_evidence(show):
         assert words in facts, words
     assert shown.page.locator("#formulas math").count() >= 3
     assert shown.text("#summary") == "2 states · 2 symbols · 1,710 cells · 4,314 solves"
+
+
+def test_the_table_of_a_chosen_alphabet(show):
+    study = motor_study()
+    policy = pendulum(1)
+    assert "Choice" not in show(policy).text("#facts")
+    shown = show(dataclasses.replace(policy, statistics={"alphabet": study.summary()}))
+    card = shown.page.locator(".fact.broad")
+    heads, cells = (card.locator(tag).all_inner_texts() for tag in ("th", "td"))
+    assert card.locator("h2").inner_text() == "Choice of the alphabet"
+    assert heads[:5] == ["kind", "symbols", "best", "objective", "95 % interval"]
+    assert cells[2 * len(heads) :][:5] == ["chosen", "3", "*", "555", "535 to 575"]
 
 
 NASTY = ['</script><script>alert("a")</script>', "<img src=x onerror=alert(1)>", "{{SCRIPT}}",

@@ -88,7 +88,7 @@ cli.better: optimum
 cli.proofs: proved trials certify
 cli: paper evidence compression export look
     import_table doctor
-cli.better: improve switching tune
+cli.better: improve switching searches tune given_alphabet
 cli.making: source simulate synth
 cli: app
 

@@ -95,6 +95,21 @@ def alphabet_of(data: Any) -> Alphabet:
     return Alphabet(**data)
 
 
+def weighed(objective: Mapping[str, float]) -> str:
+    """Return weights of figures by name as a sum in words."""
+    terms = (name if weight == 1 else f"{weight:g} {name}" for name, weight in objective.items())
+    return " + ".join(terms)
+
+
+def chosen_among(study: Mapping[str, Any]) -> str:
+    """Return how an alphabet was chosen, in words, of the summary of its study."""
+    return (
+        f"chosen for {study['problem']} from {study['candidates']:,} candidates: the least "
+        f"{weighed(study['objective'])} of {study['searched']:,} alphabets; judged on "
+        f"{study['fresh']:,} fresh closed loops"
+    )
+
+
 def columns(
     rows: Sequence[Mapping[str, Any]], time_unit: str = "s", best: int | None = None
 ) -> list[dict[str, str]]:
@@ -112,8 +127,8 @@ def columns(
 def _texts(row: Mapping[str, Any], time_unit: str, best: int | None) -> dict[str, str]:
     tried = row["tried"]
     texts = {
-        "symbols": str(row["alphabet"]),
         "kind": f"best of {tried} {row['kind']}" if tried > 1 else row["kind"],
+        "symbols": str(row["alphabet"]),
         "best": "*" if (row["kind"], row["count"]) == (KINDS[0], best) else "",
         "objective": "infinite" if row["objective"] is None else f"{row['objective']:.4g}",
         "95 % interval": _range(row["low"], row["high"]),

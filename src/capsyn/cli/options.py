@@ -221,14 +221,14 @@ def _pairs(texts: list[str], own: Sequence[tuple[str, str]]) -> list[Any]:
     """Return the forbidden transitions that texts mean, beside those of the problem."""
     if texts == ["none"]:
         return []
-    pairs = [[name.strip() for name in part.split(":")] for text in texts for part in _parts(text)]
+    pairs = [[name.strip() for name in part.split(":")] for text in texts for part in parts(text)]
     if any(len(pair) != 2 for pair in pairs):
         raise ProblemError(f"--forbid must be FROM:TO; got '{' '.join(texts)}'")
     return [*own, *pairs]
 
 
-def _parts(text: str) -> list[str]:
-    """Return the parts of a list, whose commas are not those in brackets, as of ``(0, 1)``."""
+def parts(text: str) -> list[str]:
+    """Return the parts of a list of names, whose commas are not those in brackets, ``(0, 1)``."""
     return [part.strip() for part in re.split(r",(?![^()]*\))", text)]
 
 
@@ -241,8 +241,8 @@ def _one_or_named(name: str, text: str, meaning: Callable[[str, str], Any]) -> A
     """Return what a text means, or of ``NAME=TEXT,..`` what each does, by name."""
     if "=" not in text:
         return meaning(name, text)
-    parts = assignments(name, _parts(text))
-    return {key: meaning(name, value) for key, value in parts.items()}
+    each = assignments(name, parts(text))
+    return {key: meaning(name, value) for key, value in each.items()}
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from capsyn.alphabets.judged import chosen_among, columns
 from capsyn.cli.console import print_line, print_table
 from capsyn.modelling.settings import usual_sample_time
 from capsyn.modelling.time_unit import NAMES
@@ -176,6 +177,8 @@ def print_report(data: dict[str, Any]) -> None:
         _print_table_source(statistics["table"])
     if "source" in data:
         print_line("source", data["source"])
+    if "alphabet" in statistics:
+        print_alphabet(statistics["alphabet"])
     if "solves" in statistics:
         _print_solves(statistics)
     if statistics.get("sample"):
@@ -303,6 +306,13 @@ def _print_cells(data: dict[str, Any]) -> None:
         leaves = f"{data['affine_leaves']:,} of the cells"
         print_line("affine", f"{leaves}, on a lattice of {steps} steps")
     print_line("table", f"{data['packed_bytes']:,} bytes packed")
+
+
+def print_alphabet(study: dict[str, Any]) -> None:
+    """Print what `capsyn.alphabets.study.AlphabetStudy.summary` returns."""
+    print_line("alphabet", chosen_among(study))
+    if study["rows"]:
+        print_table(columns(study["rows"], study["time_unit"], study["count"]))
 
 
 def _print_table_source(counts: dict[str, int]) -> None:

@@ -100,6 +100,22 @@ def find_controller(text: str) -> Any:
     return found
 
 
+def find_symbols(text: str) -> Any:
+    """Return the symbols of ``path/to/file.py:name`` or ``package.module:name``: not checked.
+
+    They are an `Alphabet`, numbers or a box of inputs.
+
+    Raises
+    ------
+    ProblemError
+        There is nothing, or the file fails.
+    """
+    place, name, found = _named(text, "symbols")
+    if found is None:
+        raise ProblemError(f"'{place}' must hold symbols named '{name}'")
+    return found
+
+
 def _named(text: str, what: str) -> tuple[str, str, Any]:
     """Return place and name of ``PLACE:NAME``, and what is there under the name, None if nothing.
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.alphabets.judged import chosen_among, columns
 from capsyn.verification.sentences import evidence_rows
 
 ROLES = {
@@ -23,7 +24,8 @@ def facts(data: dict[str, Any], switching: Sequence[Row] = ()) -> list[dict[str,
     """Return sections of rows (name, text) from what `capsyn.policies.report.report` returns.
 
     Rows of what switching costs and waits for, if there are any, stand in the place of the least
-    dwell. Sections without rows are left out.
+    dwell. Sections without rows are left out. That of a chosen alphabet has a ``table``, too: texts
+    by row, the first of which is the head.
     """
     sections = {
         "Solves": _solves(data["statistics"]),
@@ -32,7 +34,19 @@ def facts(data: dict[str, Any], switching: Sequence[Row] = ()) -> list[dict[str,
         "Controller": _controller(data, switching),
         "Hints": [("", hint) for hint in data["hints"]],
     }
-    return [{"title": title, "rows": rows} for title, rows in sections.items() if rows]
+    found: list[dict[str, Any]] = [
+        {"title": title, "rows": rows} for title, rows in sections.items() if rows
+    ]
+    if study := data["statistics"].get("alphabet"):
+        found.append(_alphabet(study))
+    return found
+
+
+def _alphabet(study: dict[str, Any]) -> dict[str, Any]:
+    """Return how the alphabet was chosen, with the table of the study."""
+    rows = columns(study["rows"], study["time_unit"], study["count"])
+    table = [list(rows[0]), *(list(row.values()) for row in rows)] if rows else []
+    return {"title": "Choice of the alphabet", "rows": [("", chosen_among(study))], "table": table}
 
 
 def _size(data: dict[str, Any]) -> list[Row]:

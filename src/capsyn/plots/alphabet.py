@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from capsyn.alphabets.judged import weighed
 from capsyn.plots.figure import literal, new_figure, saved_figure
 from capsyn.policies.checks import KINDS
 from capsyn.policies.colors import PALETTE
@@ -55,8 +56,7 @@ def _draw(
     panels = 1 + any(row.bytes for row in rows)
     axes = figure.subplots(1, panels, sharey=True, squeeze=False)[0]
     plot_alphabets(rows, axes[0])
-    terms = [name if weight == 1 else f"{weight:g} {name}" for name, weight in objective.items()]
-    axes[0].set_ylabel(literal(f"objective: {' + '.join(terms)}"))
+    axes[0].set_ylabel(literal(f"objective: {weighed(objective)}"))
     if panels == 2:
         plot_sizes(rows, axes[1])
     figure.suptitle(literal(title), fontsize=11)

@@ -9,19 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from capsyn.cli.better.searches import SearchTexts
 from capsyn.cli.console import print_line, print_table, show, working
-from capsyn.cli.loop import LoopTexts, loop_options
-from capsyn.cli.options import (
-    INITIAL,
-    Json,
-    assignments,
-    flat,
-    listed,
-    number,
-    number_or_range,
-    option,
-    starts,
-)
+from capsyn.cli.options import Json, assignments, flat, listed, number, option
 from capsyn.errors import ProblemError, warn
 from capsyn.modelling.time_unit import NAMES
 from capsyn.validation import describe
@@ -33,12 +23,10 @@ if TYPE_CHECKING:
 
 SHOWN = 20
 """Most settings of the front that are printed."""
-RUN_BY = ("seed", "backend", "threads", "executor", "stop_at_target", "avoid", "stay_in", "costs")
-"""Options of a loop that are not those of the loops of `capsyn.tune`."""
 
 
 @dataclass(frozen=True)
-class TuneOptions(LoopTexts):
+class TuneOptions(SearchTexts):
     """Options of ``capsyn tune``."""
 
     output: str | None = option(
@@ -88,19 +76,6 @@ class TuneOptions(LoopTexts):
         default=True,
         before="duration",
     )
-    max_solves: int | None = option("Most solves of a policy, as in synth.", before="duration")
-    initial: str | None = option(
-        f"Where loops start: {INITIAL}",
-        metavar="SET",
-        before="target",
-    )
-    within: float | None = option(
-        "Time within which a loop must arrive [time unit].", before="model"
-    )
-    hold: float | None = option(
-        "Time at the end for which a loop must stay in the target [time unit] [default: 0].",
-        before="model",
-    )
 
 
 @flat
@@ -139,15 +114,12 @@ def tune(
     for name in ("cost", "effort"):
         text = getattr(options, name)
         given[name] = None if text is None else find_function(text)
-    solves = {} if options.max_solves is None else {"max_solves": options.max_solves}
-    loops = _loops(base, options)
+    loops = options.loops(base)
     with working("looking at the problem") as say:
-        result = tune(source, free, synthesis=solves, progress=say, **given, **loops)
+        result = tune(source, free, synthesis=options.solves, progress=say, **given, **loops)
     result.save(path)
     data = result.to_json() | {"file": path}
-    again = f"capsyn synth {problem} --settings {path}" + "".join(
-        f" --max-solves {value}" for value in solves.values()
-    )
+    again = f"capsyn synth {problem} --settings {path}{options.synth}"
     show(as_json, data, lambda: _print(result), f"wrote {path}; {again} makes the policy")
     if not result.met:
         typer.echo(f"no settings meet the goal {result.goal}; {_missed(result)}", err=True)
@@ -160,14 +132,6 @@ def _missed(result: Tuning) -> str:
     if result.goal.success is None or (figures.success or 0.0) >= result.goal.success:
         return f"the best has no figure of {least}; {result.advice}"
     return f"the best has success {figures.success:.2%}; {result.advice}"
-
-
-def _loops(base: Problem, options: TuneOptions) -> dict[str, Any]:
-    """Return how loops run, as arguments of `capsyn.tune`."""
-    loop = loop_options(base, options, one=number_or_range, each=number_or_range)
-    own = {name: value for name, value in vars(loop).items() if name not in RUN_BY}
-    initial = starts(options.initial, base.domain.names)
-    return own | {"initial": initial, "within": options.within, "hold": options.hold or 0.0}
 
 
 def _free(texts: list[str] | None) -> dict[str, Free]:

@@ -63,6 +63,10 @@ class ProblemOptions:
         "--settings",
         metavar="FILE",
     )
+    alphabet: str | None = option(
+        "Another alphabet: the file of a study by capsyn alphabet, or symbols of Python.",
+        metavar="FILE.json|FILE.py:NAME",
+    )
     source: str = option(
         "The controller whose symbols the policy takes. ssac: sSAC. optimum: the best "
         "symbols for closed loops of time T [default: 10 horizons], for at most three "
@@ -187,7 +191,7 @@ def synth(
     from capsyn.policies.report import report
     from capsyn.verification.switching_curve import chatter_hint
 
-    chosen, path = _chosen_problem(problem, changes)
+    chosen, path, told = _chosen_problem(problem, changes)
     chosen = chosen.replace(switching=switching.of(chosen))
     _check_sample_time(chosen, settings.sample_time)
     own, options = settings.of(chosen.settings), changes.grid() | vars(subdivision)
@@ -206,6 +210,7 @@ def synth(
         unused = {"--dask": dask, "--checkpoint": checkpoint, "--keep-limits": limits.of() or None}
         given = {name: value for name, value in vars(settings).items() if value is not None}
         policy = sourced_policy(chosen, changes.source, options, rules, given, unused)
+    policy = dataclasses.replace(policy, statistics=policy.statistics | told)
     policy.save(path)
     data = report(policy) | {"file": path, "seconds": policy.timings}
     if hint is not None:
@@ -237,14 +242,20 @@ def _synthesized(
         return synthesize(problem, settings=settings, progress=progress, executor=client, **options)
 
 
-def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
-    """Return the problem that a text names, changed, and the path of its policy, checked."""
+def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str, dict[str, Any]]:
+    """Return the problem that a text names, changed, and the path of its policy, checked.
+
+    Then comes what the policy's statistics say of how the problem was chosen.
+    """
+    from capsyn.cli.better.given_alphabet import with_given_alphabet
     from capsyn.cli.better.tune import problem_of
     from capsyn.execution.files import check_writable
 
     if changes.output is not None:
         check_writable(changes.output)
-    problem = problem_of(text, changes.tuned)
+    problem, told = problem_of(text, changes.tuned), dict[str, Any]()
+    if changes.alphabet is not None:
+        problem, told = with_given_alphabet(problem, changes.alphabet)
     if changes.tail in ("none", "fit"):
         problem = problem.replace(tail=None if changes.tail == "none" else changes.tail)
     elif changes.tail is not None:
@@ -255,9 +266,9 @@ def _chosen_problem(text: str, changes: ProblemOptions) -> tuple[Problem, str]:
         values = [number("--default", u) for u in changes.default.split(",")]
         problem = problem.replace(default=values)
     if changes.output is not None:
-        return problem, changes.output
+        return problem, changes.output, told
     path = f"{problem.name}.cap"
     if set(path) & NO_FILE_NAME:
         raise ProblemError(f"the name '{problem.name}' makes no file name; give one with -o")
     check_writable(path)
-    return problem, path
+    return problem, path, told

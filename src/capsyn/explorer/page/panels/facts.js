@@ -89,13 +89,18 @@ export function showFacts(app) {
     `Default control: ${data.controls.at(-1).map(v => short(v)).join(", ")}` +
     `${data.law ? ", its law's in the middle" : ""}; no cell has it.`));
 
-  const sections = data.facts.map(({ title, rows }) => card(
-    title,
-    title === "Solves" ? bar(data.statistics) : null,
-    element("dl", {}, rows.flatMap(([name, text]) => [
-      element("dt", {}, name), element("dd", name ? {} : { class: "wide" }, text),
-    ])),
-  ));
+  const sections = data.facts.map(({ title, rows, table: [head, ...body] = [] }) => {
+    const section = card(
+      title,
+      title === "Solves" ? bar(data.statistics) : null,
+      element("dl", {}, rows.flatMap(([name, text]) => [
+        element("dt", {}, name), element("dd", name ? {} : { class: "wide" }, text),
+      ])),
+      head ? table(head, body) : null,
+    );
+    section.classList.toggle("broad", Boolean(head));
+    return section;
+  });
   byId("facts").prepend(...boxes, symbols, ...sections);
   const formulas = byId("formulas");
   formulas.hidden = !formulas.querySelector("math");
