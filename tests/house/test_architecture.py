@@ -63,7 +63,7 @@ certification: question refute proof_file certify
 certification.checker: bounds sets flows cells moving pieces
 certification: check
 tuning: free family figures goal study advice tune
-alphabets: candidates gains judged
+alphabets: candidates symmetries gains judged
 plots: figure symbols policy pieces trajectory transition_matrix automaton curve switching optimum
     certificate alphabet
 exports: crossings text plan constants golden sequence target certificate identifiers
