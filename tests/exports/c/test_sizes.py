@@ -5,10 +5,15 @@ import time
 
 import pytest
 
+from capsyn import Switching, problems, synthesize
 from capsyn.errors import ProblemError
 from capsyn.exports.c import sizes as c_sizes
+from capsyn.exports.c.code import Code
 from capsyn.exports.c.code_size import CodeSize
 from capsyn.exports.c.sizes import sizes
+from capsyn.exports.c.source import source
+from capsyn.exports.c.target import written_bytes
+from capsyn.exports.plan import Plan
 from support.exports.c_machines import need
 from support.exports.c_plans import files, plan_of
 
@@ -22,6 +27,27 @@ def test_sizes(mode, most):
     assert 0 < found["cortex-m0"]["quantiser"] <= 1000
     assert all(measured["ram"] == 0 for measured in found.values())
     assert all(0 < measured["stack"] <= 64 for measured in found.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "affine"),
+    [
+        ("cart-pendulum", {"max_level": 2, "switching": None}, False),
+        ("double-tank-b", {"max_level": 1, "switching": Switching(price=1.0)}, False),
+        ("double-tank-a", {"max_level": 2, "leaves": "affine"}, True),
+        ("cart-pendulum", {"max_level": 0, "partitions": 1, "switching": None}, False),
+    ],
+)
+def test_bytes_that_are_told_without_a_compiler_are_those_of_the_tables_that_are_written(
+    name, options, affine
+):
+    problem = problems.get(name)
+    plan = Plan.of(synthesize(problem.replace(switching=options.pop("switching", None)), **options))
+    style, plan = ("cells", plan.written(True)) if affine else ("table", plan)
+    text = source(Code.of(plan, style, "lattice", "real", "t", 1e-6))
+    tables = re.findall(r"static const u?int(\d+)_t t_\w+\[(\d+)\] CAPSYN_ROM", text)
+    assert written_bytes(plan) == sum(int(bits) // 8 * int(size) for bits, size in tables)
+    assert bool(tables) == bool(options["max_level"])
 
 
 def test_a_budget_of_bytes_counts_what_an_export_says_a_decision_takes():

@@ -176,6 +176,17 @@ def _style(plan: Plan, style: str | None) -> str:
     return "table"
 
 
+def written_bytes(plan: Plan) -> int:
+    """Return the bytes of the tables that the files of a policy have by default."""
+    style = _style(plan, None)
+    code = _code(plan.written(style == "cells"), Options(style=style))
+    rows = 0 if code.memory is None else code.memory.bytes
+    if isinstance(code.tree, CellTree):
+        return rows + cells_bytes(code.tree)
+    tree = code.tree.ranked if isinstance(code.tree, FeatureTree) else code.tree
+    return rows + (table_bytes(tree, code.memory is not None) if tree.depth else 0)
+
+
 def measure(plan: Plan, golden: Golden, exported: Exported, options: Options) -> dict[str, Any]:
     """Return what the code takes, by processor; see `sizes`, and ``worst``: see `slowest`."""
     own = (".h", ".c")

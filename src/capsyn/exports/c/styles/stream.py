@@ -200,9 +200,9 @@ def stream(tree: SplitTree, of_rows: bool = False) -> Stream:
     return found
 
 
-def table_bytes(tree: SplitTree) -> int:
+def table_bytes(tree: SplitTree, of_rows: bool = False) -> int:
     """Return the bytes of the tables of a tree; those of planes have 32-bit entries at most."""
-    written = stream(tree, False)
+    written = stream(tree, of_rows)
     most = int(np.abs(tree.planes).max(initial=0))
     plane = (2 if most < 1 << 15 else 4) * tree.n + 4
     return len(written.data) + len(written.form.cuts) * plane
