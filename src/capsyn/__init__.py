@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from capsyn.version import __version__ as __version__
 
 if TYPE_CHECKING:
+    from capsyn.alphabets.candidates import actuator_combinations as actuator_combinations
     from capsyn.automata.automaton import Automaton as Automaton
     from capsyn.certification.certificate import Certificate as Certificate
     from capsyn.certification.certify import certify as certify
@@ -59,6 +60,7 @@ _PUBLIC = {
     "Tail": "modelling.tails.tail",
     "Trajectory": "simulation.simulate",
     "Uniform": "verification.trials",
+    "actuator_combinations": "alphabets.candidates",
     "agreement": "verification.agreement",
     "certify": "certification.certify",
     "compress": "compression.compress",
