@@ -9,6 +9,7 @@ import math
 
 import pytest
 
+from capsyn.alphabets.document import document, save_document
 from capsyn.alphabets.judged import columns
 from capsyn.alphabets.study import AlphabetStudy
 from capsyn.errors import ProblemError
@@ -121,3 +122,16 @@ def test_the_summary_is_what_a_policy_may_carry():
         {"candidates": None},
     ):  # fmt: skip
         assert not is_alphabet_study(summary | change), change
+
+
+def test_the_document_has_symbols_table_and_picture_and_is_the_same_again(tmp_path):
+    study = dataclasses.replace(motor_study(), problem="<i>motor</i> $x$")
+    text = document(study)
+    assert text == document(study) and "<i>" not in text and "&lt;i&gt;motor" in text
+    for words in ("<td>off</td><td>0</td><td>0</td>", "<td>5</td><td>5</td><td>3</td>",
+                  "<td>best of 5 random</td>", "535 to 575", "<svg "):  # fmt: skip
+        assert words in text, words
+    assert "<script" not in text and "http://" not in text.partition("<svg")[0]
+    save_document(dataclasses.replace(study, table=()), tmp_path / "bare.html")
+    bare = (tmp_path / "bare.html").read_text(encoding="utf-8")
+    assert "<svg" not in bare and "<td>off</td>" in bare

@@ -474,6 +474,10 @@ def test_the_table_of_a_chosen_alphabet(show):
     assert card.locator("h2").inner_text() == "Choice of the alphabet"
     assert heads[:5] == ["kind", "symbols", "best", "objective", "95 % interval"]
     assert cells[2 * len(heads) :][:5] == ["chosen", "3", "*", "555", "535 to 575"]
+    marks = card.locator("svg.choice g")
+    assert marks.count() == 4  # the fifth is infinite
+    assert [mark.get_attribute("class") for mark in marks.all()][:2] == ["chosen", "uniform"]
+    assert card.locator("figcaption span").all_inner_texts() == ["chosen", "uniform", "random"]
 
 
 NASTY = ['</script><script>alert("a")</script>', "<img src=x onerror=alert(1)>", "{{SCRIPT}}",

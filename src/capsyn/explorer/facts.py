@@ -25,7 +25,7 @@ def facts(data: dict[str, Any], switching: Sequence[Row] = ()) -> list[dict[str,
 
     Rows of what switching costs and waits for, if there are any, stand in the place of the least
     dwell. Sections without rows are left out. That of a chosen alphabet has a ``table``, too: texts
-    by row, the first of which is the head.
+    by row, the first of which is the head, and ``points`` of a picture.
     """
     sections = {
         "Solves": _solves(data["statistics"]),
@@ -43,10 +43,17 @@ def facts(data: dict[str, Any], switching: Sequence[Row] = ()) -> list[dict[str,
 
 
 def _alphabet(study: dict[str, Any]) -> dict[str, Any]:
-    """Return how the alphabet was chosen, with the table of the study."""
+    """Return how the alphabet was chosen, with the table of the study, and its points."""
     rows = columns(study["rows"], study["time_unit"], study["count"])
     table = [list(rows[0]), *(list(row.values()) for row in rows)] if rows else []
-    return {"title": "Choice of the alphabet", "rows": [("", chosen_among(study))], "table": table}
+    names = ("kind", "objective", "low", "high")
+    points = [
+        {"symbols": row["alphabet"]} | {name: row[name] for name in names}
+        for row in study["rows"]
+        if None not in (row["objective"], row["low"], row["high"])
+    ]
+    told = [("", chosen_among(study))]
+    return {"title": "Choice of the alphabet", "rows": told, "table": table, "points": points}
 
 
 def _size(data: dict[str, Any]) -> list[Row]:

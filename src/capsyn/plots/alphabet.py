@@ -71,9 +71,7 @@ def plot_alphabets(rows: Sequence[Judged], ax: Axes) -> Axes:
     from matplotlib.ticker import MaxNLocator
 
     places = {kind: APART * (k - (len(KINDS) - 1) / 2) for k, kind in enumerate(KINDS)}
-    _draw_kinds(
-        rows, ax, lambda row: len(row.alphabet) + places[row.kind], _told_success, (-8, -13)
-    )
+    _draw_kinds(rows, ax, lambda row: len(row.alphabet) + places[row.kind], _told_success, (-5, -9))
     ax.set_xlabel("symbols")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.margins(0.1, 0.1)
@@ -144,5 +142,6 @@ def _draw_kinds(
         for row in drawn:
             if text := told(row):
                 ax.annotate(text, (place(row), row.objective), xytext=away,
-                            textcoords="offset points", fontsize=7)  # fmt: skip
+                            textcoords="offset points", fontsize=7,
+                            ha="right" if away[0] < 0 else "left")  # fmt: skip
     ax.grid(True, linewidth=0.3)

@@ -3,6 +3,7 @@ import { counted, short, withUnit } from "../dom/text.js";
 import { MIXED } from "../policy/symbols.js";
 import { showOnly } from "../state/changes.js";
 import { swatch } from "../state/swatches.js";
+import { choicePicture } from "./choice.js";
 
 /** The legend has more symbols than these only where they occur. */
 const FEW = 8;
@@ -89,7 +90,7 @@ export function showFacts(app) {
     `Default control: ${data.controls.at(-1).map(v => short(v)).join(", ")}` +
     `${data.law ? ", its law's in the middle" : ""}; no cell has it.`));
 
-  const sections = data.facts.map(({ title, rows, table: [head, ...body] = [] }) => {
+  const sections = data.facts.map(({ title, rows, table: [head, ...body] = [], points = [] }) => {
     const section = card(
       title,
       title === "Solves" ? bar(data.statistics) : null,
@@ -97,6 +98,7 @@ export function showFacts(app) {
         element("dt", {}, name), element("dd", name ? {} : { class: "wide" }, text),
       ])),
       head ? table(head, body) : null,
+      choicePicture(points),
     );
     section.classList.toggle("broad", Boolean(head));
     return section;
