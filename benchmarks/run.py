@@ -14,9 +14,9 @@ from capsyn.version import __version__
 
 HERE = Path(__file__).parent
 QUESTIONS = (
-    "solve synthesis dimensions lookup compression sources tails improve tune alphabet_gains loop_trees "
-    "optimum limits certify told inverter coordinates closed_loop explorer command counts exports "
-    "timing cluster"
+    "solve synthesis dimensions lookup compression sources tails improve tune alphabet_gains "
+    "loop_trees optimum limits certify told inverter coordinates closed_loop explorer command "
+    "counts exports timing cluster"
 ).split()
 
 FIRST = {

@@ -38,6 +38,12 @@ def test_the_axes_of_a_cube_are_one_orbit():
     assert orbits(cube(), fewer) == [(0, 2), (1,), (3,)], "no way for the second to come back"
 
 
+def test_of_too_many_maps_the_simplest_tell_the_orbits(monkeypatch):
+    monkeypatch.setattr("capsyn.alphabets.symmetries.MOST_WORK", 2 * PUSHES.size * 12)
+    assert len(symmetries(cube(), PUSHES)[0]) == 12
+    assert orbits(cube(), PUSHES) == [(0, 1, 2, 3, 4, 5), (6,)]
+
+
 def heavier(x, u):
     """Return the rates of the points of a cube, of which the last is heavier."""
     return [x[3], x[4], x[5], u[0], u[1], 0.5 * u[2]]

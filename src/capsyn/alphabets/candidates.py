@@ -62,6 +62,7 @@ def candidates_of(problem: Problem, given: Any, steps: Any = None) -> Alphabet:
     if isinstance(given, Box):
         values = _grid(problem, given, steps)
     elif isinstance(given, Alphabet):
+        _check_inputs(own, given.inputs, tuple(f"u{i + 1}" for i in range(given.m)))
         values, names = given.values, given.names
     else:
         values = numbers("candidates", given)
@@ -308,14 +309,19 @@ def _with_own_names(own: Alphabet, values: np.ndarray, names: Sequence[str]) -> 
     return found
 
 
+def _check_inputs(own: Alphabet, given: tuple[str, ...], unnamed: tuple[str, ...]) -> None:
+    """Raise unless the names of inputs are a problem's own, or as many that say nothing."""
+    if len(given) != own.m or given not in (own.inputs, unnamed):
+        raise ProblemError(
+            f"`candidates` must be of the inputs of the problem ({', '.join(own.inputs)}); "
+            f"got {', '.join(given)}"
+        )
+
+
 def _grid(problem: Problem, box: Box, steps: Any) -> np.ndarray:
     """Return the candidates (K, m) of a box of inputs; see `candidates_of`."""
     own = problem.alphabet
-    if box.n != own.m or box.names not in (Box.unnamed(box.n), own.inputs):
-        raise ProblemError(
-            f"`candidates` must be a box of the inputs of the problem ({', '.join(own.inputs)}); "
-            f"got one of {', '.join(box.names)}"
-        )
+    _check_inputs(own, box.names, Box.unnamed(box.n))
     steps = STEPS[min(own.m, len(STEPS)) - 1] if steps is None else steps
     levels = []
     for i, count in enumerate(whole_numbers("steps", steps, own.m, least=2)):

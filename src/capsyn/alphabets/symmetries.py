@@ -35,8 +35,8 @@ PLACES, SHRINK = 256, 1e-3
 """Random readings at which it is looked whether a target stays, and the smallest box of them."""
 EQUAL, NOTHING = 1e-8, 1e-12
 """Differences that are none, as a share of the largest value, and of the largest of any axis."""
-CHUNK = 1 << 20
-"""Numbers that are worked on at once."""
+CHUNK, MOST_WORK = 1 << 20, 1 << 23
+"""Numbers that are worked on at once, and most of all maps and candidates."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,12 @@ class Maps:
     def some(self, which: np.ndarray | slice) -> Maps:
         """Return some of the maps."""
         return Maps(self.axes[which], self.signs[which], self.middle)
+
+    def simplest(self, count: int) -> Maps:
+        """Return at most so many of the maps, at least one, those that change the fewest axes."""
+        changed = (self.axes != np.arange(self.axes.shape[1])) + (self.signs < 0)
+        order = np.argsort(changed.sum(axis=1), kind="stable")
+        return self.some(order[: max(1, count)])
 
     def turned(self, rates: np.ndarray) -> np.ndarray:
         """Return the images (n, C, S) of rates (n, S)."""
@@ -83,7 +89,8 @@ def orbits(problem: Problem, values: np.ndarray) -> list[tuple[int, ...]]:
     A set of candidates that is a union of orbits treats mirrored states alike. Found are signed
     permutations of up to six states, and mere changes of sign of up to 12, by comparing at random
     readings; equal to rounding there is equal. Candidates of the same effect and effort may stand
-    for each other: `without_dominated` goes first.
+    for each other: `without_dominated` goes first. Of more symmetries than can be looked at with
+    many candidates the simplest are, of which the others usually are made.
 
     Parameters
     ----------
@@ -111,7 +118,8 @@ def orbits(problem: Problem, values: np.ndarray) -> list[tuple[int, ...]]:
 
 def symmetries(problem: Problem, values: np.ndarray) -> tuple[Maps, np.ndarray]:
     """Return the symmetries, C of them, and to which candidates each takes those (K, m), (C, K)."""
-    return _permuting(problem, values, _of_predictions(problem))
+    maps = _of_predictions(problem)
+    return _permuting(problem, values, maps.simplest(MOST_WORK // (FEW * values.size)))
 
 
 def _of_predictions(problem: Problem) -> Maps:
