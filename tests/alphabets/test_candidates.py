@@ -218,6 +218,8 @@ def test_combinations_that_cannot_be_made_are_named():
     )
     with pytest.raises(ProblemError, match="`most` must be a whole number >= 1 and <= 3; got 4"):
         actuator_combinations(pushed(3), 4)
+    with pytest.raises(ProblemError, match="`problem` must be a capsyn.Problem; got 'tank'"):
+        actuator_combinations("tank", 1)
     with pytest.raises(ProblemError, match="`problem` must have an alphabet in which inputs leave"):
         actuator_combinations(motor(alphabet=[0.0]), 1)
 

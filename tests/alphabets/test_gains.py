@@ -15,7 +15,7 @@ from capsyn.alphabets.gains import candidate_gains, candidate_gradients, greedy,
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.ssac import batch_controller
 from capsyn.modelling.transcription import transcribe
-from support.backends import backends
+from support.backends import needs_compiler
 
 
 def made(dynamics, m=2, **changes) -> Problem:
@@ -42,6 +42,10 @@ CASES = {
     "affine": lambda: made(lambda x, u: [x[1] * u[0] + u[1], ca.sin(x[0]) - u[1]]),
     "not affine": lambda: made(turned),
     "steps to be found": lambda: made(turned, settings=SsacSettings()),
+    "affine, law": lambda: made(
+        lambda x, u: [x[1] * u[0] + u[1], ca.sin(x[0]) - u[1]],
+        default=lambda x: [ca.cos(x[0]), -x[1]],
+    ),
     "law, exogenous": lambda: problems.plain("building"),
     "map": lambda: made(
         lambda x, u: [x[0] + 0.1 * x[1], 0.9 * x[1] + u[0] * ca.cos(x[0]) - u[1]],
@@ -51,8 +55,15 @@ CASES = {
 }  # fmt: skip
 
 
-@backends
-@pytest.mark.parametrize("case", CASES)
+COMPILED = ("affine", "affine, law", "map")
+"""Cases that are computed in C, too: each takes the compiler a while."""
+
+
+@pytest.mark.parametrize(
+    ("case", "backend"),
+    [(case, "numpy") for case in CASES]
+    + [pytest.param(case, "c", marks=needs_compiler) for case in COMPILED],
+)
 def test_gradients_are_those_of_ssac_with_the_candidates_as_symbols(case, backend):
     problem = CASES[case]()
     values = np.random.default_rng(1).uniform(-1, 1, (5, problem.alphabet.m))
@@ -89,7 +100,8 @@ def test_what_is_affine_in_the_inputs(dynamics, affine):
 
 def test_no_gain_where_the_gradient_is_not_finite():
     problem = made(lambda x, u: [ca.sqrt(u[0]) - x[0], u[1]])
-    gains = candidate_gains(problem, np.array([[-1.0, 0], [1.0, 0]]), problem.space.sample(20))
+    values = np.array([[-1.0, 0], [1.0, 0]])
+    gains = candidate_gains(problem, values, problem.space.sample(20), "numpy")
     assert np.isfinite(gains).all() and not gains[:, 0].any() and gains[:, 1].any()
 
 

@@ -19,7 +19,7 @@ from capsyn.modelling.tails.riccati import FIT
 from capsyn.modelling.transcription import user_program
 from capsyn.programs.program import Program, is_affine
 from capsyn.random_streams import stream
-from capsyn.validation import finite_array, numbers, whole_number, whole_numbers
+from capsyn.validation import describe, finite_array, numbers, whole_number, whole_numbers
 
 STEPS = (11, 5, 3)
 """Levels of each input of a box, for one input, for two, and for more."""
@@ -102,9 +102,11 @@ def actuator_combinations(problem: Problem, most: int) -> Alphabet:
     Raises
     ------
     ProblemError
-        A `most` that is no whole number from 1 to the number of inputs, an alphabet in which no
-        input leaves its rest, or more than 4,096 combinations.
+        No problem, a `most` that is no whole number from 1 to the number of inputs, an alphabet in
+        which no input leaves its rest, or more than 4,096 combinations.
     """
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
     own = problem.alphabet
     most = whole_number("most", most, least=1, most=own.m)
     rest = np.zeros(own.m) if problem.has_law else problem.default_control
