@@ -9,6 +9,7 @@ from capsyn.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from capsyn.alphabets.candidates import actuator_combinations as actuator_combinations
+    from capsyn.alphabets.study import AlphabetStudy as AlphabetStudy
     from capsyn.automata.automaton import Automaton as Automaton
     from capsyn.certification.certificate import Certificate as Certificate
     from capsyn.certification.certify import certify as certify
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
 _PUBLIC = {
     "Alphabet": "modelling.alphabet",
+    "AlphabetStudy": "alphabets.study",
     "Automaton": "automata.automaton",
     "Ball": "modelling.domain",
     "Box": "modelling.domain",
