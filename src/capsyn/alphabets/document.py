@@ -24,7 +24,20 @@ svg { max-width: 100%; height: auto; }
 
 
 def save_document(study: AlphabetStudy, path: str | os.PathLike[str]) -> None:
-    """Write a study as one HTML file that needs no other; the same study gives the same bytes."""
+    """Write a study as one HTML file that needs no other; the same study gives the same bytes.
+
+    Parameters
+    ----------
+    study : AlphabetStudy
+        The study.
+    path : path
+        The file.
+
+    Raises
+    ------
+    ProblemError
+        No file can be written there.
+    """
     write_text(path, document(study))
 
 

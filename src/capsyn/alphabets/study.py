@@ -117,7 +117,7 @@ class AlphabetStudy:
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> AlphabetStudy:
-        """Return the study in a file that `save` wrote.
+        """Return the study in the file `path` that `save` wrote.
 
         Raises
         ------
