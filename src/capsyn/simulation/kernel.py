@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,8 @@ from capsyn.policies.lookup import TreeArguments
 from capsyn.programs.program import Program
 
 SIMULATION_LANES = 8
+UNIFORM = ("dt", "rounding")
+"""Inputs of a chooser's programs that are the same in all lanes."""
 
 
 class LoopArguments(ctypes.Structure):
@@ -54,7 +56,7 @@ def trial_type(n: int, m: int, parameters: int, queue: int) -> np.dtype:
         ("control", real, (m,)),
         ("queue", real, (queue, m)),
     ]
-    names = "delay symbol held switches outside ended end arrived away".split()
+    names = "delay symbol held switches outside ended end arrived away alphabet".split()
     return np.dtype([*fields, *((name, whole) for name in names), ("held_inputs", whole, (m,))])
 
 
@@ -66,30 +68,39 @@ class SimulationKernel:
 
     @staticmethod
     def build(
-        dynamics: Program, running_cost: Program, inside: Program, queue: int, discrete: bool
+        dynamics: Program,
+        running_cost: Program,
+        inside: Program,
+        queue: int,
+        discrete: bool,
+        chooser: tuple[str, Mapping[str, Program]] | None = None,
     ) -> SimulationKernel:
         """Return the kernel of a plant and a target; `KernelBuildError` if it fails.
 
         A trial remembers `queue` controls: one more than samples of delay, at least 2. Of a
-        `discrete` plant the dynamics are a map.
+        `discrete` plant the dynamics are a map. A `chooser` gives symbols in place of the cells: C
+        source, as simulate.c needs it, and its programs.
         """
         sizes = dict(dynamics.inputs)
         programs = {"dynamics": dynamics, "running_cost": running_cost, "inside": inside}
+        text, more = chooser or ("", {})
         source = "\n".join(
             [
-                declarations(programs.values(), "double", SIMULATION_LANES),
+                declarations([*programs.values(), *more.values()], "double", SIMULATION_LANES),
                 f"#define STATES {sizes['x']}\n#define INPUTS {sizes['u']}",
                 f"#define PARAMETERS {sizes.get('p', 0)}\n#define QUEUE {queue}",
-                f"#define DISCRETE {int(discrete)}",
+                f"#define DISCRETE {int(discrete)}\n#define CHOOSES {int(bool(chooser))}",
                 *(program.to_c(name) for name, program in programs.items()),
+                *(program.to_c(name, uniform=UNIFORM) for name, program in more.items()),
                 hand_written("policies/lookup.c"),
+                text,
                 hand_written("simulation/simulate.c"),
             ]
         )
         function = load(source, ("-ffp-contract=off",)).capsyn_simulate
         function.restype = None
         p, whole = ctypes.c_void_p, ctypes.c_int64
-        function.argtypes = [whole, p, whole, whole, p, p, p, p, p, p]
+        function.argtypes = [whole, p, whole, whole, p, p, p, p, p, p, p]
         return SimulationKernel(function)
 
     def __call__(
@@ -101,8 +112,12 @@ class SimulationKernel:
         noise: np.ndarray | None,
         pushes: np.ndarray | None,
         record: Sequence[np.ndarray | None],
+        choices: Any = None,
     ) -> None:
-        """Run `samples` samples of the trials; `record` is (states, symbols, costs)."""
+        """Run `samples` samples of the trials; `record` is (states, symbols, costs).
+
+        `choices` are the arguments of a chooser, a structure of ctypes.
+        """
         arrays = (noise, pushes, *record)
         self.function(
             len(trials),
@@ -111,4 +126,5 @@ class SimulationKernel:
             samples,
             ctypes.addressof(loop),
             *(None if a is None else pointer(a) for a in arrays),
+            None if choices is None else ctypes.addressof(choices),
         )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +37,7 @@ def run_policy(
     if kernel is None:
         run(policy_decide(policy, outside), plant, loop, trials, noise, record)
     else:
-        _run_compiled(kernel, policy, outside, loop, trials, noise, record, threads)
+        run_compiled(kernel, policy, outside, loop, trials, noise, record, threads)
 
 
 def simulation_kernel(plant: Plant, loop: Loop, trials: np.ndarray) -> SimulationKernel:
@@ -67,7 +69,7 @@ def policy_decide(policy: Policy, outside: Outside) -> Decide:
     return decide
 
 
-def _run_compiled(
+def run_compiled(
     kernel: SimulationKernel,
     policy: Policy,
     outside: Outside,
@@ -76,7 +78,12 @@ def _run_compiled(
     noise: Noise | None,
     record: Record | None,
     threads: int,
+    choices: Callable[[int], Any] | None = None,
 ) -> None:
+    """Run trials by a kernel, in place.
+
+    `choices` gives what a chooser needs for the trials from a number on, see `SimulationKernel`.
+    """
     n, symbols = policy.space.n, len(policy.alphabet)
     table = policy.controls
     tree = TreeArguments.of(policy.space, policy.cells)
@@ -108,13 +115,14 @@ def _run_compiled(
         start, stop = bounds
         draw = noise.draw(start, stop) if noise else None
         chunk = max(1, NOISE_BYTES // (8 * (stop - start) * n)) if noise else loop.samples
+        chosen = None if choices is None else choices(start)
         for first in range(0, loop.samples, chunk):
             samples = min(chunk, loop.samples - first)
             pushes = None if loop.pushes is None else loop.pushes[first : first + samples]
             kept = (record.states, record.symbols, record.costs) if record else (None,) * 3
             views = [None if a is None else a[start:stop] for a in kept]
             own = trials[start:stop]
-            kernel(own, first, samples, arguments, draw and draw(samples), pushes, views)
+            kernel(own, first, samples, arguments, draw and draw(samples), pushes, views, chosen)
 
     trials["symbol"][trials["symbol"] == -1] = symbols
     blocks = -(-len(trials) // SIMULATION_LANES)

@@ -1,7 +1,8 @@
 /* The closed loop of a policy and a plant at a sample rate, for blocks of LANES trials.
  *
  * Needs lookup.c, STATES, INPUTS, PARAMETERS, QUEUE, DISCRETE (whether the dynamics are a map) and
- * the programs dynamics, running_cost and inside before it, and -ffp-contract=off.
+ * the programs dynamics, running_cost and inside before it, and -ffp-contract=off. With CHOOSES, the
+ * symbol comes not from the cells but from what stands in choose.c, before it.
  * `closed_loop.py` says what happens at a sample, and does the same in NumPy. Trials do not see
  * each other, and each goes through the same instructions whatever its place, so that results do
  * not depend on how trials are grouped.
@@ -14,7 +15,7 @@ typedef struct {
     double parameters[PARAMETERS];
 #endif
     double control[INPUTS], queue[QUEUE][INPUTS];
-    int64_t delay, symbol, held, switches, outside, ended, end, arrived, away;
+    int64_t delay, symbol, held, switches, outside, ended, end, arrived, away, alphabet;
     int64_t held_inputs[INPUTS];
 } trial;
 
@@ -167,9 +168,10 @@ static void take(trial *t, const loop *l, int64_t wanted, const int at_once)
     t->symbol = wanted;
 }
 
-/* What a trial does at sample k: end, or take a new control into its queue. */
+/* What a trial does at sample k: end, or take a new control into its queue; that of the symbol
+ * `chosen` where it is one. */
 static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
-                   const double *noise, const int target)
+                   const double *noise, const int target, const int64_t chosen)
 {
     for (int i = 0; i < STATES; ++i)
         if (!isfinite(t->state[i]))
@@ -189,7 +191,9 @@ static void sample(trial *t, const loop *l, const measures *m, const int64_t k,
             measured[i] = t->state[i] + (noise ? noise[i] : 0.0);
         const int64_t now = t->symbol == NONE ? l->symbols : t->symbol;
         int64_t symbol = nearest_label(&l->cells, m, measured, (int32_t)now, &outside);
-        if (l->transitions && symbol >= 0)
+        if (chosen >= 0 && symbol >= 0)
+            symbol = chosen;
+        else if (l->transitions && symbol >= 0)
             symbol = l->transitions[symbol * (l->symbols + 1) + now];
         const int lost = symbol == l->gap; /* in a gap; there is no nearest symbol */
         outside |= symbol == NOT_FINITE || lost;
@@ -226,16 +230,21 @@ static void spend(trial *t, const double *u, const double time)
 /* Run samples first .. first + samples - 1 of the trials, and sample `last` too where it is next.
  *
  * noise (count, samples, STATES), pushes (samples, STATES), states (count, last + 1, STATES),
- * symbols (count, last) and costs (count, last + 1) may be NULL.
+ * symbols (count, last) and costs (count, last + 1) may be NULL. `choices` are those of choose.c.
  */
 void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t first,
                      const int64_t samples, const loop *settings, const double *restrict noise,
                      const double *restrict pushes, double *restrict states,
-                     int64_t *restrict symbols, double *restrict costs)
+                     int64_t *restrict symbols, double *restrict costs, const void *choices)
 {
     const loop l = *settings;
     const measures m = measure(&l.cells);
     const double *idle = l.controls + l.symbols * INPUTS;
+#if CHOOSES
+    room space;
+    if (!make_room(&space, choices))
+        abort();
+#endif
 
     for (int64_t start = 0; start < count; start += LANES) {
         const int used = count - start < LANES ? (int)(count - start) : LANES;
@@ -267,6 +276,22 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
                         b.x[STATES - l.exogenous + i][lane] = value;
             }
             inside(b.x, target);
+            int64_t chosen[LANES] = {0};
+#if CHOOSES
+            if (k < l.last) {
+                int64_t now[LANES], alphabets[LANES];
+                for (int lane = 0; lane < LANES; ++lane) {
+                    const int own = lane < used ? lane : used - 1;
+                    const double *off =
+                        noise ? noise + ((start + own) * samples + (k - first)) * STATES : NULL;
+                    for (int i = 0; i < STATES; ++i)
+                        space.measured[i][lane] = b.x[i][lane] + (off ? off[i] : 0.0);
+                    now[lane] = t[own].symbol == NONE ? l.symbols : t[own].symbol;
+                    alphabets[lane] = t[own].alphabet;
+                }
+                choose(&space, choices, &l.cells, l.controls, l.symbols, alphabets, now, chosen);
+            }
+#endif
             for (int lane = 0; lane < used; ++lane) {
                 trial *one = t + lane;
                 if (one->ended != RUNNING || one->end >= 0)
@@ -277,7 +302,9 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
                 const int64_t label = one->symbol == NONE ? l.symbols : one->symbol;
                 const double *own_noise =
                     noise ? noise + ((start + lane) * samples + (k - first)) * STATES : NULL;
-                sample(one, &l, &m, k, k < l.last ? own_noise : NULL, target[0][lane] != 0 && isfinite(target[0][lane]));
+                sample(one, &l, &m, k, k < l.last ? own_noise : NULL,
+                       target[0][lane] != 0 && isfinite(target[0][lane]),
+                       CHOOSES ? chosen[lane] : -1);
                 if (states)
                     for (int i = 0; i < STATES; ++i)
                         states[((start + lane) * (l.last + 1) + k) * STATES + i] = one->state[i];
@@ -289,6 +316,9 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
                     b.cost[lane] += l.paid[label * (l.symbols + 1) + one->symbol];
                 if (symbols)
                     symbols[(start + lane) * l.last + k] = one->symbol;
+#if CHOOSES
+                count_use(choices, start + lane, one->alphabet, one->symbol);
+#endif
                 running = 1;
                 const double *before =
                     k - one->delay - 1 >= 0 ? one->queue[(k - one->delay - 1) % QUEUE] : idle;
@@ -322,4 +352,7 @@ void capsyn_simulate(const int64_t count, trial *restrict trials, const int64_t 
                 t[lane].cost = b.cost[lane];
             }
     }
+#if CHOOSES
+    free(space.memory);
+#endif
 }

@@ -1,0 +1,382 @@
+"""Closed loops of sSAC without cells, under many alphabets at once, from the same starts."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from capsyn.alphabets.candidates import with_alphabet
+from capsyn.alphabets.chooser import chooser_source, choices_of, chooses
+from capsyn.cells.cell_tree import CellTree
+from capsyn.cells.masks import holds, word_count
+from capsyn.controllers.command import LEFT_DOMAIN, NOT_FINITE, TIME, Command, Decide, hold
+from capsyn.controllers.formulation import Formulation
+from capsyn.controllers.ssac import BatchController, batch_controller
+from capsyn.execution.processors import processors
+from capsyn.modelling.alphabet import Alphabet
+from capsyn.modelling.domain import Box
+from capsyn.modelling.grid import Grid
+from capsyn.modelling.problem import Problem
+from capsyn.modelling.switching import SwitchRules
+from capsyn.modelling.transcription import transcribe, transcribe_target
+from capsyn.native.compiled import compiled
+from capsyn.policies.policy import Policy
+from capsyn.programs.model import gathered_cost
+from capsyn.programs.program import Program
+from capsyn.simulation.closed_loop import Noise, new_record, run
+from capsyn.simulation.kernel import SimulationKernel
+from capsyn.simulation.policy_loop import run_compiled
+from capsyn.verification.monte_carlo import Prepared, prepared, succeeded, went_on
+from capsyn.verification.trials import TrialOptions
+
+FIGURES = ("cost", "effort", "fuel", "time", "switches", "failures")
+"""What is told of each loop; see `LoopFigures`."""
+AT_ONCE = 1 << 17
+"""Trials that run at once."""
+SPREAD_STATES = 512
+"""Random states at which what symbols differ by is seen, for prices that are shares."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopFigures:
+    """What closed loops under A alphabets from S starts did.
+
+    Parameters
+    ----------
+    figures : dict of name to (A, S)
+        ``cost`` [cost], ``effort``, the integral of ``u^T u``, ``fuel``, the integral of the sum of
+        ``|u|``, ``time`` to the target, or all of it where a loop fails [time unit], ``switches``
+        of a loop, and ``failures``, 1 where a loop does not succeed (see `capsyn.monte_carlo`).
+    lost : (A, S)
+        Loops that left the domain where that ends them, or whose states or costs are not finite.
+    used : list of (N,)
+        Samples that each symbol of each alphabet was in force.
+    """
+
+    figures: dict[str, np.ndarray]
+    lost: np.ndarray
+    used: list[np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class AlphabetLoops:
+    """Closed loops of sSAC without cells, each among the symbols of an alphabet of its own.
+
+    Alphabets are sets of places in a pool of symbols. What they decide is what `BatchController`
+    decides for a problem with this alphabet; build the loops by `of`.
+    """
+
+    problem: Problem  # with the pool as its alphabet
+    formulation: Formulation  # of the problem that was given, its settings with steps
+    test: Prepared  # trials from all starts, under the pool
+    kernel: SimulationKernel | None
+    cost: Program  # x -> what loops gather [cost / time unit]
+    backend: str
+    threads: int
+
+    @staticmethod
+    def of(
+        problem: Problem,
+        pool: Alphabet,
+        plan: TrialOptions,
+        cost: Program | None = None,
+        backend: str = "auto",
+        threads: int | None = None,
+    ) -> AlphabetLoops:
+        """Return the loops of a problem, whose own alphabet is not used, from the starts of a plan.
+
+        `cost` is the running cost that loops gather; by default the problem's own.
+        """
+        model = transcribe(problem)
+        controller = batch_controller(Formulation.of(problem, model, _numbers(problem)), backend)
+        cost = cost or gathered_cost(model.running_cost, model.terminal_cost)
+        formulation = controller.formulation
+        given = with_alphabet(problem, pool)
+        test = _prepared(given, formulation, plan)
+        kernel = None
+        if chooses(formulation):
+            plant, loop = test.experiment.plant, test.experiment.loop
+            plant = dataclasses.replace(plant, running_cost=cost)
+            queue = test.trials.dtype["queue"].shape[0]
+            discrete = plant.sample_time is not None
+            kernel = compiled(
+                lambda: SimulationKernel.build(
+                    *plant.in_loops, loop.inside, queue, discrete,
+                    chooser_source(problem, formulation),
+                ),
+                backend, "simulating",
+            )  # fmt: skip
+        threads = processors(threads)
+        return AlphabetLoops(given, formulation, test, kernel, cost, backend, threads)
+
+    @property
+    def pool(self) -> Alphabet:
+        """The symbols that alphabets choose from."""
+        return self.problem.alphabet
+
+    @property
+    def starts(self) -> int:
+        """Number of starts S."""
+        return self.test.options.trials
+
+    def over(self, pool: Alphabet, plan: TrialOptions | None = None) -> AlphabetLoops:
+        """Return the loops with another pool, and from the starts of another plan if one is given.
+
+        The kernel is the same, and steps between samples are.
+        """
+        problem = with_alphabet(self.problem, pool)
+        plan = plan or self.test.options
+        plan = dataclasses.replace(
+            plan,
+            loop=dataclasses.replace(plan.loop, substeps=self.test.experiment.loop.substeps)
+            if self.formulation.model.sample_time is None
+            else plan.loop,
+        )
+        test = _prepared(problem, self.formulation, plan)
+        return dataclasses.replace(self, problem=problem, test=test)
+
+    def run(
+        self, sets: Sequence[Sequence[int]], starts: slice | np.ndarray = slice(None)
+    ) -> LoopFigures:
+        """Return what loops under alphabets, sets of places in the pool, do from some starts."""
+        alphabets = [np.unique(np.asarray(own, dtype=np.int64)) for own in sets]
+        chosen = np.arange(self.starts)[starts]
+        size = max(1, AT_ONCE // max(1, len(chosen)))
+        parts = [
+            self._some(alphabets[k : k + size], chosen) for k in range(0, len(alphabets), size)
+        ]
+        return LoopFigures(
+            {name: np.concatenate([part.figures[name] for part in parts]) for name in FIGURES},
+            np.concatenate([part.lost for part in parts]),
+            [used for part in parts for used in part.used],
+        )
+
+    def _some(self, alphabets: list[np.ndarray], starts: np.ndarray) -> LoopFigures:
+        count, many = len(alphabets), len(starts)
+        trials = np.tile(self.test.trials[starts], count)
+        trials["alphabet"] = np.repeat(np.arange(count), many)
+        noise = self.test.noise
+        if noise is not None:
+            seeds = [noise.seeds[k] for k in starts] * count
+            noise = Noise(np.tile(noise.deviations[starts], (count, 1)), seeds)
+        uses = np.zeros((len(trials), max(map(len, alphabets))), dtype=np.int32)
+        experiment = self.test.charging(self.cost)
+        if self.kernel is not None:
+            assert experiment.outside is not None
+            choices = choices_of(
+                self.formulation, self._efforts, alphabets, uses, self._priced(alphabets)
+            )
+            run_compiled(
+                self.kernel, experiment.controller, experiment.outside, experiment.loop, trials,
+                noise, None, self.threads, choices,
+            )  # fmt: skip
+        else:
+            self._by_numpy(alphabets, many, trials, noise, uses)
+        return self._figures(alphabets, many, trials, uses)
+
+    def _figures(
+        self, alphabets: list[np.ndarray], many: int, trials: np.ndarray, uses: np.ndarray
+    ) -> LoopFigures:
+        experiment, options = self.test.experiment, self.test.options
+        shape = (len(alphabets), many)
+        lost = ~went_on(trials)
+        failed = lost
+        time = trials["end"] / experiment.rate
+        if experiment.target is not None:
+            failed = ~succeeded(options, experiment, trials) | lost
+            time = np.where(failed, options.loop.duration, trials["arrived"] / experiment.rate)
+        scale = experiment.rate if experiment.plant.sample_time is not None else 1.0
+        figures = {
+            "cost": trials["cost"],
+            "effort": trials["effort"] * scale,
+            "fuel": trials["fuel"] * scale,
+            "time": time,
+            "switches": trials["switches"].astype(float),
+            "failures": failed.astype(float),
+        }
+        used = uses.reshape(*shape, -1).sum(axis=1)
+        efforts = self._efforts
+        found = []
+        for own, row in zip(alphabets, used):
+            counts = np.empty(len(own), dtype=np.int64)
+            counts[np.argsort(efforts[own], kind="stable")] = row[: len(own)]
+            found.append(counts)
+        return LoopFigures(
+            {name: np.asarray(values).reshape(shape) for name, values in figures.items()},
+            lost.reshape(shape),
+            found,
+        )
+
+    @functools.cached_property
+    def _efforts(self) -> np.ndarray:
+        """Control efforts (K + 1,) of the pool, the default's last."""
+        controls = np.vstack([self.pool.values, self.formulation.default])
+        return self.formulation.settings.efforts(controls)
+
+    @functools.cached_property
+    def _prices(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Prices of switches in the pool, (K + 1, K + 1), and what a spread of 1 adds to them."""
+        switching = self.problem.switching
+        if switching is None:
+            return None
+        given = (self.pool, self.problem.default_control)
+        plain, more = (switching.with_spread(spread).prices(*given) for spread in (0.0, 1.0))
+        return plain, np.where(np.isinf(plain), 0.0, more - np.where(np.isinf(plain), 0.0, plain))
+
+    def _priced(
+        self, alphabets: list[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        if self._prices is None:
+            return None
+        spreads = np.zeros(len(alphabets))
+        if self._prices[1].any():
+            spreads = np.array([self._spread(own) for own in alphabets])
+        return *self._prices, spreads
+
+    @functools.cached_property
+    def _solver(self) -> BatchController:
+        """sSAC among the whole pool; its steps are those of the problem that was given."""
+        problem = self.problem.replace(settings=self.formulation.settings)
+        return batch_controller(
+            Formulation.of(problem, transcribe(problem), _numbers(problem)), self.backend
+        )
+
+    def _spread(self, own: np.ndarray) -> float:
+        """Return what the scores of an alphabet differ by, as for its own problem; see `priced`."""
+        controller, solution = self._solver, self._seen
+        few = dataclasses.replace(controller, efforts=controller.efforts[own])
+        return few.spread(
+            dataclasses.replace(
+                solution, gradients=solution.gradients[:, own], scales=solution.scales[:, own]
+            )
+        )
+
+    @functools.cached_property
+    def _seen(self) -> Any:
+        return self._solver.solve(self.problem.space.sample(SPREAD_STATES, 1))
+
+    def _by_numpy(
+        self,
+        alphabets: list[np.ndarray],
+        many: int,
+        trials: np.ndarray,
+        noise: Noise | None,
+        uses: np.ndarray,
+    ) -> None:
+        """Run trials in place, one alphabet after the other."""
+        experiment, priced = self.test.charging(self.cost), self._priced(alphabets)
+        plant, samples = experiment.plant, experiment.loop.samples
+        for k, own in enumerate(alphabets):
+            part = slice(k * many, (k + 1) * many)
+            prices = None
+            if priced is not None:
+                labels = np.append(own, len(self.pool))
+                prices = (priced[0] + priced[2][k] * priced[1])[np.ix_(labels, labels)]
+            some, record = trials[part].copy(), new_record(many, samples, plant.n, plant.m)
+            mine = None if noise is None else Noise(noise.deviations[part], noise.seeds[part])
+            run(self._decide(own, prices), plant, experiment.loop, some, mine, record)
+            trials[part] = some
+            order = own[np.argsort(self._efforts[own], kind="stable")]
+            uses[part, : len(own)] = (record.symbols[:, :, None] == order).sum(axis=1)
+
+    def _decide(self, own: np.ndarray, prices: np.ndarray | None) -> Decide:
+        """Return the decision of sSAC in an alphabet, whose labels have prices (N + 1, N + 1)."""
+        whole, space = self._solver, self.problem.space
+        efforts = self._efforts[np.append(own, -1)]
+
+        def solver(states: np.ndarray, horizon: float, steps: int) -> Any:
+            cost, gradients, scales = whole.solver(states, horizon, steps)
+            return cost, gradients[:, own], scales[:, own]
+
+        few = dataclasses.replace(
+            whole,
+            solver=solver,
+            formulation=dataclasses.replace(
+                whole.formulation, values=self.pool.values[own], prices=prices
+            ),
+            efforts=efforts[:-1],
+            preference=tuple(np.argsort(efforts, kind="stable").tolist()),
+        )
+        places = np.full(len(self.pool) + 1, len(own))
+        places[own] = np.arange(len(own))
+        outside = self.test.experiment.outside
+
+        def decide(time: float, measured: np.ndarray, in_force: np.ndarray) -> Command:
+            finite = np.isfinite(measured).all(axis=1)
+            out = ~space.contains(measured)
+            masks = few.masks(nearest(space, np.where(finite[:, None], measured, 0.0)))
+            now = places[np.where(in_force < 0, len(self.pool), in_force)]
+            if few.in_force > 1:
+                masks = masks[np.arange(len(now)), now]
+            best = few.chosen(masks)
+            if few.in_force > 1:
+                best = np.where(holds(masks, now) & (now < len(own)), now, best)
+            symbols = np.where(best < 0, -1, own[best])
+            lost = ~finite | (out & (outside != "nearest"))
+            symbols[lost] = outside if isinstance(outside, int) else -1
+            ended = np.full(len(measured), TIME)
+            if isinstance(outside, str):
+                ended[lost] = LEFT_DOMAIN
+                ended[~finite] = NOT_FINITE
+            controls = self.test.experiment.controller.controls[symbols]
+            return dataclasses.replace(hold(controls, symbols), ended=ended, outside=out)
+
+        return decide
+
+
+def nearest(space: Box, states: np.ndarray) -> np.ndarray:
+    """Return the states (B, n) of a box that are nearest to others, angles in their period."""
+    around = np.array(space.periodic)
+    wrapped = space.lower + np.mod(states - space.lower, space.widths)
+    wrapped = np.where(wrapped >= space.upper, space.lower, wrapped)
+    inside = (states >= space.lower) & (states < space.upper)
+    clipped = np.clip(states, space.lower, space.upper)
+    return np.where(inside | ~around, clipped, wrapped)
+
+
+def _numbers(problem: Problem) -> Any:
+    """Return the switching of a problem with numbers in the place of shares."""
+    return None if problem.switching is None else problem.switching.with_spread(1.0)
+
+
+def _prepared(problem: Problem, formulation: Formulation, plan: TrialOptions) -> Prepared:
+    """Return trials of a plan under a stand-in for the policy of a problem: one cell."""
+    switching = _numbers(problem)
+    policy = Policy(
+        name=problem.name,
+        domain=problem.domain,
+        alphabet=problem.alphabet,
+        default=problem.default_control,
+        cells=_one_cell(problem.space.n, len(problem.alphabet) + 1),
+        outside=problem.outside,
+        min_dwell=problem.min_dwell,
+        target=transcribe_target(problem),
+        horizon=formulation.horizon,
+        settings=formulation.settings,
+        model=formulation.model,
+        time_unit=problem.time_unit,
+        outside_at_once=problem.outside_at_once,
+        switching=switching and dataclasses.replace(switching, price=0.0, forbidden=()),
+        delay=formulation.delay,
+        exogenous=problem.exogenous,
+    )
+    test = prepared(policy, plan)
+    if switching is None:
+        return test
+    experiment = test.experiment
+    forbidden = SwitchRules.of(problem).forbidden
+    holds = dataclasses.replace(experiment.loop.holds, forbidden=forbidden)
+    loop = dataclasses.replace(experiment.loop, holds=holds)
+    return dataclasses.replace(test, experiment=dataclasses.replace(experiment, loop=loop))
+
+
+def _one_cell(n: int, labels: int) -> CellTree:
+    """Return one cell for all states of n numbers, of the first of so many labels."""
+    mixed = np.zeros((0, 1, word_count(labels)), dtype=np.uint64)
+    entry, none = np.array([-1], dtype=np.int32), np.zeros(0, dtype=np.int32)
+    return CellTree(Grid((1,) * n, (2,) * n, 0), entry, none, mixed)
