@@ -17,6 +17,7 @@ from capsyn.cells.masks import holds, word_count
 from capsyn.controllers.command import LEFT_DOMAIN, NOT_FINITE, TIME, Command, Decide, hold
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.ssac import BatchController, batch_controller
+from capsyn.execution.memory import check_memory
 from capsyn.execution.processors import processors
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Box
@@ -28,7 +29,7 @@ from capsyn.native.compiled import compiled
 from capsyn.policies.policy import Policy
 from capsyn.programs.model import gathered_cost
 from capsyn.programs.program import Program
-from capsyn.simulation.closed_loop import Noise, new_record, run
+from capsyn.simulation.closed_loop import Noise, Record, new_record, run
 from capsyn.simulation.kernel import SimulationKernel
 from capsyn.simulation.policy_loop import run_compiled
 from capsyn.verification.monte_carlo import Prepared, prepared, succeeded, went_on
@@ -147,51 +148,77 @@ class AlphabetLoops:
         alphabets = [np.unique(np.asarray(own, dtype=np.int64)) for own in sets]
         chosen = np.arange(self.starts)[starts]
         size = max(1, AT_ONCE // max(1, len(chosen)))
-        parts = [
-            self._some(alphabets[k : k + size], chosen) for k in range(0, len(alphabets), size)
-        ]
+        parts = []
+        for first in range(0, len(alphabets), size):
+            some = alphabets[first : first + size]
+            trials = np.tile(self.test.trials[chosen], len(some))
+            trials["alphabet"] = np.repeat(np.arange(len(some)), len(chosen))
+            uses = self.advance(some, trials, self._noise(np.tile(chosen, len(some))))
+            parts.append(self._found(some, trials, uses))
         return LoopFigures(
             {name: np.concatenate([part.figures[name] for part in parts]) for name in FIGURES},
             np.concatenate([part.lost for part in parts]),
             [used for part in parts for used in part.used],
         )
 
-    def _some(self, alphabets: list[np.ndarray], starts: np.ndarray) -> LoopFigures:
-        count, many = len(alphabets), len(starts)
-        trials = np.tile(self.test.trials[starts], count)
-        trials["alphabet"] = np.repeat(np.arange(count), many)
-        noise = self.test.noise
-        if noise is not None:
-            seeds = [noise.seeds[k] for k in starts] * count
-            noise = Noise(np.tile(noise.deviations[starts], (count, 1)), seeds)
+    def visited(self, own: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the states (M, n) at samples of loops under an alphabet, and their symbols (M,).
+
+        These are the states of all starts until their ends; the symbols are those in force.
+        """
+        trials, plant = self.test.trials.copy(), self.test.experiment.plant
+        trials["alphabet"] = 0
+        samples = self.test.experiment.loop.samples
+        check_memory(8.0 * len(trials) * samples * (plant.n + plant.m + 2), "`duration` times `rate`")
+        record = new_record(len(trials), samples, plant.n, plant.m)
+        noise = self._noise(np.arange(len(trials)))
+        self.advance([np.unique(np.asarray(own, dtype=np.int64))], trials, noise, record)
+        there = record.symbols >= 0
+        return record.states[:, :-1][there], record.symbols[there]
+
+    def advance(
+        self,
+        alphabets: Sequence[np.ndarray],
+        trials: np.ndarray,
+        noise: Noise | None,
+        record: Record | None = None,
+    ) -> np.ndarray:
+        """Run trials in place, each among the symbols of its alphabet (N,), ascending.
+
+        Returns the samples (T, longest) that each symbol of its alphabet was in force, those of
+        least effort first.
+        """
         uses = np.zeros((len(trials), max(map(len, alphabets))), dtype=np.int32)
         experiment = self.test.charging(self.cost)
-        if self.kernel is not None:
-            assert experiment.outside is not None
-            choices = choices_of(
-                self.formulation, self._efforts, alphabets, uses, self._priced(alphabets)
-            )
-            run_compiled(
-                self.kernel, experiment.controller, experiment.outside, experiment.loop, trials,
-                noise, None, self.threads, choices,
-            )  # fmt: skip
-        else:
-            self._by_numpy(alphabets, many, trials, noise, uses)
-        return self._figures(alphabets, many, trials, uses)
+        if self.kernel is None:
+            self._by_numpy(alphabets, trials, noise, uses, record)
+            return uses
+        assert experiment.outside is not None
+        priced = self._priced(alphabets)
+        choices = choices_of(self.formulation, self._efforts, alphabets, uses, priced)
+        run_compiled(
+            self.kernel, experiment.controller, experiment.outside, experiment.loop, trials,
+            noise, record, self.threads, choices,
+        )  # fmt: skip
+        return uses
 
-    def _figures(
-        self, alphabets: list[np.ndarray], many: int, trials: np.ndarray, uses: np.ndarray
-    ) -> LoopFigures:
+    def _noise(self, starts: np.ndarray) -> Noise | None:
+        """Return the noise of trials from starts (T,)."""
+        noise = self.test.noise
+        if noise is None:
+            return None
+        return Noise(noise.deviations[starts], [noise.seeds[k] for k in starts])
+
+    def figures(self, trials: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the figures (T,) of trials that have run, by name, and which are lost (T,)."""
         experiment, options = self.test.experiment, self.test.options
-        shape = (len(alphabets), many)
         lost = ~went_on(trials)
-        failed = lost
-        time = trials["end"] / experiment.rate
+        failed, time = lost, trials["end"] / experiment.rate
         if experiment.target is not None:
             failed = ~succeeded(options, experiment, trials) | lost
             time = np.where(failed, options.loop.duration, trials["arrived"] / experiment.rate)
         scale = experiment.rate if experiment.plant.sample_time is not None else 1.0
-        figures = {
+        found = {
             "cost": trials["cost"],
             "effort": trials["effort"] * scale,
             "fuel": trials["fuel"] * scale,
@@ -199,17 +226,23 @@ class AlphabetLoops:
             "switches": trials["switches"].astype(float),
             "failures": failed.astype(float),
         }
-        used = uses.reshape(*shape, -1).sum(axis=1)
-        efforts = self._efforts
-        found = []
-        for own, row in zip(alphabets, used):
+        return found, lost
+
+    def _found(
+        self, alphabets: Sequence[np.ndarray], trials: np.ndarray, uses: np.ndarray
+    ) -> LoopFigures:
+        """Return the figures of trials, equally many of each alphabet."""
+        shape = (len(alphabets), -1)
+        figures, lost = self.figures(trials)
+        used = []
+        for own, row in zip(alphabets, uses.reshape(*shape, uses.shape[1]).sum(axis=1)):
             counts = np.empty(len(own), dtype=np.int64)
-            counts[np.argsort(efforts[own], kind="stable")] = row[: len(own)]
-            found.append(counts)
+            counts[np.argsort(self._efforts[own], kind="stable")] = row[: len(own)]
+            used.append(counts)
         return LoopFigures(
-            {name: np.asarray(values).reshape(shape) for name, values in figures.items()},
+            {name: values.reshape(shape).copy() for name, values in figures.items()},
             lost.reshape(shape),
-            found,
+            used,
         )
 
     @functools.cached_property
@@ -229,7 +262,7 @@ class AlphabetLoops:
         return plain, np.where(np.isinf(plain), 0.0, more - np.where(np.isinf(plain), 0.0, plain))
 
     def _priced(
-        self, alphabets: list[np.ndarray]
+        self, alphabets: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         if self._prices is None:
             return None
@@ -262,27 +295,32 @@ class AlphabetLoops:
 
     def _by_numpy(
         self,
-        alphabets: list[np.ndarray],
-        many: int,
+        alphabets: Sequence[np.ndarray],
         trials: np.ndarray,
         noise: Noise | None,
         uses: np.ndarray,
+        record: Record | None,
     ) -> None:
         """Run trials in place, one alphabet after the other."""
         experiment, priced = self.test.charging(self.cost), self._priced(alphabets)
         plant, samples = experiment.plant, experiment.loop.samples
         for k, own in enumerate(alphabets):
-            part = slice(k * many, (k + 1) * many)
+            part = np.flatnonzero(trials["alphabet"] == k)
             prices = None
             if priced is not None:
                 labels = np.append(own, len(self.pool))
                 prices = (priced[0] + priced[2][k] * priced[1])[np.ix_(labels, labels)]
-            some, record = trials[part].copy(), new_record(many, samples, plant.n, plant.m)
-            mine = None if noise is None else Noise(noise.deviations[part], noise.seeds[part])
-            run(self._decide(own, prices), plant, experiment.loop, some, mine, record)
+            some, seen = trials[part], new_record(len(part), samples, plant.n, plant.m)
+            mine = None
+            if noise is not None:
+                mine = Noise(noise.deviations[part], [noise.seeds[i] for i in part])
+            run(self._decide(own, prices), plant, experiment.loop, some, mine, seen)
             trials[part] = some
             order = own[np.argsort(self._efforts[own], kind="stable")]
-            uses[part, : len(own)] = (record.symbols[:, :, None] == order).sum(axis=1)
+            uses[part, : len(own)] = (seen.symbols[:, :, None] == order).sum(axis=1)
+            if record is not None:
+                for name, values in vars(seen).items():
+                    getattr(record, name)[part] = values
 
     def _decide(self, own: np.ndarray, prices: np.ndarray | None) -> Decide:
         """Return the decision of sSAC in an alphabet, whose labels have prices (N + 1, N + 1)."""
