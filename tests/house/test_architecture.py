@@ -62,8 +62,10 @@ reach: half_spaces loop kernel twins arrive stay
 certification: question refute proof_file certify
 certification.checker: bounds sets flows cells moving pieces
 certification: check
-tuning: free family figures goal study advice tune
+tuning: free family figures goal study advice same_study tune
 alphabets: candidates symmetries gains judged
+alphabets.loops: chooser by_numpy stand_in alphabet_loops
+alphabets.search: objective storage scores exchange rollout_gains moving
 plots: figure symbols policy pieces trajectory transition_matrix automaton curve switching optimum
     certificate alphabet
 exports: crossings text plan constants golden sequence target certificate identifiers

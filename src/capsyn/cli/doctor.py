@@ -19,6 +19,7 @@ from capsyn.errors import CapsynError
 from capsyn.version import __version__
 
 DATA = {
+    "alphabets": ("loops/choose.c",),
     "controllers": ("action.c", "one_step.c", "ssac.c"),
     "optima": ("dynamic_programming.c",),
     "policies": ("lookup.c",),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import inspect
 import json
 import os
@@ -12,21 +11,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from capsyn.errors import ProblemError
 from capsyn.execution.files import write_text
 from capsyn.modelling.problem import Problem
-from capsyn.modelling.tails.riccati import FIT
-from capsyn.modelling.transcription import transcribe_target
 from capsyn.policies.policy import Policy
 from capsyn.random_streams import derived_seed
 from capsyn.synthesis.synthesize import synthesize
 from capsyn.tuning.advice import advice
 from capsyn.tuning.family import Family
-from capsyn.tuning.figures import Charges, Figures, Tried, figures_of, model_of
+from capsyn.tuning.figures import Charges, Figures, Tried, figures_of
 from capsyn.tuning.free import Free
 from capsyn.tuning.goal import Goal, front
+from capsyn.tuning.same_study import digest, problem_facts, target_facts
 from capsyn.validation import true_or_false, whole_number
 from capsyn.verification.conditions import conditions
 from capsyn.verification.monte_carlo import prepared
@@ -258,24 +254,16 @@ class _Judge:
     def asked(self, seed: int, quick: bool) -> dict[str, str]:
         """Return what a study that goes on must have in common with this one."""
         base, plan = self.base, self.plan
-        target = plan.loop.target if plan.loop.target is not None else base.target
-        if callable(target):
-            target = transcribe_target(base.replace(target=target))
-        facts = [
-            base.domain.to_json(), base.alphabet.to_json(), base.settings.to_json(),
-            base.grid.to_json(), base.leaves, base.horizon, base.default_control, base.outside,
-            model_of(base).to_json(), base.tail == FIT, base.delay, base.min_dwell,
-            None if base.switching is None else base.switching.to_json(),
-        ]  # fmt: skip
         own = {k: v for k, v in self.options.items() if k not in RUN_BY}
-        judged = [self.conditions, getattr(target, "to_json", lambda: target)(), own, self.efforts]
+        target = target_facts(base, plan.loop.target)
+        judged = [self.conditions, target, own, self.efforts]
         judged += [self.charges.cost.to_json(), plan.trials, quick]
         ranges = {name: str(free) for name, free in self.family.free.items()}
         return {
             "goal": str(self.goal),
             "ranges": "; ".join(f"{name} {text}" for name, text in ranges.items()),
-            "problem": _digest(facts),
-            "loops": _digest(judged),
+            "problem": digest(problem_facts(base)),
+            "loops": digest(judged),
             "seed": str(seed),
         }
 
@@ -332,9 +320,3 @@ class _Judge:
         traded = front(met or full, AXES)
         return Tuning(problem, policy, one.settings, figures, self.goal, reached, told,
                       tuple(tried), traded, self.family.free)  # fmt: skip
-
-
-def _digest(facts: Any) -> str:
-    """Return a short text for plain data, another for other data."""
-    text = json.dumps(facts, sort_keys=True, default=lambda a: np.asarray(a).tolist())
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

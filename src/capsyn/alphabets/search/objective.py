@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from capsyn.alphabets.loops import FIGURES, LoopFigures
+from capsyn.alphabets.loops.alphabet_loops import FIGURES, LoopFigures
 from capsyn.errors import ProblemError
 from capsyn.validation import describe, finite_number
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from capsyn.alphabets.gains import candidate_gradients
-from capsyn.alphabets.scores import Score, Scores
+from capsyn.alphabets.gains import candidate_gradients, is_affine
+from capsyn.alphabets.search.scores import Score, Scores
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Box
 
@@ -36,6 +36,13 @@ class Movable:
 
     def __init__(self, scores: Scores, box: Box, kept: np.ndarray) -> None:
         self.scores, self.box, self.kept = scores, box, kept
+
+    @property
+    def has_effort(self) -> bool:
+        """Whether Lloyd's algorithm can be used: R is positive definite and f affine in u."""
+        loops = self.scores.loops
+        weight = np.atleast_2d(loops.formulation.settings.control_weight)
+        return bool(is_affine(loops.formulation.model) and np.linalg.eigvalsh(weight).min() > 0)
 
     def of(self, alphabets: Sequence[np.ndarray]) -> list[Score]:
         """Return the scores of alphabets of values (N, m)."""

@@ -11,28 +11,23 @@ from typing import Any
 import numpy as np
 
 from capsyn.alphabets.candidates import with_alphabet
-from capsyn.alphabets.chooser import chooser_source, choices_of, chooses
-from capsyn.cells.cell_tree import CellTree
-from capsyn.cells.masks import holds, word_count
-from capsyn.controllers.command import LEFT_DOMAIN, NOT_FINITE, TIME, Command, Decide, hold
+from capsyn.alphabets.loops.by_numpy import decision, part_of
+from capsyn.alphabets.loops.chooser import choices_of, chooser_source, chooses
+from capsyn.alphabets.loops.stand_in import in_numbers, stand_in_trials
 from capsyn.controllers.formulation import Formulation
 from capsyn.controllers.ssac import BatchController, batch_controller
 from capsyn.execution.memory import check_memory
 from capsyn.execution.processors import processors
 from capsyn.modelling.alphabet import Alphabet
-from capsyn.modelling.domain import Box
-from capsyn.modelling.grid import Grid
 from capsyn.modelling.problem import Problem
-from capsyn.modelling.switching import SwitchRules
-from capsyn.modelling.transcription import transcribe, transcribe_target
+from capsyn.modelling.transcription import transcribe
 from capsyn.native.compiled import compiled
-from capsyn.policies.policy import Policy
 from capsyn.programs.model import gathered_cost
 from capsyn.programs.program import Program
 from capsyn.simulation.closed_loop import Noise, Record, new_record, run
 from capsyn.simulation.kernel import SimulationKernel
 from capsyn.simulation.policy_loop import run_compiled
-from capsyn.verification.monte_carlo import Prepared, prepared, succeeded, went_on
+from capsyn.verification.monte_carlo import Prepared, succeeded, went_on
 from capsyn.verification.trials import TrialOptions
 
 FIGURES = ("cost", "effort", "fuel", "time", "switches", "failures")
@@ -94,11 +89,11 @@ class AlphabetLoops:
         `cost` is the running cost that loops gather; by default the problem's own.
         """
         model = transcribe(problem)
-        controller = batch_controller(Formulation.of(problem, model, _numbers(problem)), backend)
+        controller = batch_controller(Formulation.of(problem, model, in_numbers(problem)), backend)
         cost = cost or gathered_cost(model.running_cost, model.terminal_cost)
         formulation = controller.formulation
         given = with_alphabet(problem, pool)
-        test = _prepared(given, formulation, plan)
+        test = stand_in_trials(given, formulation, plan)
         kernel = None
         if chooses(formulation):
             plant, loop = test.experiment.plant, test.experiment.loop
@@ -138,7 +133,7 @@ class AlphabetLoops:
             if self.formulation.model.sample_time is None
             else plan.loop,
         )
-        test = _prepared(problem, self.formulation, plan)
+        test = stand_in_trials(problem, self.formulation, plan)
         return dataclasses.replace(self, problem=problem, test=test)
 
     def run(
@@ -169,7 +164,9 @@ class AlphabetLoops:
         trials, plant = self.test.trials.copy(), self.test.experiment.plant
         trials["alphabet"] = 0
         samples = self.test.experiment.loop.samples
-        check_memory(8.0 * len(trials) * samples * (plant.n + plant.m + 2), "`duration` times `rate`")
+        check_memory(
+            8.0 * len(trials) * samples * (plant.n + plant.m + 2), "`duration` times `rate`"
+        )
         record = new_record(len(trials), samples, plant.n, plant.m)
         noise = self._noise(np.arange(len(trials)))
         self.advance([np.unique(np.asarray(own, dtype=np.int64))], trials, noise, record)
@@ -207,7 +204,7 @@ class AlphabetLoops:
         noise = self.test.noise
         if noise is None:
             return None
-        return Noise(noise.deviations[starts], [noise.seeds[k] for k in starts])
+        return Noise(noise.deviations[starts], [noise.seeds[int(k)] for k in starts])
 
     def figures(self, trials: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return the figures (T,) of trials that have run, by name, and which are lost (T,)."""
@@ -273,21 +270,18 @@ class AlphabetLoops:
 
     @functools.cached_property
     def _solver(self) -> BatchController:
-        """sSAC among the whole pool; its steps are those of the problem that was given."""
+        """SSAC among the whole pool; its steps are those of the problem that was given."""
         problem = self.problem.replace(settings=self.formulation.settings)
         return batch_controller(
-            Formulation.of(problem, transcribe(problem), _numbers(problem)), self.backend
+            Formulation.of(problem, transcribe(problem), in_numbers(problem)), self.backend
         )
 
     def _spread(self, own: np.ndarray) -> float:
         """Return what the scores of an alphabet differ by, as for its own problem; see `priced`."""
-        controller, solution = self._solver, self._seen
-        few = dataclasses.replace(controller, efforts=controller.efforts[own])
-        return few.spread(
-            dataclasses.replace(
-                solution, gradients=solution.gradients[:, own], scales=solution.scales[:, own]
-            )
-        )
+        solution = self._seen
+        gradients, scales = solution.gradients[:, own], solution.scales[:, own]
+        few = part_of(self._solver, own, None)
+        return few.spread(dataclasses.replace(solution, gradients=gradients, scales=scales))
 
     @functools.cached_property
     def _seen(self) -> Any:
@@ -313,108 +307,15 @@ class AlphabetLoops:
             some, seen = trials[part], new_record(len(part), samples, plant.n, plant.m)
             mine = None
             if noise is not None:
-                mine = Noise(noise.deviations[part], [noise.seeds[i] for i in part])
-            run(self._decide(own, prices), plant, experiment.loop, some, mine, seen)
+                mine = Noise(noise.deviations[part], [noise.seeds[int(i)] for i in part])
+            few = part_of(self._solver, own, prices)
+            table, outside = experiment.controller.controls, experiment.outside
+            assert outside is not None
+            decide = decision(few, own, table, self.problem.space, outside)
+            run(decide, plant, experiment.loop, some, mine, seen)
             trials[part] = some
             order = own[np.argsort(self._efforts[own], kind="stable")]
             uses[part, : len(own)] = (seen.symbols[:, :, None] == order).sum(axis=1)
             if record is not None:
                 for name, values in vars(seen).items():
                     getattr(record, name)[part] = values
-
-    def _decide(self, own: np.ndarray, prices: np.ndarray | None) -> Decide:
-        """Return the decision of sSAC in an alphabet, whose labels have prices (N + 1, N + 1)."""
-        whole, space = self._solver, self.problem.space
-        efforts = self._efforts[np.append(own, -1)]
-
-        def solver(states: np.ndarray, horizon: float, steps: int) -> Any:
-            cost, gradients, scales = whole.solver(states, horizon, steps)
-            return cost, gradients[:, own], scales[:, own]
-
-        few = dataclasses.replace(
-            whole,
-            solver=solver,
-            formulation=dataclasses.replace(
-                whole.formulation, values=self.pool.values[own], prices=prices
-            ),
-            efforts=efforts[:-1],
-            preference=tuple(np.argsort(efforts, kind="stable").tolist()),
-        )
-        places = np.full(len(self.pool) + 1, len(own))
-        places[own] = np.arange(len(own))
-        outside = self.test.experiment.outside
-
-        def decide(time: float, measured: np.ndarray, in_force: np.ndarray) -> Command:
-            finite = np.isfinite(measured).all(axis=1)
-            out = ~space.contains(measured)
-            masks = few.masks(nearest(space, np.where(finite[:, None], measured, 0.0)))
-            now = places[np.where(in_force < 0, len(self.pool), in_force)]
-            if few.in_force > 1:
-                masks = masks[np.arange(len(now)), now]
-            best = few.chosen(masks)
-            if few.in_force > 1:
-                best = np.where(holds(masks, now) & (now < len(own)), now, best)
-            symbols = np.where(best < 0, -1, own[best])
-            lost = ~finite | (out & (outside != "nearest"))
-            symbols[lost] = outside if isinstance(outside, int) else -1
-            ended = np.full(len(measured), TIME)
-            if isinstance(outside, str):
-                ended[lost] = LEFT_DOMAIN
-                ended[~finite] = NOT_FINITE
-            controls = self.test.experiment.controller.controls[symbols]
-            return dataclasses.replace(hold(controls, symbols), ended=ended, outside=out)
-
-        return decide
-
-
-def nearest(space: Box, states: np.ndarray) -> np.ndarray:
-    """Return the states (B, n) of a box that are nearest to others, angles in their period."""
-    around = np.array(space.periodic)
-    wrapped = space.lower + np.mod(states - space.lower, space.widths)
-    wrapped = np.where(wrapped >= space.upper, space.lower, wrapped)
-    inside = (states >= space.lower) & (states < space.upper)
-    clipped = np.clip(states, space.lower, space.upper)
-    return np.where(inside | ~around, clipped, wrapped)
-
-
-def _numbers(problem: Problem) -> Any:
-    """Return the switching of a problem with numbers in the place of shares."""
-    return None if problem.switching is None else problem.switching.with_spread(1.0)
-
-
-def _prepared(problem: Problem, formulation: Formulation, plan: TrialOptions) -> Prepared:
-    """Return trials of a plan under a stand-in for the policy of a problem: one cell."""
-    switching = _numbers(problem)
-    policy = Policy(
-        name=problem.name,
-        domain=problem.domain,
-        alphabet=problem.alphabet,
-        default=problem.default_control,
-        cells=_one_cell(problem.space.n, len(problem.alphabet) + 1),
-        outside=problem.outside,
-        min_dwell=problem.min_dwell,
-        target=transcribe_target(problem),
-        horizon=formulation.horizon,
-        settings=formulation.settings,
-        model=formulation.model,
-        time_unit=problem.time_unit,
-        outside_at_once=problem.outside_at_once,
-        switching=switching and dataclasses.replace(switching, price=0.0, forbidden=()),
-        delay=formulation.delay,
-        exogenous=problem.exogenous,
-    )
-    test = prepared(policy, plan)
-    if switching is None:
-        return test
-    experiment = test.experiment
-    forbidden = SwitchRules.of(problem).forbidden
-    holds = dataclasses.replace(experiment.loop.holds, forbidden=forbidden)
-    loop = dataclasses.replace(experiment.loop, holds=holds)
-    return dataclasses.replace(test, experiment=dataclasses.replace(experiment, loop=loop))
-
-
-def _one_cell(n: int, labels: int) -> CellTree:
-    """Return one cell for all states of n numbers, of the first of so many labels."""
-    mixed = np.zeros((0, 1, word_count(labels)), dtype=np.uint64)
-    entry, none = np.array([-1], dtype=np.int32), np.zeros(0, dtype=np.int32)
-    return CellTree(Grid((1,) * n, (2,) * n, 0), entry, none, mixed)

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capsyn.alphabets.loops import AlphabetLoops
-from capsyn.alphabets.objective import Objective
-from capsyn.alphabets.storage import Storage
+from capsyn.alphabets.loops.alphabet_loops import AlphabetLoops
+from capsyn.alphabets.search.objective import Objective
+from capsyn.alphabets.search.storage import Storage
 from capsyn.modelling.alphabet import Alphabet
 
 Members = tuple[int, ...]
 """An alphabet: places in a pool, ascending."""
 Score = tuple[int, float]
-"""Loops that are lost, and the mean of the objective over the others, with prices; least is best."""
+"""Loops that are lost, and the mean objective of the others, with prices; least is best."""
 WORST: Score = (1 << 62, float("inf"))
 RACED = 128
 """From more alphabets than this a quarter of the starts takes the better ones first."""
@@ -85,9 +85,7 @@ class Scores:
             few = self.of(each, max(8, self.loops.starts // KEPT))
             order = sorted(range(len(each)), key=lambda k: (few[k], len(each[k]), each[k]))
             each = [each[k] for k in order[: max(RACED // KEPT, len(each) // KEPT)]]
-        return min(
-            zip(self.of(each), each), key=lambda pair: (pair[0], len(pair[1]), pair[1])
-        )
+        return min(zip(self.of(each), each), key=lambda pair: (pair[0], len(pair[1]), pair[1]))
 
     def _score(self, key: str, own: Members) -> Score:
         lost, mean, _ = self.storage[key]

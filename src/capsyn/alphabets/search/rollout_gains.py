@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from capsyn.alphabets.loops import LoopFigures
-from capsyn.alphabets.scores import Members, Scores
+from capsyn.alphabets.loops.alphabet_loops import LoopFigures
+from capsyn.alphabets.search.scores import Members, Scores
 from capsyn.random_streams import stream
 
 STATES = 100
@@ -25,7 +25,7 @@ def rollout_gains(scores: Scores, base: Members, pool: Members, seed: int) -> np
     """
     loops = scores.loops
     experiment, held_for = loops.test.experiment, loops.formulation.horizon * HELD
-    plant, period = experiment.plant, experiment.loop.period
+    plant, period = loops.test.charging(loops.cost).plant, experiment.loop.period
     if plant.sample_time is not None:
         held_for *= plant.sample_time  # horizons of maps are samples
     samples = max(1, round(held_for / period))
@@ -40,7 +40,7 @@ def rollout_gains(scores: Scores, base: Members, pool: Members, seed: int) -> np
     parameters, push = trials["parameters"].T, trials["push"].T
     cost, time = np.zeros(x.shape[1]), np.full(x.shape[1], period)
     for _ in range(samples):
-        x, cost = plant_cost(scores).advance(
+        x, cost = plant.advance(
             x, cost, controls.T, parameters, push, time, experiment.loop.substeps
         )
     trials["state"], trials["cost"] = x.T, cost
@@ -53,8 +53,3 @@ def rollout_gains(scores: Scores, base: Members, pool: Members, seed: int) -> np
     values = scores.objective.values(LoopFigures(figures, lost, [])).reshape(-1, len(pool))
     values = values[np.isfinite(values).all(axis=1)]
     return np.asarray(values.max(axis=1, keepdims=True, initial=-np.inf) - values)
-
-
-def plant_cost(scores: Scores):
-    """Return the plant of loops, with the cost that they gather."""
-    return scores.loops.test.charging(scores.loops.cost).plant

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from capsyn.alphabets.scores import WORST, Members, Score, Scores
+from capsyn.alphabets.search.scores import WORST, Members, Score, Scores
 
 SWEEPS = 12
 """Most sweeps over all swaps from one start."""
@@ -80,7 +80,7 @@ class Exchange:
         return score, own
 
     def _swapped(self, score: Score, own: Members) -> tuple[Score, Members] | None:
-        """Return the best of all swaps, with further ones on top that gain, too; None if none does."""
+        """Return the best of all swaps, with others on top that gain, too; None if none does."""
         loose = [k for k in own if k not in self.keep]
         others = self._others(own)
         if len(loose) * len(others) > SWAPS:

@@ -1,0 +1,1 @@
+"""Closed loops of sSAC without cells, under many alphabets at once."""

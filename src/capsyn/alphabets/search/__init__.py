@@ -1,0 +1,1 @@
+"""The search among alphabets: starts, exchange, symbols that move, what was found."""
