@@ -50,10 +50,8 @@ def chooser_source(problem: Problem, formulation: Formulation) -> tuple[str, dic
         "terminal_cost": bound.terminal_cost,
         "insertion": insertion,
     }
-    text = f"#define FIRST {first_step(formulation.model)}\n" + hand_written(
-        "alphabets/loops/choose.c"
-    )
-    return text, programs
+    text = hand_written("alphabets/loops/choose.c")
+    return f"#define FIRST {first_step(formulation.model)}\n{text}", programs
 
 
 def choices_of(
