@@ -43,6 +43,7 @@ test: debian
 	@$(MAKE) --no-print-directory $(VENV)/developed
 	@$(MAKE) --no-print-directory node_modules/.package-lock.json || \
 	  echo "could not install MicroPython and what bundles the page; tests that need them are skipped"
+	@$(BIN)/python -m compileall -q src  # once, not in each process that tests start
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 test-portable: $(VENV)/developed

@@ -21,7 +21,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from capsyn.compression.fitted.surface import Plane, Samples, Surface, best_plane, distances
+from capsyn.compression.fitted.surface import (
+    Plane,
+    Samples,
+    Surface,
+    at_labels,
+    best_plane,
+    distances,
+)
 
 MAX_DEPTH = 64
 """Most splits above a leaf of a grown tree."""
@@ -76,7 +83,7 @@ class Node:
             if not node.children:
                 labels[rows] = node.label
                 continue
-            beyond = node.beyond(states[rows])
+            beyond = node.beyond(states.take(rows, axis=0))
             stack += [(node.children[0], rows[~beyond]), (node.children[1], rows[beyond])]
         return labels
 
@@ -117,7 +124,7 @@ def grow(
         done = len(here.points) < least or depth == MAX_DEPTH
         if done or samples.right[rows, node.label].all():
             continue
-        states = samples.states[rows]
+        states = samples.states.take(rows, axis=0)
         plane = best_plane(here, states, len(rows) / len(samples), tolerance, rng)
         beyond = distances(states, plane) >= 0
         if beyond.all() or not beyond.any():
@@ -144,17 +151,16 @@ def refine(root: Node, samples: Samples) -> list[Link]:
     axes = samples.states.shape[1] if samples.axes is None else samples.axes
 
     def visit(node: Node, rows: np.ndarray) -> None:
-        right = samples.right[rows]
+        right = samples.right.take(rows, axis=0)
         label = best_label(right) if len(rows) else node.label
         if not node.children:
             node.label = label
             return
-        states = samples.states[rows]
+        states = samples.states.take(rows, axis=0)
         beyond = node.beyond(states)
         for child, part in zip(node.children, (rows[~beyond], rows[beyond])):
             visit(child, part)
-        every = np.arange(len(rows))
-        good = [right[every, child.labels(states)] for child in node.children]
+        good = [at_labels(right, child.labels(states)) for child in node.children]
         matters = good[0] != good[1]
         hopeless = np.count_nonzero(~(good[0] | good[1]))
         wrong = hopeless + _fit_split(node, states[matters], good[1][matters], axes)
@@ -272,12 +278,12 @@ def best_shift(distance: np.ndarray, second: np.ndarray) -> tuple[float, int]:
     """
     if not len(distance):
         return 0.0, 0
-    order = np.argsort(distance, kind="stable")
+    order = np.argsort(distance)  # states at one place in any order: they stay together
     x = distance[order]
     # errors with the first k states before the plane, less those with none
     errors = np.append(0, np.cumsum(np.where(second[order], 1, -1)))
     here = int(np.searchsorted(x, 0.0))
-    apart = np.concatenate([[True], x[1:] > x[:-1], [True]])  # states at one place stay together
+    apart = np.concatenate([[True], x[1:] > x[:-1], [True]])
     best = int(np.where(apart, errors, len(x) + 1).argmin())
     saved = int(errors[here] - errors[best])
     if not saved:
