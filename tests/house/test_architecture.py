@@ -81,7 +81,7 @@ exports.javascript: target
 exports.policy_json: target
 exports.fmu: times description build target
 exports: python_module dot export
-alphabets: spread pace study document
+alphabets: spread pace study document judge
 explorer: packed memory_data policy_data program_javascript expression formulas facts page_data
     explore
 paper: cases figures pendulum tanks reproduction
