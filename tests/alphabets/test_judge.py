@@ -78,6 +78,12 @@ def test_rows_are_means_over_fresh_loops_with_their_intervals(judge, problem):
     assert said[0] == "judging on fresh starts own 2 symbols: 1 of 4" and len(said) == 4
 
 
+def test_what_is_chosen_for_several_numbers_is_told_once(judge):
+    two = Alphabet([-1.0, 1.0])
+    rows = judge.table({4: two, 2: two, 3: CHOSEN}, [], Pool(CANDIDATES), randoms=1)
+    assert [row.count for row in rows if row.kind == "chosen"] == [2, 3] and len(rows) == 6
+
+
 def test_intervals_are_those_of_the_mean_of_each_loop(judge):
     class Known:
         def values(self, found):

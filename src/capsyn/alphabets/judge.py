@@ -84,7 +84,8 @@ class Judge:
         Parameters
         ----------
         chosen : mapping of count to Alphabet
-            What the search chose for each number of symbols.
+            What the search chose for each number of symbols. What it chose for a smaller number,
+            too, is told once.
         own : sequence of Alphabet
             Alphabets of the user.
         pool : Pool
@@ -95,8 +96,12 @@ class Judge:
             Random alphabets of each size; the one of the least objective is told.
         """
         groups = [("own", len(alphabet), [alphabet]) for alphabet in own]
-        for count, alphabet in chosen.items():
-            size = len(alphabet)
+        known = set[bytes]()
+        for count, alphabet in sorted(chosen.items(), key=lambda one: one[0]):
+            size, key = len(alphabet), alphabet.values.tobytes()
+            if key in known:
+                continue
+            known.add(key)
             uniform = uniform_set(pool, size, self.problem.default_control)
             some = random_sets(pool, size, randoms, self.seed)
             groups += [("chosen", count, [alphabet]), ("uniform", count, [uniform])]
@@ -105,14 +110,14 @@ class Judge:
         rows.sort(key=lambda row: (row.count, KINDS.index(row.kind)))
         if self.synthesis is None:
             return tuple(rows)
-        pace, known = Pace(progress, "policy of", len(rows)), dict[bytes, Sized]()
+        pace, sized = Pace(progress, "policy of", len(rows)), dict[bytes, Sized]()
         missing: dict[str, list[str]] = {}
         for k, row in enumerate(rows):
             name, key = _name(row.kind, row.alphabet), row.alphabet.values.tobytes()
             pace.next(name)
-            if key not in known:
-                known[key] = self._sizes(row.alphabet)
-            sizes, why = known[key]
+            if key not in sized:
+                sized[key] = self._sizes(row.alphabet)
+            sizes, why = sized[key]
             if why:
                 missing.setdefault(why, []).append(name)
             rows[k] = dataclasses.replace(row, **sizes)

@@ -74,7 +74,7 @@ def plot_alphabets(rows: Sequence[Judged], ax: Axes) -> Axes:
     _draw_kinds(rows, ax, lambda row: len(row.alphabet) + places[row.kind], _told_success, (-5, -9))
     ax.set_xlabel("symbols")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.margins(0.1, 0.1)
+    ax.margins(0.16, 0.1)
     ax.legend(frameon=False, fontsize=8, title="bars: 95 % interval", title_fontsize=7)
     return ax
 
