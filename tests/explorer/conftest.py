@@ -1,14 +1,32 @@
 """A browser for tests of pages."""
 
+import contextlib
+import functools
+
 import pytest
 
 from support.explorer.page import Shown, chromium
 
+_opened = contextlib.ExitStack()
 
-@pytest.fixture(scope="module")
+
+@functools.cache
+def _browser():
+    return _opened.enter_context(chromium())
+
+
+@pytest.fixture
 def browser():
-    with chromium() as opened:
-        yield opened
+    """One for all modules of this folder: starting it takes longer than most tests."""
+    return _browser()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item, nextitem):
+    """Close the browser after the last test of this folder, for its event loop is in the way."""
+    if nextitem is None or nextitem.path.parent != item.path.parent:
+        _opened.close()
+        _browser.cache_clear()
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from capsyn import simulate
 from support.at_once import RATE, STORIES
 from support.closed_loops import grid_policy, relay_problem
 from support.explorer.node import BEGIN, node, texts
-from support.explorer.page import Shown, chromium
+from support.explorer.page import Shown
 
 LOOP = (
     'import { makeLookup } from "#page/policy/lookup.js";'
@@ -33,12 +33,6 @@ def test_symbols_of_a_story(story, tmp_path):
     run = node(tmp_path, LOOP, story.policy, readings=readings, rate=RATE)
     assert run["symbols"] == list(story.symbols)
     assert run["switches"] == story.switches
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as opened:
-        yield opened
 
 
 def minutes(outside="nearest"):
