@@ -63,9 +63,10 @@ certification: question refute proof_file certify
 certification.checker: bounds sets flows cells moving pieces
 certification: check
 tuning: free family figures goal study advice same_study tune
-alphabets: candidates symmetries gains judged
+alphabets: candidates symmetries gains spread pace judged asked
 alphabets.loops: chooser by_numpy stand_in alphabet_loops
-alphabets.search: objective storage scores exchange rollout_gains moving
+alphabets.search: objective storage scores exchange rollout_gains moving starts
+    best_alphabets
 plots: figure symbols policy pieces trajectory transition_matrix automaton curve switching optimum
     certificate alphabet
 exports: crossings text plan constants golden sequence target certificate identifiers
@@ -81,7 +82,7 @@ exports.javascript: target
 exports.policy_json: target
 exports.fmu: times description build target
 exports: python_module dot export
-alphabets: spread pace study document judge
+alphabets: study document judge choose
 explorer: packed memory_data policy_data program_javascript expression formulas facts page_data
     explore
 paper: cases figures pendulum tanks reproduction

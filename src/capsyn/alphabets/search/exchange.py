@@ -34,7 +34,7 @@ class Exchange:
         own = tuple(sorted(set(start) & set(self.pool) | self.keep))
         while len(own) > self.count:
             loose = [k for k in own if k not in self.keep]
-            scores = self.scores.of([_without(own, k) for k in loose])
+            scores = self.scores.few.of([_without(own, k) for k in loose])
             order = [k for _, k in sorted(zip(scores, loose))]
             some = max(1, (len(own) - self.count) // 2)
             own = tuple(k for k in own if k not in order[:some])
@@ -84,8 +84,7 @@ class Exchange:
         loose = [k for k in own if k not in self.keep]
         others = self._others(own)
         if len(loose) * len(others) > SWAPS:
-            few = max(8, self.scores.loops.starts // 4)
-            gains = self.scores.of([_with(own, k) for k in others], few)
+            gains = self.scores.few.of([_with(own, k) for k in others])
             most = max(1, SWAPS // max(1, len(loose)))
             others = sorted(k for _, k in sorted(zip(gains, others))[:most])
         swaps = {_with(_without(own, out), new): (out, new) for out in loose for new in others}

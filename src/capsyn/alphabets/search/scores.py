@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,8 @@ Score = tuple[int, float]
 WORST: Score = (1 << 62, float("inf"))
 RACED = 128
 """From more alphabets than this a quarter of the starts takes the better ones first."""
+FEWEST = 16
+"""Fewest starts of a quick look."""
 KEPT = 4
 """They keep one in so many, and have as many starts fewer."""
 
@@ -33,16 +35,22 @@ class Scores:
     objective: Objective
     prices: np.ndarray  # (K,) of the pool's symbols [objective]
     storage: Storage
-    told: Callable[[int], None] = lambda _: None  # is told of loops that were run
+    starts: int  # the first of the loops' starts that count
+    part: str = ""  # tells starts of different purposes apart in the storage
+
+    @property
+    def few(self) -> Scores:
+        """The scores from a quarter of the starts: a quick look."""
+        return dataclasses.replace(self, starts=min(self.starts, max(FEWEST, self.starts // KEPT)))
 
     def over(self, pool: Alphabet, prices: np.ndarray) -> Scores:
         """Return the scores of alphabets of another pool."""
         return dataclasses.replace(self, loops=self.loops.over(pool), prices=prices)
 
-    def of(self, sets: Sequence[Members], starts: int | None = None) -> list[Score]:
-        """Return the scores of alphabets from the first starts, all by default."""
-        count = self.loops.starts if starts is None else min(starts, self.loops.starts)
-        keys = [self._key(own, count) for own in sets]
+    def of(self, sets: Sequence[Members]) -> list[Score]:
+        """Return the scores of alphabets."""
+        count = self.starts
+        keys = [self._key(own) for own in sets]
         new = {
             key: own for key, own in zip(keys, sets) if key not in self.storage
         }  # each of them once
@@ -54,24 +62,29 @@ class Scores:
                 means = np.nansum(values, axis=1) / np.maximum(count - lost, 1)
             self.storage.add(
                 {
-                    key: [int(gone), float(mean) if gone < count else None, used.tolist()]
-                    for key, gone, mean, used in zip(new, lost, means, found.used)
+                    key: [
+                        int(gone),
+                        float(mean) if gone < count else None,
+                        used[self._order(own)].tolist(),
+                    ]
+                    for (key, own), gone, mean, used in zip(new.items(), lost, means, found.used)
                 }
             )
-            self.told(len(new) * count)
         return [self._score(key, own) for key, own in zip(keys, sets)]
 
     def known(self, own: Members) -> Score | None:
-        """Return the score of an alphabet from all starts if it was found, else None."""
-        key = self._key(own, self.loops.starts)
+        """Return the score of an alphabet if it was found, else None."""
+        key = self._key(own)
         return self._score(key, own) if key in self.storage else None
 
     def used(self, own: Members) -> np.ndarray:
-        """Return the samples that each symbol of an alphabet was in force, from all starts."""
-        key = self._key(own, self.loops.starts)
+        """Return the samples that each symbol of an alphabet was in force."""
+        key = self._key(own)
         if key not in self.storage:
             self.of([own])
-        return np.array(self.storage[key][2], dtype=np.int64)
+        found = np.empty(len(own), dtype=np.int64)
+        found[self._order(own)] = self.storage[key][2]
+        return found
 
     def best(self, sets: Sequence[Members]) -> tuple[Score, Members]:
         """Return the best of alphabets, of equal ones that of fewest symbols, the first.
@@ -82,7 +95,7 @@ class Scores:
         if not each:
             return WORST, ()
         if len(each) > RACED:
-            few = self.of(each, max(8, self.loops.starts // KEPT))
+            few = self.few.of(each)
             order = sorted(range(len(each)), key=lambda k: (few[k], len(each[k]), each[k]))
             each = [each[k] for k in order[: max(RACED // KEPT, len(each) // KEPT)]]
         return min(zip(self.of(each), each), key=lambda pair: (pair[0], len(pair[1]), pair[1]))
@@ -91,8 +104,12 @@ class Scores:
         lost, mean, _ = self.storage[key]
         return lost, (np.inf if mean is None else mean) + float(self.prices[list(own)].sum())
 
-    def _key(self, own: Members, starts: int) -> str:
-        """Return what an alphabet and a number of starts are kept by."""
-        values = self.loops.pool.values[list(own)]
-        values = values[np.lexsort(values.T[::-1])] + 0.0
-        return f"{starts} {hashlib.blake2b(values.tobytes(), digest_size=12).hexdigest()}"
+    def _order(self, own: Members) -> np.ndarray:
+        """Return the order of an alphabet's symbols by their values, whatever the pool."""
+        return np.lexsort(self.loops.pool.values[list(own)].T[::-1])
+
+    def _key(self, own: Members) -> str:
+        """Return what an alphabet is kept by."""
+        values = self.loops.pool.values[list(own)][self._order(own)] + 0.0
+        digest = hashlib.blake2b(values.tobytes(), digest_size=12).hexdigest()
+        return f"{self.part}{self.starts} {digest}"

@@ -1,0 +1,106 @@
+"""The search for the best alphabets of several sizes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from capsyn.alphabets.gains import greedy
+from capsyn.alphabets.search.exchange import Exchange
+from capsyn.alphabets.search.moving import Movable
+from capsyn.alphabets.search.scores import Members, Scores
+from capsyn.alphabets.search.starts import Starts
+
+IMPROVED = 3
+"""Starts that are improved for each number of symbols; all but the best first from few starts."""
+POOL = 128
+"""Most candidates that are exchanged; of more, those of the starts and of a first look."""
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A search among alphabets of candidates, in closed loops."""
+
+    scores: Scores
+    fresh: Scores  # of the same candidates, from other starts: they choose among what was found
+    starts: Starts
+    movable: tuple[Movable, Movable] | None  # likewise, where symbols may leave the candidates
+    seed: int
+    told: Callable[[str], None]
+
+    def best(self, counts: Sequence[int]) -> dict[int, np.ndarray]:
+        """Return the best values (N, m) that were found for each number of symbols, at most."""
+        found: dict[int, list[Members]] = {}
+        for count in sorted(counts):
+            smaller = [own for some in found.values() for own in some[:1]]
+            found[count] = self._members(count, smaller)
+        chosen: dict[int, np.ndarray] = {}
+        for count in sorted(counts):
+            known = list(chosen.values())
+            chosen[count] = self._chosen(found[count], count, known)
+        return chosen
+
+    def _members(self, count: int, smaller: Sequence[Members]) -> list[Members]:
+        """Return alphabets that were found for a number of symbols, the best first."""
+        keep = frozenset(self.starts.pool.keep)
+        self.told(f"{count} symbols, starts")
+        given = [*self.starts.always, *self.starts.looked(count)]
+        pool = self._pool([*given, *smaller])
+        exchange = Exchange(self.scores, pool, keep, count, told=self.told)
+        fitted = list(dict.fromkeys([*map(exchange.fitted, given), *smaller]))
+        unions = self.starts.unions(count)
+        if unions:
+            fitted.append(self.scores.best(unions)[1])
+        first = self.scores.best([own for own in fitted if own])[1]
+        fitted += self.starts.by_rollouts(self.scores, first, pool, count, self.seed)
+        fitted = list(dict.fromkeys(own for own in fitted if own))
+        order = sorted(zip(self.scores.of(fitted), fitted))
+        quick = dataclasses.replace(exchange, scores=self.scores.few)
+        better = [quick.improved(own)[1] for _, own in order[1:IMPROVED]]
+        ends = dict.fromkeys([order[0][1], *better])
+        improved = [exchange.improved(own) for own in ends]
+        each = dict.fromkeys(own for _, own in sorted([*improved, *order]))
+        return list(each)
+
+    def _pool(self, known: Sequence[Members]) -> Members:
+        """Return the candidates that are exchanged."""
+        count = len(self.scores.loops.pool)
+        if count <= POOL:
+            return tuple(range(count))
+        some = dict.fromkeys(k for own in known for k in own)
+        some |= dict.fromkeys(greedy(self.starts.gains, POOL // 2).tolist())
+        even = self.starts.looked(POOL // 2)[-1]
+        return tuple(sorted([*some, *(k for k in even if k not in some)]))
+
+    def _chosen(
+        self, found: Sequence[Members], count: int, smaller: Sequence[np.ndarray]
+    ) -> np.ndarray:
+        """Return the best alphabet of those found and of smaller ones, on starts of its own."""
+        values = self.scores.loops.pool.values
+        if self.movable is None:
+            places = [
+                tuple(np.flatnonzero((values[:, None] == own).all(axis=2).any(axis=1)).tolist())
+                for own in smaller
+            ]
+            self.told(f"{count} symbols, choice among those found")
+            each = list(dict.fromkeys([*found, *places]))
+            return values[list(self.fresh.best(each)[1])]
+        moves, fresh = self.movable
+        tried = [values[list(own)] for own in found]
+        best = self._moved(moves, tried[:IMPROVED], count)
+        those = [*best, *tried, *smaller]
+        scores = fresh.of(those)
+        return those[min(range(len(those)), key=lambda k: (scores[k], len(those[k]), k))]
+
+    def _moved(self, moves: Movable, starts: Sequence[np.ndarray], count: int) -> list[np.ndarray]:
+        """Return what alphabets become when their symbols move, the best start in full."""
+        each = list(starts)
+        if moves.has_effort:
+            each += [moves.lloyd(own) for own in starts]
+        scores = moves.of(each)
+        k = min(range(len(each)), key=scores.__getitem__)
+        self.told(f"{count} symbols, moves")
+        return [moves.searched(scores[k], each[k], self.told)[1], *each]
