@@ -9,6 +9,7 @@ from capsyn.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from capsyn.alphabets.candidates import actuator_combinations as actuator_combinations
+    from capsyn.alphabets.choose import choose_alphabet as choose_alphabet
     from capsyn.alphabets.study import AlphabetStudy as AlphabetStudy
     from capsyn.automata.automaton import Automaton as Automaton
     from capsyn.certification.certificate import Certificate as Certificate
@@ -65,6 +66,7 @@ _PUBLIC = {
     "actuator_combinations": "alphabets.candidates",
     "agreement": "verification.agreement",
     "certify": "certification.certify",
+    "choose_alphabet": "alphabets.choose",
     "compress": "compression.compress",
     "explore": "explorer.explore",
     "export": "exports.export",
