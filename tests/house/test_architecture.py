@@ -91,7 +91,7 @@ cli.better: optimum
 cli.proofs: proved trials certify
 cli: paper evidence compression export look
     import_table doctor
-cli.better: improve switching searches tune given_alphabet
+cli.better: improve switching searches tune given_alphabet alphabet
 cli.making: source simulate synth
 cli: app
 

@@ -223,7 +223,8 @@ def _search(
         movable = (Movable(scores, asked.box, moving), Movable(fresh, asked.box, moving))
     say("a first look by gradients")
     starts = Starts.of(problem, pool, asked.own_members, backend, seed)
-    return Search(scores, fresh, starts, movable, seed, say), lambda: len(kept) - 1
+    search = Search(scores, fresh, starts, movable, seed, say)
+    return search, lambda: len(kept) - (storage is not None)  # a file has what was asked, too
 
 
 def _seeded(plan: TrialOptions, trials: int, seed: int, purpose: int) -> TrialOptions:

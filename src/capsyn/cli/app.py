@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from capsyn.cli.better.alphabet import alphabet
 from capsyn.cli.better.improve import improve
 from capsyn.cli.better.switching import switching
 from capsyn.cli.better.tune import tune
@@ -168,6 +169,7 @@ app.command()(at)
 app.command("import")(import_table)
 app.command()(improve)
 app.command()(tune)
+app.command()(alphabet)
 app.command()(compress)
 app.command()(automaton)
 app.command()(export)
@@ -217,6 +219,7 @@ ALIASES = {
     "forbidden": "forbid",
     "parameters": "parameter",
     "price": "switch_price",
+    "prices": "price",
     "spacing": "grid",
     "states": "agreement",
     "trials": "monte_carlo",

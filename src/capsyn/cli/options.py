@@ -75,6 +75,11 @@ def option(
     return dataclasses.field(default=default, metadata=extra)
 
 
+def absent() -> Any:
+    """Return a field that is an option of the class above, but none here."""
+    return dataclasses.field(default=None, metadata={"absent": True})
+
+
 def as_in(options: Any, name: str) -> Any:
     """Return a field that is the same option as that of another dataclass of options."""
     field = options.__dataclass_fields__[name]
@@ -104,12 +109,16 @@ def flat(command: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(command)
     def flattened(**values: Any) -> None:
         for name, kind in groups.items():
-            values[name] = kind(**{f.name: values.pop(f.name) for f in dataclasses.fields(kind)})
+            values[name] = kind(**{f.name: values.pop(f.name) for f in _fields(kind)})
         command(**values)
 
     flattened.__annotations__ = {p.name: p.annotation for p in parameters}
     flattened.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return flattened
+
+
+def _fields(kind: Any) -> list[Any]:
+    return [f for f in dataclasses.fields(kind) if not f.metadata.get("absent")]
 
 
 def _field_parameters(kind: Any) -> list[inspect.Parameter]:
@@ -122,12 +131,13 @@ def _field_parameters(kind: Any) -> list[inspect.Parameter]:
             field.name,
             inspect.Parameter.KEYWORD_ONLY,
             default=default,
-            annotation=Annotated[hint, extra["option"]] if extra else hint,
+            annotation=Annotated[hint, extra["option"]] if "option" in extra else hint,
         )
         names = [p.name for p in ordered]
         before = extra.get("before")
         ordered.insert(names.index(before) if before else len(names), parameter)
-    return ordered
+    given = {field.name for field in _fields(kind)}
+    return [parameter for parameter in ordered if parameter.name in given]
 
 
 @dataclasses.dataclass(frozen=True)

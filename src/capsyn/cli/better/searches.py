@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from capsyn.cli.loop import LoopTexts, loop_options
 from capsyn.cli.options import INITIAL, number_or_range, option, starts
@@ -32,6 +32,7 @@ class SearchTexts(LoopTexts):
         before="model",
     )
 
+    not_asked: ClassVar[tuple[str, ...]] = RUN_BY
     max_solves: int | None = option("Most solves of a policy, as in synth.", before="initial")
 
     @property
@@ -47,6 +48,6 @@ class SearchTexts(LoopTexts):
     def loops(self, problem: Problem) -> dict[str, Any]:
         """Return how loops of a problem run, as arguments of `capsyn.monte_carlo`."""
         loop = loop_options(problem, self, one=number_or_range, each=number_or_range)
-        own = {name: value for name, value in vars(loop).items() if name not in RUN_BY}
+        own = {name: value for name, value in vars(loop).items() if name not in self.not_asked}
         initial = starts(self.initial, problem.domain.names)
         return own | {"initial": initial, "within": self.within, "hold": self.hold or 0.0}
