@@ -23,7 +23,7 @@ class Asked:
 
     problem: Problem
     pool: Pool  # the candidates that are left, and which are kept
-    box: Box | None  # of continuous inputs, between whose bounds symbols may move
+    box: Box | None  # of continuous inputs, in which symbols may move, if none is excluded
     prices: np.ndarray  # (K,) of the pool [objective]
     own: tuple[Alphabet, ...]  # of the user, and the problem's own where its symbols are candidates
 
@@ -63,12 +63,10 @@ class Asked:
         pool = Alphabet(whole.values[left], names, whole.inputs, whole.units)
         places = {int(k): i for i, k in enumerate(left)}
         keep_ = tuple(sorted({places[k] for k in kept}))
-        box = given if isinstance(given, Box) else None
-        if (
-            len(own_symbols(pool, problem.alphabet.values, problem.alphabet.names))
-            and (own_symbols(pool, problem.alphabet.values, problem.alphabet.names) >= 0).all()
-        ):
-            sets.insert(0, problem.alphabet)
+        box = given if isinstance(given, Box) and not gone else None
+        first = problem.alphabet
+        if (own_symbols(pool, first.values, first.names) >= 0).all():
+            sets = [first, *(one for one in sets if not _same(one, first))]
         return Asked(problem, Pool(pool, keep_, box is not None), box, charged[left], tuple(sets))
 
     @property
@@ -117,6 +115,11 @@ def _alphabet(problem: Problem, named: Alphabet, given: Any) -> Alphabet:
         places = [known.index(one) for one in dict.fromkeys(several)]
         return Alphabet(named.values[places], [known[k] for k in places], named.inputs, named.units)
     return candidates_of(problem, several)
+
+
+def _same(one: Alphabet, other: Alphabet) -> bool:
+    """Return whether two alphabets have the same values."""
+    return {*map(tuple, one.values.tolist())} == {*map(tuple, other.values.tolist())}
 
 
 def _outside(problem: Problem) -> list[Alphabet]:

@@ -91,7 +91,8 @@ def choose_alphabet(
     steps : int or m ints, optional
         Levels of each input of a box. Default: 11, 5 or 3 for one, two or more inputs.
     keep, exclude : sequences of names or values
-        Symbols that the alphabet must have, and candidates that it must not have.
+        Symbols that the alphabet must have, and candidates that it must not have. Where candidates
+        of a box are excluded, symbols do not move away from the grid.
     prices : mapping of name to float, optional
         Prices of symbols, such as what their hardware costs, in the unit of the objective. They are
         added to the objective.

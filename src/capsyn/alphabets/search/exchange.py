@@ -9,6 +9,8 @@ from capsyn.alphabets.search.scores import WORST, Members, Score, Scores
 
 SWEEPS = 12
 """Most sweeps over all swaps from one start."""
+GAIN = 1e-3
+"""A sweep that gains less than this share of the objective is the last."""
 SWAPS = 1500
 """Most swaps of a sweep; of more, those that bring in the symbols that would gain most."""
 FOLLOWED = 12
@@ -41,7 +43,7 @@ class Exchange:
         return own
 
     def improved(self, start: Members) -> tuple[Score, Members]:
-        """Return what no drop, added symbol or swap improves, from a start that fits."""
+        """Return what no drop, added symbol or swap improves by much, from a start that fits."""
         own, (score,) = start, self.scores.of([start]) if start else [WORST]
         for sweep in range(self.sweeps):
             self.told(f"{self.count} symbols, sweep {sweep + 1}, objective {score[1]:.4g}")
@@ -49,7 +51,10 @@ class Exchange:
             better = self._swapped(score, own)
             if better is None:
                 break
+            gained = score[1] - better[0][1] if better[0][0] == score[0] else float("inf")
             score, own = better
+            if gained < GAIN * abs(score[1]):
+                break
         return self._shrunk(score, own)
 
     def _shrunk(self, score: Score, own: Members) -> tuple[Score, Members]:
