@@ -67,7 +67,9 @@ def in_shell(line, folder):
 
 def run(line, folder):
     """Run a line: in this process where it is a call of capsyn alone, otherwise in a shell."""
-    if not line.startswith("capsyn ") or set(line) & set("|&;<>()$`*?#~"):
+    line = re.sub(r"  +# .*", "", line)
+    own = "--dask" in line or set(line) & set("|&;<>()$`*?#~")  # of processes and the shell's
+    if not line.startswith("capsyn ") or own:
         return in_shell(line, folder)
     done = run_here(shlex.split(line)[1:], folder)
     printed = done.stdout + done.stderr

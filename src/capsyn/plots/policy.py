@@ -221,7 +221,8 @@ def _draw_boxes(section: _Slice, ax: Axes, outlines: bool) -> tuple[set[int], bo
 
     Return what follows the label in force there, and whether some are hatched.
     """
-    from matplotlib.collections import PolyCollection
+    from matplotlib.collections import PathCollection, PolyCollection
+    from matplotlib.path import Path
 
     policy, plane, now = section.policy, section.plane, section.now
     following = policy.transitions[:, -1 if now is None else now]
@@ -249,7 +250,8 @@ def _draw_boxes(section: _Slice, ax: Axes, outlines: bool) -> tuple[set[int], bo
             )
         )
     if bands:
-        band = PolyCollection(bands, facecolors="none", edgecolors=INK, linewidths=0, hatch=HATCH)
+        whole = Path.make_compound_path_from_polys(np.array(bands))  # hatches are slow for each
+        band = PathCollection([whole], facecolors="none", edgecolors=INK, linewidths=0, hatch=HATCH)
         ax.add_collection(band)
     return shown, bool(bands)
 
