@@ -25,6 +25,7 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.transcription import user_program
 from capsyn.programs.program import Program
 from capsyn.random_streams import derived_seed
+from capsyn.synthesis.synthesize import check_arguments
 from capsyn.tuning.same_study import digest, problem_facts, target_facts
 from capsyn.validation import describe, true_or_false, whole_number
 from capsyn.verification.conditions import conditions
@@ -133,6 +134,7 @@ def choose_alphabet(
     if not isinstance(problem, Problem):
         raise ProblemError(f"`problem` must be a Problem; got {describe(problem)}")
     weights, counts = Objective.of(objective), _counts(count)
+    whole_number("starts", starts, least=1)
     whole_number("seed", seed, least=0)
     whole_number("fresh", fresh, least=2)
     true_or_false("policies", policies)
@@ -141,6 +143,8 @@ def choose_alphabet(
     )
     say = progress or (lambda text: None)
     asked = Asked.of(problem, candidates, steps, keep, exclude, prices, own)
+    _check(asked, counts, weights, plan)
+    check_arguments("synthesis", synthesis or {})
     program = None if cost is None else _cost(problem, cost)
     search, searched = _search(asked, weights, plan, program, storage, seed, say)
     found = search.best(counts)
@@ -174,6 +178,19 @@ def _counts(count: Any) -> list[int]:
     if not several:
         raise ProblemError("`count` must be a whole number >= 1, or several; got none")
     return sorted({whole_number("count", one, least=1, most=MAX_SYMBOLS) for one in several})
+
+
+def _check(asked: Asked, counts: list[int], weights: Objective, plan: TrialOptions) -> None:
+    """Raise where numbers of symbols or the objective do not fit the other arguments."""
+    kept = len(asked.pool.keep)
+    if counts[0] < kept:
+        raise ProblemError(
+            f"`count` must be at least the {kept} symbols that are kept; got {counts[0]}"
+        )
+    if plan.loop.target is None and asked.problem.target is None:
+        for name in ("time", "failures"):
+            if weights.weights.get(name):
+                raise ProblemError(f"`objective` must have no {name} without a target; got one")
 
 
 def _cost(problem: Problem, cost: Any) -> Program:

@@ -29,14 +29,18 @@ class Pace:
 
     def next(self, text: str = "") -> None:
         """Say that the next part begins, and what it is."""
+        told = f" {text}" if text else ""
+        self.tell(f"{self.what}{told}: {self.done + 1} of {self.parts}")
+        self.done += 1
+
+    def tell(self, text: str) -> None:
+        """Say a text, with the time that is left for the parts that are not done."""
         if self.say is not None:
             left = ""
             if self.done:
                 each = (time.monotonic() - self.start) / self.done
                 left = f", {duration(each * (self.parts - self.done))} left"
-            told = f" {text}" if text else ""
-            self.say(f"{self.what}{told}: {self.done + 1} of {self.parts}{left}")
-        self.done += 1
+            self.say(f"{text}{left}")
 
 
 def duration(seconds: float) -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -281,6 +282,16 @@ def _described(
         statistics=statistics | {"sample": sample},
         **more,
     )
+
+
+def check_arguments(name: str, options: Mapping[str, Any]) -> None:
+    """Raise `ProblemError` unless options, the argument `name`, are some of `synthesize`."""
+    known = inspect.signature(synthesize).parameters.keys() - {"problem"}
+    for option in options:
+        if option not in known:
+            raise ProblemError(
+                f"`{name}` must be arguments of capsyn.synthesize; got {describe(option)}"
+            )
 
 
 def problem_controller(

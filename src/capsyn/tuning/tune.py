@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import inspect
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -16,7 +15,7 @@ from capsyn.execution.files import write_text
 from capsyn.modelling.problem import Problem
 from capsyn.policies.policy import Policy
 from capsyn.random_streams import derived_seed
-from capsyn.synthesis.synthesize import synthesize
+from capsyn.synthesis.synthesize import check_arguments, synthesize
 from capsyn.tuning.advice import advice
 from capsyn.tuning.family import Family
 from capsyn.tuning.figures import Charges, Figures, Tried, figures_of
@@ -203,9 +202,7 @@ def tune(
         without=NOT_ASKED, trials=starts, backend=backend, threads=threads, **loops
     )
     options = {"backend": backend, "threads": threads} | dict(synthesis or {})
-    for name in options:
-        if name == "problem" or name not in inspect.signature(synthesize).parameters:
-            raise ProblemError(f"`synthesis` must be arguments of capsyn.synthesize; got '{name}'")
+    check_arguments("synthesis", options)
     judge = _Judge.of(family, goal, plan, options, (cost, effort), seed)
     from capsyn.tuning.study import Study
 

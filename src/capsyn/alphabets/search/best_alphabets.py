@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capsyn.alphabets.gains import greedy
+from capsyn.alphabets.pace import Pace
 from capsyn.alphabets.search.exchange import Exchange
 from capsyn.alphabets.search.moving import Movable
 from capsyn.alphabets.search.scores import Members, Scores
@@ -16,6 +17,8 @@ from capsyn.alphabets.search.starts import Starts
 
 IMPROVED = 3
 """Starts that are improved for each number of symbols; all but the best first from few starts."""
+PARTS = 2 * IMPROVED + 1
+"""Parts of the search for a number of symbols: starts, those that are improved, the choice."""
 POOL = 128
 """Most candidates that are exchanged; of more, those of the starts and of a first look."""
 
@@ -29,27 +32,28 @@ class Search:
     starts: Starts
     movable: tuple[Movable, Movable] | None  # likewise, where symbols may leave the candidates
     seed: int
-    told: Callable[[str], None]
+    say: Callable[[str], None]
 
     def best(self, counts: Sequence[int]) -> dict[int, np.ndarray]:
         """Return the best values (N, m) that were found for each number of symbols, at most."""
         found: dict[int, list[Members]] = {}
-        for count in sorted(counts):
-            smaller = [own for some in found.values() for own in some[:1]]
-            found[count] = self._members(count, smaller)
         chosen: dict[int, np.ndarray] = {}
-        for count in sorted(counts):
-            known = list(chosen.values())
-            chosen[count] = self._chosen(found[count], count, known)
+        pace = Pace(self.say, "", PARTS * len(counts))
+        for k, count in enumerate(sorted(counts)):
+            smaller = [own for some in found.values() for own in some[:1]]
+            pace.done = PARTS * k
+            found[count] = self.members(count, smaller, pace)
+            pace.done = PARTS * (k + 1) - 1
+            chosen[count] = self._chosen(found[count], count, [*chosen.values()], pace.tell)
         return chosen
 
-    def _members(self, count: int, smaller: Sequence[Members]) -> list[Members]:
+    def members(self, count: int, smaller: Sequence[Members], pace: Pace) -> list[Members]:
         """Return alphabets that were found for a number of symbols, the best first."""
         keep = frozenset(self.starts.pool.keep)
-        self.told(f"{count} symbols, starts")
+        pace.tell(f"{count} symbols, starts")
         given = [*self.starts.always, *self.starts.looked(count)]
         pool = self._pool([*given, *smaller])
-        exchange = Exchange(self.scores, pool, keep, count, told=self.told)
+        exchange = Exchange(self.scores, pool, keep, count, told=pace.tell)
         fitted = list(dict.fromkeys([*map(exchange.fitted, given), *smaller]))
         unions = self.starts.unions(count)
         if unions:
@@ -59,9 +63,13 @@ class Search:
         fitted = list(dict.fromkeys(own for own in fitted if own))
         order = sorted(zip(self.scores.of(fitted), fitted))
         quick = dataclasses.replace(exchange, scores=self.scores.few)
-        better = [quick.improved(own)[1] for _, own in order[1:IMPROVED]]
-        ends = dict.fromkeys([order[0][1], *better])
-        improved = [exchange.improved(own) for own in ends]
+        ends, improved = dict.fromkeys([order[0][1]]), []
+        for _, own in order[1:IMPROVED]:
+            pace.done += 1
+            ends[quick.improved(own)[1]] = None
+        for own in ends:
+            pace.done += 1
+            improved.append(exchange.improved(own))
         each = dict.fromkeys(own for _, own in sorted([*improved, *order]))
         return list(each)
 
@@ -76,7 +84,11 @@ class Search:
         return tuple(sorted([*some, *(k for k in even if k not in some)]))
 
     def _chosen(
-        self, found: Sequence[Members], count: int, smaller: Sequence[np.ndarray]
+        self,
+        found: Sequence[Members],
+        count: int,
+        smaller: Sequence[np.ndarray],
+        told: Callable[[str], None],
     ) -> np.ndarray:
         """Return the best alphabet of those found and of smaller ones, on starts of its own."""
         values = self.scores.loops.pool.values
@@ -85,22 +97,24 @@ class Search:
                 tuple(np.flatnonzero((values[:, None] == own).all(axis=2).any(axis=1)).tolist())
                 for own in smaller
             ]
-            self.told(f"{count} symbols, choice among those found")
+            told(f"{count} symbols, choice among those found")
             each = list(dict.fromkeys([*found, *places]))
             return values[list(self.fresh.best(each)[1])]
         moves, fresh = self.movable
         tried = [values[list(own)] for own in found]
-        best = self._moved(moves, tried[:IMPROVED], count)
+        told(f"{count} symbols, moves")
+        best = self._moved(moves, tried[:IMPROVED], told)
         those = [*best, *tried, *smaller]
         scores = fresh.of(those)
         return those[min(range(len(those)), key=lambda k: (scores[k], len(those[k]), k))]
 
-    def _moved(self, moves: Movable, starts: Sequence[np.ndarray], count: int) -> list[np.ndarray]:
+    def _moved(
+        self, moves: Movable, starts: Sequence[np.ndarray], told: Callable[[str], None]
+    ) -> list[np.ndarray]:
         """Return what alphabets become when their symbols move, the best start in full."""
         each = list(starts)
         if moves.has_effort:
             each += [moves.lloyd(own) for own in starts]
         scores = moves.of(each)
         k = min(range(len(each)), key=scores.__getitem__)
-        self.told(f"{count} symbols, moves")
-        return [moves.searched(scores[k], each[k], self.told)[1], *each]
+        return [moves.searched(scores[k], each[k], told)[1], *each]
