@@ -15,8 +15,8 @@ from capsyn.version import __version__
 HERE = Path(__file__).parent
 QUESTIONS = (
     "solve synthesis dimensions lookup compression sources tails improve tune alphabet_gains "
-    "loop_trees optimum limits certify told inverter coordinates closed_loop explorer command "
-    "counts exports timing cluster"
+    "sparsity loop_trees optimum limits certify told inverter coordinates closed_loop explorer "
+    "command counts exports timing cluster"
 ).split()
 
 FIRST = {

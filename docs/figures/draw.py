@@ -85,6 +85,8 @@ if __name__ == "__main__":
     save_curve_plot(size_curve(plain), plain.name, HERE / "curve.png")
     dimensions = runpy.run_path(str(HERE.parents[1] / "benchmarks" / "dimensions.py"))
     dimensions["save_growth_plot"](HERE / "growth.png")
+    sparsity = runpy.run_path(str(HERE.parents[1] / "benchmarks" / "sparsity.py"))
+    sparsity["save_plot"](HERE / "sparsity.png")
     save_screenshot(pendulum, HERE / "explorer.png")
     satellite = of_page("own-system.md", "satellite.py")["problem"]
     settings = dataclasses.replace(satellite.settings, control_weight=100.0)  # as on the page
