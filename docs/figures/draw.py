@@ -59,7 +59,7 @@ def of_page(page, name):
 
 def save_guide_pictures():
     """Write the pictures that open guides."""
-    for name in ("choosing", "good", "references", "switching", "limits", "evidence"):
+    for name in ("alphabets", "choosing", "good", "references", "switching", "limits", "evidence"):
         getattr(loops, name)(HERE / f"{name}.png")
     loops.dwell(HERE / "dwell.png", of_page("dwell.md", "room.py")["problem"])
     loops.discrete_time(

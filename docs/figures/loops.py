@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import itertools
 import runpy
 from pathlib import Path
 
@@ -59,6 +60,14 @@ def actuators(path, problem_of):
         below.set_yticklabels(policy.alphabet.names)
         below.set_xlabel("time [ms]" if scale > 1 else f"time [{policy.time_unit}]")
     save(figure, path)
+
+
+def alphabets(path):
+    """Draw what numbers of valve settings achieve for two tanks, as the guide finds them."""
+    settings = list(itertools.product([0, 0.5, 1], repeat=3))
+    loops = {"rate": 20, "duration": 6, "starts": 20, "fresh": 200}
+    tanks = problems.get("double-tank-a")
+    save(capsyn.choose_alphabet(tanks, settings, [2, 3, 4, 5], **loops).plot(), path)
 
 
 def choosing(path):
