@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -175,12 +177,12 @@ def alphabet(
 def _check_outputs(path: str, options: AlphabetOptions) -> None:
     """Raise `ProblemError` unless all files can be written."""
     from capsyn.execution.files import check_writable
-    from capsyn.plots.figure import check_format
+    from capsyn.plots.figure import FORMATS, check_format
 
     if options.plot is not None:
-        check_format(options.plot)
+        check_format(options.plot, FORMATS, "--plot")
     if options.report is not None:
-        check_format(options.report, ["html"], "a report")
+        check_format(options.report, ["html"], "--report")
     for file in (path, options.plot, options.report):
         if file is not None:
             check_writable(file)
@@ -215,18 +217,24 @@ def _candidates(problem: Problem, options: AlphabetOptions) -> Any:
     if options.combinations is not None:
         from capsyn.alphabets.candidates import actuator_combinations
 
-        return actuator_combinations(problem, options.combinations)
+        try:
+            return actuator_combinations(problem, options.combinations)
+        except ProblemError as error:
+            raise ProblemError(str(error).replace("`most`", "--combinations")) from None
     assert options.box is not None
-    return _box(options.box)
+    return _box(options.box, problem.alphabet.inputs)
 
 
-def _box(text: str) -> Any:
+def _box(text: str, inputs: Sequence[str]) -> Any:
     """Return the box of inputs that ``LOW:HIGH,..`` means."""
     from capsyn.modelling.domain import Box
 
     bounds = [[number("--box", end) for end in part.split(":")] for part in listed(text)]
-    if any(len(pair) != 2 for pair in bounds):
-        raise ProblemError(f"--box must be LOW:HIGH, one for each input; got '{text}'")
+    if [len(pair) for pair in bounds] != [2] * len(inputs):
+        wanted = f"LOW:HIGH for each input ({', '.join(inputs)})"
+        raise ProblemError(f"--box must be {wanted}; got '{text}'")
+    if not all(-math.inf < low < high < math.inf for low, high in bounds):
+        raise ProblemError(f"--box must be LOW:HIGH, finite and LOW < HIGH; got '{text}'")
     return Box(*zip(*bounds))
 
 
