@@ -43,7 +43,8 @@ def test_it_prints_the_table_and_writes_what_synth_takes(folder):
     kinds = {row.kind for row in study.table}
     assert kinds == {"chosen", "own", "uniform", "random"}
     assert all(row.bytes and row.nodes and row.solves <= 900 for row in study.table)
-    assert f"alphabet     {', '.join(study.alphabet.names)}" in out and "95 % interval" in out
+    assert f"alphabet     {', '.join(study.alphabet.names)}" in out and "hint" not in out
+    assert max(map(len, out.partition("alphabet ")[0].splitlines())) <= 80 and "(95 %)" in out
     assert out.splitlines()[-1] == (
         "wrote cart-alphabet.json, cart.png, cart.html; capsyn synth cart.py --alphabet "
         "cart-alphabet.json --max-solves 900 makes the policy"
@@ -82,6 +83,20 @@ def test_a_box_and_combinations_of_inputs(folder):
     assert all(-1 <= value <= 1 for (value,) in data["alphabet"]["values"])
     data = json.loads(capsyn(*words, "--combinations", "1", cwd=folder)[0])
     assert data["candidates"]["values"] == [[0], [-2], [2]]
+
+
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [
+        (["--duration", "0.2"], "% of the closed loops of the chosen alphabet succeed: weigh them"),
+        (["--outside", "error"], "of 20 closed loops of the chosen alphabet are lost (out of the"),
+    ],
+)
+def test_a_hint_says_that_loops_fail_and_what_to_do(folder, options, hint):
+    words = ["alphabet", "cart.py", *QUICK, "--box=-1:1", "--steps", "2", "--count", "2"]
+    out, _ = capsyn(*words, "--no-policies", *options, cwd=folder)
+    (line,) = [line for line in out.splitlines() if line.startswith("hint ")]
+    assert hint in line
 
 
 @pytest.mark.parametrize(

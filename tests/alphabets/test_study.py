@@ -10,7 +10,7 @@ import math
 import pytest
 
 from capsyn.alphabets.document import document, save_document
-from capsyn.alphabets.judged import columns
+from capsyn.alphabets.judged import brief, columns
 from capsyn.alphabets.study import AlphabetStudy
 from capsyn.errors import ProblemError
 from capsyn.policies.checks import is_alphabet_study
@@ -100,6 +100,22 @@ def test_the_table_marks_the_chosen_and_leaves_out_what_nobody_knows():
     bare = [dataclasses.replace(row, bytes=None, success=None) for row in study.table[:2]]
     assert not {"bytes", "success", "lost"} & set(columns([row.summary() for row in bare])[0])
     assert columns([]) == []
+
+
+def test_a_brief_table_fits_a_terminal():
+    study = motor_study()
+    rows = [row.summary() for row in study.table]
+    short = brief(rows, {"cost": 1, "switches": 1, "failures": 3}, "s", study.count)
+    assert list(short[0]) == [
+        "symbols", "kind", "objective (95 %)", "success", "lost", "cost", "switches / s",
+    ]  # fmt: skip
+    assert [row["kind"] for row in short] == ["chosen", "uniform", "chosen *", "random", "uniform"]
+    assert [row["objective (95 %)"] for row in short[2:]] == [
+        "555 (535 .. 575)", "955 (935 .. 975)", "infinite",
+    ]  # fmt: skip
+    alone = brief(rows[:4], {"cost": 1}, "s", 2)
+    assert list(alone[0])[3:] == ["success", "cells", "solves", "nodes"]
+    assert brief([], {"cost": 1}, "s", 2) == []
 
 
 def test_notebooks_show_the_table():

@@ -13,6 +13,9 @@ from capsyn.modelling.alphabet import Alphabet
 from capsyn.policies.checks import BOUNDS, KINDS, SIZES, checked_row
 from capsyn.validation import plain
 
+WIDTH, BETWEEN = 80, 3
+"""Of a brief table, and what a column takes besides its texts [characters]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:
@@ -124,6 +127,39 @@ def columns(
     return [{name: row.get(name, "") for name in names} for row in found]
 
 
+def brief(
+    rows: Sequence[Mapping[str, Any]], objective: Mapping[str, float], time_unit: str, best: int
+) -> list[dict[str, str]]:
+    """Return a table of rows as `columns` does, of what decides and fits a terminal's width.
+
+    Of the figures it has those that are summed in an objective of several. A column that no longer
+    fits is left out; those that say how good an alphabet is come before the sizes.
+    """
+    weighed = [_label(name, time_unit) for name in objective] if len(objective) > 1 else []
+    found = []
+    for row, texts in zip(rows, columns(rows, time_unit, best)):
+        interval = texts.get("95 % interval", "").replace(" to ", " .. ")
+        found.append(
+            {
+                "symbols": texts["symbols"],
+                "kind": row["kind"] + (" *" if texts.get("best") else ""),
+                "objective (95 %)": texts["objective"] + (f" ({interval})" if interval else ""),
+            }
+            | {name: texts.get(name, "") for name in ("success", "lost", *weighed, *SIZES)}
+        )
+    left, names = WIDTH - 1, list[str]()
+    for name in found[0] if found else ():
+        wide = max(len(name), *(len(row[name]) for row in found)) + BETWEEN
+        if any(row[name] for row in found) and wide <= left:
+            names.append(name)
+            left -= wide
+    return [{name: row[name] for name in names} for row in found]
+
+
+def _label(name: str, time_unit: str) -> str:
+    return f"{name} / {time_unit}" if name == "switches" else name
+
+
 def _texts(row: Mapping[str, Any], time_unit: str, best: int | None) -> dict[str, str]:
     tried = row["tried"]
     texts = {
@@ -135,8 +171,7 @@ def _texts(row: Mapping[str, Any], time_unit: str, best: int | None) -> dict[str
         "success": "" if row["success"] is None else f"{row['success']:.1%}",
     }
     for name, value in row["figures"].items():
-        label = f"{name} / {time_unit}" if name == "switches" else name
-        texts[label] = f"{value:.4g}"
+        texts[_label(name, time_unit)] = f"{value:.4g}"
     sizes = {name: "" if row[name] is None else f"{row[name]:,}" for name in SIZES}
     return texts | sizes | {"lost": f"{row['lost']:,}" if row["lost"] else ""}
 

@@ -27,11 +27,14 @@ from capsyn.errors import ProblemError
 from capsyn.execution.interrupts import advise
 
 if TYPE_CHECKING:
+    from capsyn.alphabets.judged import Judged
     from capsyn.alphabets.study import AlphabetStudy
     from capsyn.modelling.problem import Problem
 
 ONE_OF = ("candidates", "box", "combinations")
 """Options of which one says what the candidates are."""
+FEW = 0.5
+"""A chosen alphabet of which a smaller share of the loops succeeds gets a hint."""
 
 
 @dataclass(frozen=True)
@@ -264,10 +267,32 @@ def _prices(texts: list[str] | None) -> dict[str, float]:
 
 def _print(study: AlphabetStudy) -> None:
     """Print the table, what was chosen, and from what."""
-    from capsyn.alphabets.judged import chosen_among, columns
+    from capsyn.alphabets.judged import brief, chosen_among
 
     summary = study.summary()
     if study.table:
-        print_table(columns(summary["rows"], study.time_unit, study.count))
+        print_table(brief(summary["rows"], study.objective, study.time_unit, study.count))
     print_line("alphabet", ", ".join(study.alphabet.names))
     print_line("", chosen_among(summary))
+    for row in study.chosen:
+        if row.count == study.count and (hint := _hint(row, study)):
+            print_line("hint", hint)
+
+
+def _hint(row: Judged, study: AlphabetStudy) -> str | None:
+    """Return what to do about loops of the chosen alphabet that are lost, or do not succeed."""
+    if row.lost:
+        lost = "all" if row.lost == study.fresh else f"{row.lost:,} of {study.fresh:,}"
+        return (
+            f"{lost} closed loops of the chosen alphabet are lost (out of the domain, or not "
+            "finite), so its objective is infinite: try --outside nearest, or a smaller --initial"
+        )
+    if row.success is not None and row.success < FEW:
+        weigh = (
+            "" if study.objective.get("failures") else " weigh them (failures=3 in --objective),"
+        )
+        return (
+            f"only {row.success:.1%} of the closed loops of the chosen alphabet succeed:{weigh} "
+            "let loops run longer (--duration), or offer stronger candidates"
+        )
+    return None
