@@ -12,8 +12,9 @@ from capsyn.alphabets.loops.alphabet_loops import AlphabetLoops
 from capsyn.alphabets.search.exchange import Exchange
 from capsyn.alphabets.search.moving import Movable
 from capsyn.alphabets.search.objective import Objective
-from capsyn.alphabets.search.scores import Scores
+from capsyn.alphabets.search.scores import WORST, Scores
 from capsyn.alphabets.search.storage import Storage
+from capsyn.alphabets.spread import Pool
 from capsyn.errors import ProblemError
 from capsyn.verification.trials import TrialOptions
 
@@ -43,7 +44,7 @@ def cart(**changes):
 
 
 def scores_of(problem, candidates, objective, prices=None):
-    pool = Asked.of(problem, candidates, None, (), (), None, ()).pool.candidates
+    pool = Asked.of(problem, candidates, None, (), (), None, (), {}).pool.candidates
     loops = AlphabetLoops.of(problem, pool, PLAN)
     prices = np.zeros(len(pool)) if prices is None else prices
     return Scores(loops, Objective.of(objective), prices, Storage(None, {}), PLAN.trials)
@@ -123,7 +124,7 @@ def test_levels_of_a_box_move_and_are_never_worse():
         settings={"control_weight": 0.3},
     )  # fmt: skip
     scores = scores_of(problem, np.linspace(-2, 2, 5), {"cost": 1, "effort": 0.3})
-    moves = Movable(scores, Box([-2], [2]), np.array([[0.0]]))
+    moves = Movable(scores, Box([-2], [2]), Pool(scores.loops.pool, (2,)))
     start = np.array([[-2.0], [0.0], [1.0]])
     (first,) = moves.of([start])
     assert moves.has_effort
@@ -156,6 +157,59 @@ def test_a_storage_of_something_else_is_refused(tmp_path):
     (tmp_path / "text").write_text("no database" * 100)
     with pytest.raises(ProblemError, match="`storage` cannot be used"):
         choose_alphabet(cart(), Box([-1, -1], [1, 1]), 2, storage=tmp_path / "text", **QUICK)
+    Storage(tmp_path / "own", {"seed": "1"}).add({"a": [0, 1.5, [3, 4]]})
+    assert Storage(tmp_path / "own", {"seed": "1"})["a"] == [0, 1.5, [3, 4]]
+    for k, wrong in enumerate([5, [0, 1.5], [0, "1", []], [-1, 1.0, []], [0, 1.0, [0.5]], None]):
+        path = tmp_path / str(k)
+        Storage(path, {"seed": "1"}).add({"a": wrong})
+        with pytest.raises(ProblemError, match="was not made by a search among alphabets"):
+            Storage(path, {"seed": "1"})
+
+
+def test_loops_that_differ_do_not_share_a_storage(tmp_path):
+    problem, box = cart(), Box([-1, -1], [1, 1])
+    kept = {"storage": tmp_path / "study.db", "disturbance": lambda t: [0.0, 0.0]} | QUICK
+    choose_alphabet(problem, box, 2, **kept)
+    with pytest.raises(ProblemError, match="another loops"):
+        choose_alphabet(problem, box, 2, **kept | {"disturbance": lambda t: [0.0, 0.9]})
+    with pytest.raises(ProblemError, match="another objective"):
+        choose_alphabet(problem, box, 2, objective={"cost": 1.0000001}, **kept)
+    with pytest.raises(ProblemError, match="another number of starts: '16'; got '17'"):
+        choose_alphabet(problem, box, 2, **kept | {"starts": 17})
+
+
+def test_prices_are_those_of_values_whatever_their_names():
+    problem, values = cart(), [[0, 0], [1, 0], [-1, 0], [0, 1]]
+    candidates = Alphabet(values, names=["off", "a", "b", "c"])
+    own = [[[0, 0], [1, 0], [0, 1]], ["off", "a", "c"]]
+    study = choose_alphabet(problem, candidates, 2, prices={"a": 10.0, "c": 20}, own=own, **QUICK)
+    rows = [r for r in study.table if {*map(tuple, r.alphabet.values)} == {(0, 0), (1, 0), (0, 1)}]
+    assert len({row.objective for row in rows}) == 1 and rows[0].objective > 30
+
+
+def test_symbols_have_exits_where_transitions_are_forbidden():
+    rules = Switching(forbidden=[("a", "b"), ("b", "a")])
+    three = Alphabet([[0, 0], [1, 0], [-1, 0]], names=["off", "a", "b"])
+    problem = cart(alphabet=three, switching=rules)
+    study = choose_alphabet(problem, three, 2, prices={"off": 100.0}, **QUICK)
+    assert set(study.alphabet.names) != {"a", "b"}
+    scores = scores_of(problem, three, {"cost": 1})
+    assert scores.of([(1, 2)]) == [WORST] and scores.of([(0, 1, 2)])[0] < WORST
+
+
+def test_what_the_objective_weighs_keeps_a_candidate_of_the_same_effect():
+    problem = cart(dynamics=lambda x, u: [x[1], 2 * u[0] + u[1]])
+    values = [[0, 0], [1, 0], [0.8, 0.4], [-1, 0], [-0.8, -0.4]]
+    fuel = {"cost": 1, "fuel": 1}
+    assert len(choose_alphabet(problem, values, 3, **QUICK).candidates) == 3
+    study = choose_alphabet(problem, values, 3, objective=fuel, **QUICK)
+    assert len(study.candidates) == 5 and [0.8, 0.4] not in study.alphabet.values.tolist()
+
+
+def test_an_input_of_one_value_stays_there():
+    problem = cart(target=None, settings={"control_weight": 0.3})
+    study = choose_alphabet(problem, Box([-1, 0.5], [1, 0.5]), 2, steps=3, **QUICK)
+    assert set(study.alphabet.values[:, 1]) == {0.5}
 
 
 def test_lost_loops_are_worse_than_any_cost():
@@ -183,6 +237,13 @@ def test_lost_loops_are_worse_than_any_cost():
         ({"prices": {"x": 1}}, "`prices` must name candidates; got 'x'"),
         ({"own": ["off"]}, "`own` must"),
         ({"candidates": [[1, 2, 3]]}, "`candidates` must have shape"),
+        ({"count": 2.5}, "`count` must be"),
+        ({"keep": 5}, "`keep` must be a list; got 5"),
+        ({"keep": "none"}, "`keep` must be a list; got 'none'"),
+        ({"own": 5}, "`own` must be a list; got 5"),
+        ({"progress": 5}, "`progress` must be a function"),
+        ({"trials": 5}, "there is no argument `trials` here"),
+        ({"synthesis": {"speed": 1}}, "`synthesis` must be arguments of capsyn.synthesize"),
         ({"starts": 0}, "`starts` must be"),
         ({"fresh": 1}, "`fresh` must be"),
         ({"cost": 3}, "`cost` must be a function"),

@@ -52,6 +52,13 @@ KINDS = {
     "price": {"switching": Switching(price=0.2, hold=0.2)},
     "share": {"switching": Switching(price="2%")},
     "share of eq. (8)": {"switching": Switching(price="2%"), "settings": {"rule": "schedule"}},
+    "not finite": {
+        "dynamics": lambda x, u: [3 * x[0] ** 2 + u[0], 2 * x[1] ** 3 + u[0]],
+        "domain": Box([-3, -3], [3, 3]),
+        "horizon": 2.0,
+        "switching": Switching(price=0.05),
+        "settings": {"rule": "schedule", "control_weight": 0.0},
+    },
     "inputs": {"switching": Switching(price={"u1": 0.1}, hold={"u1": 0.3})},
     "law": {"default": lambda x: -0.3 * x[1]},
     "error": {**LINEAR, "outside": "error"},

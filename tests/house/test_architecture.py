@@ -63,7 +63,7 @@ certification: question refute proof_file certify
 certification.checker: bounds sets flows cells moving pieces
 certification: check
 tuning: free family figures goal study advice same_study tune
-alphabets: candidates symmetries gains spread pace judged asked
+alphabets: names candidates symmetries gains spread pace judged asked
 alphabets.loops: chooser by_numpy stand_in alphabet_loops
 alphabets.search: objective storage scores exchange rollout_gains moving starts
     best_alphabets

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from capsyn.alphabets.candidates import candidates_of, own_symbols, value_names, without_dominated
+from capsyn.alphabets.candidates import candidates_of, without_dominated
+from capsyn.alphabets.names import own_symbols, value_names
 from capsyn.alphabets.spread import Pool
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import MAX_SYMBOLS, Alphabet
@@ -24,7 +25,6 @@ class Asked:
     problem: Problem
     pool: Pool  # the candidates that are left, and which are kept
     box: Box | None  # of continuous inputs, in which symbols may move, if none is excluded
-    prices: np.ndarray  # (K,) of the pool [objective]
     own: tuple[Alphabet, ...]  # of the user, and the problem's own where its symbols are candidates
 
     @staticmethod
@@ -36,6 +36,7 @@ class Asked:
         exclude: Sequence[Any],
         prices: Mapping[str, float] | None,
         own: Sequence[Any],
+        weights: Mapping[str, float],
     ) -> Asked:
         """Return what is asked, from arguments of `choose_alphabet`.
 
@@ -45,29 +46,44 @@ class Asked:
             Arguments that cannot be used: unknown symbols, symbols both kept and excluded, or no
             candidate that is left.
         """
+        for name, several in (("keep", keep), ("exclude", exclude), ("own", own)):
+            if isinstance(several, (str, bytes)) or not np.iterable(several):
+                raise ProblemError(f"`{name}` must be a list; got {describe(several)}")
         named = candidates_of(problem, given, steps)
         sets = [_alphabet(problem, named, one) for one in own]
         whole = _joined(named, [*sets, *_outside(problem)])
         kept = [_place(whole, "keep", one) for one in keep]
-        kept += [_place(whole, "keep", one.names[0]) for one in _outside(problem)]
+        kept += [k for one in _outside(problem) for k in _places(whole, one)]
         gone = {_place(whole, "exclude", one) for one in exclude}
         if both := gone & set(kept):
             raise ProblemError(f"`exclude` must leave what is kept; got {whole.names[min(both)]}")
         charged = _prices(whole, prices)
         needed = {k for one in sets for k in _places(whole, one)} - gone
-        left, _ = without_dominated(problem, whole, prices, [*kept, *needed])
-        left = np.array([k for k in left.tolist() if k not in gone], dtype=np.int64)
-        if not len(left):
+        some = np.array([k for k in range(len(whole)) if k not in gone], dtype=np.int64)
+        if not len(some):
             raise ProblemError("`exclude` must leave a candidate; got none")
+        left = some
+        if not _by_symbols(problem):
+            places = {int(k): i for i, k in enumerate(some)}
+            stay = [places[k] for k in {*kept, *needed}]
+            part = Alphabet(
+                whole.values[some], [whole.names[k] for k in some], whole.inputs, whole.units
+            )
+            known = {n: p for n, p in (prices or {}).items() if n in part.names}
+            _, instead = without_dominated(problem, part, known, stay)
+            sums = [np.abs(part.values).sum(axis=1)] * bool(weights.get("fuel"))
+            sums += [(part.values**2).sum(axis=1)] * bool(weights.get("effort"))
+            needless = {k for k, j in instead.items() if all(s[j] <= s[k] for s in sums)}
+            left = np.array([k for i, k in enumerate(some.tolist()) if i not in needless])
         names = [whole.names[k] for k in left]
         pool = Alphabet(whole.values[left], names, whole.inputs, whole.units)
         places = {int(k): i for i, k in enumerate(left)}
         keep_ = tuple(sorted({places[k] for k in kept}))
-        box = given if isinstance(given, Box) and not gone else None
+        box = given if isinstance(given, Box) and not gone and not _fixed(problem) else None
         first = problem.alphabet
         if (own_symbols(pool, first.values, first.names) >= 0).all():
             sets = [first, *(one for one in sets if not _same(one, first))]
-        return Asked(problem, Pool(pool, keep_, box is not None), box, charged[left], tuple(sets))
+        return Asked(problem, Pool(pool, keep_, box is not None, charged[left]), box, tuple(sets))
 
     @property
     def own_members(self) -> list[tuple[int, ...]]:
@@ -91,14 +107,6 @@ class Asked:
         distinct = len(set(names)) == len(names)
         return Alphabet(values, names if distinct else texts, pool.inputs, pool.units)
 
-    def prices_of(self, alphabets: Iterable[Alphabet]) -> dict[str, float]:
-        """Return prices by name: of the pool."""
-        return {
-            name: float(price)
-            for name, price in zip(self.pool.candidates.names, self.prices)
-            if price
-        }
-
 
 def _alphabet(problem: Problem, named: Alphabet, given: Any) -> Alphabet:
     """Return an alphabet of the user: given as such, as names, or as values."""
@@ -115,6 +123,18 @@ def _alphabet(problem: Problem, named: Alphabet, given: Any) -> Alphabet:
         places = [known.index(one) for one in dict.fromkeys(several)]
         return Alphabet(named.values[places], [known[k] for k in places], named.inputs, named.units)
     return candidates_of(problem, several)
+
+
+def _by_symbols(problem: Problem) -> bool:
+    """Return whether switches have prices by symbols or inputs, so that effects are not all."""
+    rules = problem.switching
+    return rules is not None and isinstance(rules.price, (tuple, dict))
+
+
+def _fixed(problem: Problem) -> bool:
+    """Return whether a problem says something of each symbol, and nothing of new ones."""
+    rules = problem.switching
+    return rules is not None and any(isinstance(x, tuple) for x in (rules.price, rules.hold))
 
 
 def _same(one: Alphabet, other: Alphabet) -> bool:
@@ -137,7 +157,11 @@ def _joined(named: Alphabet, more: Sequence[Alphabet]) -> Alphabet:
         for value, name in zip(one.values, one.names):
             if not (np.vstack(values) == value).all(axis=1).any():
                 values.append(value[None])
-                names.append(name if name not in names else f"{name} of its own")
+                again = 2
+                new = name
+                while new in names:
+                    new, again = f"{name} ({again})", again + 1
+                names.append(new)
     if len(names) > MAX_SYMBOLS:
         raise ProblemError(f"`candidates` must be at most {MAX_SYMBOLS}; got {len(names)}")
     return Alphabet(np.vstack(values), names, named.inputs, named.units)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.alphabets.names import own_symbols, value_names, with_own_names
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import MAX_SYMBOLS, Alphabet
 from capsyn.modelling.domain import Box
@@ -25,8 +26,6 @@ STEPS = (11, 5, 3)
 """Levels of each input of a box, for one input, for two, and for more."""
 DIGITS = 12
 """Significant digits of the levels of a grid, so that 0.1 + 0.2 is 0.3."""
-SHORT = 6
-"""Digits of a number in a name, where they tell candidates apart."""
 READINGS = 64
 """Random readings at which candidates of the same effect are looked for."""
 SAME = 1e-9
@@ -39,7 +38,8 @@ def candidates_of(problem: Problem, given: Any, steps: Any = None) -> Alphabet:
     Parameters
     ----------
     problem : Problem
-        The problem, whose inputs they have. A candidate that is one of its symbols has its name.
+        The problem, whose inputs they have. A candidate without a name of its own that is one of
+        its symbols has its name.
     given : Alphabet, (K, m) or (K,) numbers, or Box
         The candidates [input units]. A box of inputs becomes a grid with its bounds on it; on an
         input whose bounds are equal there is one level, and the upper bound of a periodic one is
@@ -77,8 +77,10 @@ def candidates_of(problem: Problem, given: Any, steps: Any = None) -> Alphabet:
     if len(kept) > MAX_SYMBOLS:
         raise ProblemError(f"`candidates` must be at most {MAX_SYMBOLS}; got {len(kept)}")
     chosen = values[kept]
-    names = value_names(chosen) if names is None else [names[k] for k in kept]
-    return Alphabet(chosen, _with_own_names(own, chosen, names), own.inputs, own.units)
+    if names is not None:
+        return Alphabet(chosen, [names[k] for k in kept], own.inputs, own.units)
+    names = with_own_names(own, chosen, value_names(chosen))
+    return Alphabet(chosen, names, own.inputs, own.units)
 
 
 def actuator_combinations(problem: Problem, most: int) -> Alphabet:
@@ -87,8 +89,8 @@ def actuator_combinations(problem: Problem, most: int) -> Alphabet:
     Parameters
     ----------
     problem : Problem
-        The problem. Each input rests at its default control, or at 0 if the default is a law, and
-        its other values are those that it has in the alphabet of the problem.
+        The problem, whose alphabet says which values each input has. It rests at its default
+        control if that is one of them, else at the one that is nearest to 0.
     most : int
         Most inputs off their rest at once, 1 or more.
 
@@ -109,7 +111,10 @@ def actuator_combinations(problem: Problem, most: int) -> Alphabet:
         raise ProblemError(f"`problem` must be a capsyn.Problem; got {describe(problem)}")
     own = problem.alphabet
     most = whole_number("most", most, least=1, most=own.m)
-    rest = np.zeros(own.m) if problem.has_law else problem.default_control
+    rest = problem.default_control.copy()
+    for i, column in enumerate(own.values.T):
+        if problem.has_law or rest[i] not in column:
+            rest[i] = column[np.argmin(np.abs(column))]
     levels = [[v for v in np.unique(column) if v != r] for column, r in zip(own.values.T, rest)]
     moved = [i for i, other in enumerate(levels) if other]
     if not moved:
@@ -194,16 +199,6 @@ def without_dominated(
     return kept, dict(sorted(instead.items()))
 
 
-def value_names(values: np.ndarray) -> list[str]:
-    """Return names of distinct control vectors (K, m), short where that tells them apart."""
-    for text in (lambda v: f"{v:.{SHORT}g}", lambda v: repr(v).removesuffix(".0")):
-        parts = [[text(v) for v in row] for row in values.tolist()]
-        names = [row[0] if len(row) == 1 else f"({', '.join(row)})" for row in parts]
-        if len(set(names)) == len(names):
-            break
-    return names
-
-
 def dynamics_program(problem: Problem) -> Program:
     """Return the dynamics ``(x, u) -> xdot`` of a problem, x the reading; see `Model`."""
     size, told = problem.space.n, problem.space.n - problem.domain.n
@@ -252,23 +247,6 @@ def with_alphabet(problem: Problem, alphabet: Alphabet) -> Problem:
     return problem.replace(**changes)
 
 
-def own_symbols(own: Alphabet, values: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """Return which of a problem's own symbols each of K is by its value (K, m), -1 for none.
-
-    Of several with that value it is the one of the same name, else the first.
-    """
-    places: dict[tuple[float, ...], int] = {}
-    for k, value in reversed(list(enumerate(map(tuple, own.values.tolist())))):
-        places[value] = k
-    found = [places.get(value, -1) for value in map(tuple, values.tolist())]
-    for k, name in enumerate(names):
-        if name in own.names:
-            same = own.names.index(name)
-            if (own.values[same] == values[k]).all():
-                found[k] = same
-    return np.array(found, dtype=np.int64)
-
-
 def _switching(rules: Switching, own: Alphabet, alphabet: Alphabet, of: np.ndarray) -> Switching:
     """Return a switching for symbols of another alphabet, each `of` an own one or of none."""
     price, hold = rules.price, rules.hold
@@ -276,8 +254,8 @@ def _switching(rules: Switching, own: Alphabet, alphabet: Alphabet, of: np.ndarr
         if isinstance(value, tuple) and (of < 0).any():
             symbol = alphabet.names[int(np.flatnonzero(of < 0)[0])]
             raise ProblemError(
-                f"`{name}` must be given by inputs, or as one number, where symbols are new; it "
-                f"says nothing of '{symbol}'"
+                f"`{name}` of the switching must be given by inputs, or as one number, where "
+                f"symbols are new; it says nothing of '{symbol}'"
             )
     if isinstance(price, tuple):
         price = np.array(price)[np.ix_(of, of)]
@@ -294,21 +272,6 @@ def _switching(rules: Switching, own: Alphabet, alphabet: Alphabet, of: np.ndarr
         (before, after) for a, b in rules.forbidden for before in names[a] for after in names[b]
     ]
     return dataclasses.replace(rules, price=price, hold=hold, forbidden=forbidden)
-
-
-def _with_own_names(own: Alphabet, values: np.ndarray, names: Sequence[str]) -> list[str]:
-    """Return names of candidates, a problem's own for its own symbols, no name twice."""
-    of = own_symbols(own, values, names)
-    found = [own.names[i] if i >= 0 else "" for i in of]
-    used = set(found)
-    for k, given in enumerate(names):
-        if not found[k]:
-            name, again = given, 2
-            while name in used:
-                name, again = f"{given} ({again})", again + 1
-            found[k] = name
-            used.add(name)
-    return found
 
 
 def _check_inputs(own: Alphabet, given: tuple[str, ...], unnamed: tuple[str, ...]) -> None:

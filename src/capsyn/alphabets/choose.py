@@ -26,9 +26,8 @@ from capsyn.modelling.transcription import user_program
 from capsyn.programs.program import Program
 from capsyn.random_streams import derived_seed
 from capsyn.synthesis.synthesize import check_arguments
-from capsyn.tuning.same_study import digest, problem_facts, target_facts
+from capsyn.tuning.same_study import digest, loop_facts, problem_facts
 from capsyn.validation import describe, true_or_false, whole_number
-from capsyn.verification.conditions import conditions
 from capsyn.verification.trials import TrialOptions
 
 SEARCHED, CHOSEN = 30, 33
@@ -134,26 +133,23 @@ def choose_alphabet(
     if not isinstance(problem, Problem):
         raise ProblemError(f"`problem` must be a Problem; got {describe(problem)}")
     weights, counts = Objective.of(objective), _counts(count)
-    whole_number("starts", starts, least=1)
-    whole_number("seed", seed, least=0)
-    whole_number("fresh", fresh, least=2)
-    true_or_false("policies", policies)
+    _check_numbers(starts, fresh, seed, policies, progress)
+    if "trials" in loops:
+        raise ProblemError("there is no argument `trials` here: `starts` and `fresh` say how many")
     plan = TrialOptions.of(
         without=NOT_ASKED, trials=starts, backend=backend, threads=threads, **loops
     )
     say = progress or (lambda text: None)
-    asked = Asked.of(problem, candidates, steps, keep, exclude, prices, own)
+    asked = Asked.of(problem, candidates, steps, keep, exclude, prices, own, weights.weights)
     _check(asked, counts, weights, plan)
     check_arguments("synthesis", synthesis or {})
     program = None if cost is None else _cost(problem, cost)
     search, searched = _search(asked, weights, plan, program, storage, seed, say)
     found = search.best(counts)
     chosen = {n: asked.named(values) for n, values in found.items()}
-    judge = Judge(
-        problem, search.scores.loops, weights, asked.prices_of(chosen.values()), fresh, seed,
-        dict(synthesis or {}) if policies else None,
-    )  # fmt: skip
-    table = judge.table(chosen, asked.own, asked.pool, progress)
+    synthesis = dict(synthesis or {}) if policies else None
+    judge = Judge(problem, search.scores.loops, weights, asked.pool, fresh, seed, synthesis)
+    table = judge.table(chosen, asked.own, progress)
     rows = [row for row in table if row.kind == "chosen"]
     best = min(rows, key=lambda row: (row.objective, len(row.alphabet)))
     return AlphabetStudy(
@@ -174,10 +170,20 @@ def _counts(count: Any) -> list[int]:
     """Return the numbers of symbols that are asked for, ascending."""
     if count is None:
         return list(range(2, MOST_COUNT + 1))
-    several = [count] if isinstance(count, (int, np.integer)) else list(count)
+    several = list(count) if np.iterable(count) and not isinstance(count, str) else [count]
     if not several:
         raise ProblemError("`count` must be a whole number >= 1, or several; got none")
     return sorted({whole_number("count", one, least=1, most=MAX_SYMBOLS) for one in several})
+
+
+def _check_numbers(starts: Any, fresh: Any, seed: Any, policies: Any, progress: Any) -> None:
+    """Raise unless arguments that need nothing else can be used."""
+    if progress is not None and not callable(progress):
+        raise ProblemError(f"`progress` must be a function of a text; got {describe(progress)}")
+    whole_number("starts", starts, least=1)
+    whole_number("seed", seed, least=0)
+    whole_number("fresh", fresh, least=2)
+    true_or_false("policies", policies)
 
 
 def _check(asked: Asked, counts: list[int], weights: Objective, plan: TrialOptions) -> None:
@@ -220,29 +226,23 @@ def _search(
     facts = {
         "problem": digest(problem_facts(problem)),
         "candidates": digest([pool.candidates.values, list(pool.keep)]),
-        "loops": digest(
-            [
-                conditions(loops.test.controller, loops.test.options, loops.test.experiment),
-                target_facts(problem, plan.loop.target), loops.cost.to_json(), plan.trials,
-            ]
-        ),
-        "objective": str(weights),
+        "number of starts": str(plan.trials),
+        "loops": digest([loop_facts(loops.test), loops.cost.to_json()]),
+        "objective": f"{weights} ({digest(dict(weights.weights))})",
         "seed": str(seed),
-    }  # fmt: skip
+    }
     kept = Storage(storage, facts)
-    scores = Scores(loops, weights, asked.prices, kept, plan.trials)
+    scores = Scores(loops, weights, pool.price_of(pool.candidates.values), kept, plan.trials)
     more = _seeded(plan, MORE * plan.trials, seed, CHOSEN)
     fresh = dataclasses.replace(
         scores, loops=loops.over(pool.candidates, more), starts=more.trials, part="chosen "
     )
     movable = None
     if asked.box is not None:
-        moving = pool.candidates.values[list(pool.keep)]
-        movable = (Movable(scores, asked.box, moving), Movable(fresh, asked.box, moving))
+        movable = (Movable(scores, asked.box, pool), Movable(fresh, asked.box, pool))
     say("a first look by gradients")
     starts = Starts.of(problem, pool, asked.own_members, backend, seed)
-    search = Search(scores, fresh, starts, movable, seed, say)
-    return search, lambda: len(kept) - (storage is not None)  # a file has what was asked, too
+    return Search(scores, fresh, starts, movable, seed, say), lambda: len(scores.met)
 
 
 def _seeded(plan: TrialOptions, trials: int, seed: int, purpose: int) -> TrialOptions:

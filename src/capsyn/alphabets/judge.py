@@ -49,8 +49,9 @@ class Judge:
         Closed loops of the search; those that judge run like them, from other starts.
     objective : Objective
         What is made of a loop.
-    prices : dict of name to float
-        Prices of symbols, which are added to the objective.
+    pool : Pool
+        The candidates, of which the other alphabets are made; their prices are added to the
+        objective.
     fresh : int
         Number of starts, two or more.
     seed : int
@@ -62,7 +63,7 @@ class Judge:
     problem: Problem
     loops: AlphabetLoops
     objective: Objective
-    prices: Mapping[str, float]
+    pool: Pool
     fresh: int
     seed: int
     synthesis: Mapping[str, Any] | None
@@ -74,7 +75,6 @@ class Judge:
         self,
         chosen: Mapping[int, Alphabet],
         own: Sequence[Alphabet],
-        pool: Pool,
         progress: Say = None,
         *,
         randoms: int = RANDOMS,
@@ -88,8 +88,6 @@ class Judge:
             too, is told once.
         own : sequence of Alphabet
             Alphabets of the user.
-        pool : Pool
-            The candidates, of which the other alphabets are made.
         progress : callable, optional
             A function that is called with a text about what comes next.
         randoms : int
@@ -102,8 +100,8 @@ class Judge:
             if key in known:
                 continue
             known.add(key)
-            uniform = uniform_set(pool, size, self.problem.default_control)
-            some = random_sets(pool, size, randoms, self.seed)
+            uniform = uniform_set(self.pool, size, self.problem.default_control)
+            some = random_sets(self.pool, size, randoms, self.seed)
             groups += [("chosen", count, [alphabet]), ("uniform", count, [uniform])]
             groups += [("random", count, some)]
         rows = self._judged([group for group in map(self._usable, groups) if group[2]], progress)
@@ -167,7 +165,7 @@ class Judge:
     ) -> Judged:
         """Return what loops say of alphabet `k` of those that ran, of its objectives (S,)."""
         kind, count, alphabet = named
-        price = sum(self.prices.get(name, 0.0) for name in alphabet.names)
+        price = float(self.pool.price_of(alphabet.values).sum())
         lost = ~np.isfinite(values)  # it is NaN for those
         objective = low = high = math.inf
         if not lost.any():

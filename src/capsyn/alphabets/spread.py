@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,11 +29,21 @@ class Pool:
         Those that every alphabet has.
     continuous : bool
         Whether values between the candidates are possible too, as those of a box are.
+    prices : (K,), optional
+        Prices of the candidates [objective]. Default: 0.
     """
 
     candidates: Alphabet
     keep: tuple[int, ...] = ()
     continuous: bool = False
+    prices: Any = None
+
+    def price_of(self, values: np.ndarray) -> np.ndarray:
+        """Return the prices (N,) of values (N, m): those of the nearest candidates."""
+        if self.prices is None or not np.any(self.prices):
+            return np.zeros(len(values))
+        known = self.candidates.values
+        return np.asarray(self.prices)[[_nearest(known, value) for value in values]]
 
     def subset(self, indices: Iterable[int]) -> Alphabet:
         """Return the alphabet of some candidates, in their order."""

@@ -12,6 +12,7 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.tails.riccati import FIT
 from capsyn.modelling.transcription import transcribe_target
 from capsyn.tuning.figures import model_of
+from capsyn.verification.monte_carlo import Prepared
 
 
 def problem_facts(problem: Problem) -> list[Any]:
@@ -30,6 +31,19 @@ def target_facts(problem: Problem, given: Any) -> Any:
     if callable(target):
         target = transcribe_target(problem.replace(target=target))
     return getattr(target, "to_json", lambda: target)()
+
+
+def loop_facts(test: Prepared) -> list[Any]:
+    """Return what loops depend on beside problem and cost: all that was drawn, and how they run."""
+    loop, options = test.experiment.loop, test.options
+    drawn = hashlib.sha256(test.trials.tobytes()).hexdigest()
+    noise = None if test.noise is None else [test.noise.deviations, list(test.noise.seeds)]
+    holds = loop.holds
+    return [
+        drawn, noise, loop.period, loop.samples, loop.substeps, loop.outside_at_once,
+        loop.inside.to_json(), loop.stop_at_target, loop.pushes, loop.told, options.within,
+        options.hold, str(test.experiment.outside), holds.symbols, holds.inputs, holds.kinds,
+    ]  # fmt: skip
 
 
 def digest(facts: Any) -> str:

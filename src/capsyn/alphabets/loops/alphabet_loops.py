@@ -33,7 +33,9 @@ from capsyn.verification.trials import TrialOptions
 FIGURES = ("cost", "effort", "fuel", "time", "switches", "failures")
 """What is told of each loop; see `LoopFigures`."""
 AT_ONCE = 1 << 17
-"""Trials that run at once."""
+"""Trials that run at once, of alphabets of few symbols."""
+USES = 1 << 24
+"""Most counts of uses of all of them."""
 SPREAD_STATES = 512
 """Random states at which what symbols differ by is seen, for prices that are shares."""
 
@@ -142,7 +144,8 @@ class AlphabetLoops:
         """Return what loops under alphabets, sets of places in the pool, do from some starts."""
         alphabets = [np.unique(np.asarray(own, dtype=np.int64)) for own in sets]
         chosen = np.arange(self.starts)[starts]
-        size = max(1, AT_ONCE // max(1, len(chosen)))
+        longest = max(map(len, alphabets), default=1)
+        size = max(1, min(AT_ONCE, USES // longest) // max(1, len(chosen)))
         parts = []
         for first in range(0, len(alphabets), size):
             some = alphabets[first : first + size]

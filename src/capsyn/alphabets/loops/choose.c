@@ -91,14 +91,14 @@ static void priced_bounds(const choice *c, const double gradient, const double s
     const double distance = fabs(gradient - wanted), reach = 2 * margin * distance;
     *low = distance > margin ? squares - reach : extra - wanted * wanted;
     *high = squares + reach;
-    if (!isfinite(scale))
-        *high = INFINITY;
     if (size > 0) {
         *low /= size;
         *high /= size;
     } else {
         *low = *high = extra;
     }
+    if (!isfinite(scale) || !isfinite(gradient) || !isfinite(wanted))
+        *high = INFINITY;
 }
 
 /* The label of the first of an alphabet that could be best in a lane; `none`, the default, where no

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +20,10 @@ from capsyn.alphabets.search.starts import Starts
 
 IMPROVED = 3
 """Starts that are improved for each number of symbols; all but the best first from few starts."""
+EVERY = 2000
+"""Alphabets of so many symbols that are all tried, if there are no more of them."""
+MOVED = 2
+"""Alphabets whose symbols move in full."""
 PARTS = 2 * IMPROVED + 1
 """Parts of the search for a number of symbols: starts, those that are improved, the choice."""
 POOL = 128
@@ -55,9 +62,9 @@ class Search:
         pool = self._pool([*given, *smaller])
         exchange = Exchange(self.scores, pool, keep, count, told=pace.tell)
         fitted = list(dict.fromkeys([*map(exchange.fitted, given), *smaller]))
-        unions = self.starts.unions(count)
-        if unions:
-            fitted.append(self.scores.best(unions)[1])
+        for several in (self.starts.unions(count), _every(pool, keep, count)):
+            if several:
+                fitted.append(self.scores.best(several)[1])
         first = self.scores.best([own for own in fitted if own])[1]
         fitted += self.starts.by_rollouts(self.scores, first, pool, count, self.seed)
         fitted = list(dict.fromkeys(own for own in fitted if own))
@@ -79,9 +86,13 @@ class Search:
         if count <= POOL:
             return tuple(range(count))
         some = dict.fromkeys(k for own in known for k in own)
-        some |= dict.fromkeys(greedy(self.starts.gains, POOL // 2).tolist())
-        even = self.starts.looked(POOL // 2)[-1]
-        return tuple(sorted([*some, *(k for k in even if k not in some)]))
+        return tuple(sorted(some | dict.fromkeys(self._look)))
+
+    @functools.cached_property
+    def _look(self) -> Members:
+        """Candidates of a first look: those that gain by gradients, and evenly spread ones."""
+        gain = greedy(self.starts.gains, POOL // 2).tolist()
+        return (*gain, *self.starts.even(POOL // 2))
 
     def _chosen(
         self,
@@ -111,10 +122,19 @@ class Search:
     def _moved(
         self, moves: Movable, starts: Sequence[np.ndarray], told: Callable[[str], None]
     ) -> list[np.ndarray]:
-        """Return what alphabets become when their symbols move, the best start in full."""
+        """Return what alphabets become when their symbols move, the best starts in full."""
         each = list(starts)
         if moves.has_effort:
             each += [moves.lloyd(own) for own in starts]
         scores = moves.of(each)
-        k = min(range(len(each)), key=scores.__getitem__)
-        return [moves.searched(scores[k], each[k], told)[1], *each]
+        best = sorted(range(len(each)), key=lambda k: (scores[k], k))[:MOVED]
+        return [*(moves.searched(scores[k], each[k], told)[1] for k in best), *each]
+
+
+def _every(pool: Members, keep: frozenset[int], count: int) -> list[Members]:
+    """Return all alphabets of `count` symbols of a pool with what is kept; none if too many."""
+    free = [k for k in pool if k not in keep]
+    more = min(count - len(keep), len(free))
+    if math.comb(len(free), more) > EVERY:
+        return []
+    return [tuple(sorted([*keep, *some])) for some in itertools.combinations(free, more)]

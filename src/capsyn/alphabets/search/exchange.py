@@ -93,12 +93,11 @@ class Exchange:
             most = max(1, SWAPS // max(1, len(loose)))
             others = sorted(k for _, k in sorted(zip(gains, others))[:most])
         swaps = {_with(_without(own, out), new): (out, new) for out in loose for new in others}
-        found, best = self.scores.best(list(swaps))
-        if not swaps or found >= score:
+        ranked = self.scores.ranked(list(swaps))
+        if not ranked or ranked[0][0] >= score:
             return None
-        score = found
-        known = [(self.scores.known(other), other) for other in swaps]
-        for _, other in sorted(pair for pair in known if pair[0] is not None)[:FOLLOWED]:
+        score, best = ranked[0]
+        for _, other in ranked[1:FOLLOWED]:
             out, new = swaps[other]
             if out in best and new not in best:
                 again = _with(_without(best, out), new)

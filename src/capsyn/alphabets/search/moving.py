@@ -8,6 +8,7 @@ import numpy as np
 
 from capsyn.alphabets.gains import candidate_gradients, is_affine
 from capsyn.alphabets.search.scores import Score, Scores
+from capsyn.alphabets.spread import Pool
 from capsyn.modelling.alphabet import Alphabet
 from capsyn.modelling.domain import Box
 
@@ -30,12 +31,13 @@ class Movable:
         Scores of the pool of candidates.
     box : Box
         Bounds of the inputs.
-    kept : (L, m)
-        Values that do not move.
+    pool : Pool
+        The candidates, with their prices; those that are kept do not move.
     """
 
-    def __init__(self, scores: Scores, box: Box, kept: np.ndarray) -> None:
-        self.scores, self.box, self.kept = scores, box, kept
+    def __init__(self, scores: Scores, box: Box, pool: Pool) -> None:
+        self.scores, self.box, self.pool = scores, box, pool
+        self.kept = pool.candidates.values[list(pool.keep)]
 
     @property
     def has_effort(self) -> bool:
@@ -49,22 +51,13 @@ class Movable:
         values = np.unique(np.vstack(alphabets), axis=0)
         like = self.scores.loops.pool
         pool = Alphabet(values, None, like.inputs, like.units)
-        prices = self._prices(values)
+        prices = self.pool.price_of(values)
         places = {tuple(value): k for k, value in enumerate(values.tolist())}
         sets = [
             tuple(sorted({places[tuple(value)] for value in (own + 0.0).tolist()}))
             for own in alphabets
         ]
         return self.scores.over(pool, prices).of(sets)
-
-    def _prices(self, values: np.ndarray) -> np.ndarray:
-        """Return the prices (K,) of values: those of the nearest candidates."""
-        known, prices = self.scores.loops.pool.values, self.scores.prices
-        if not prices.any():
-            return np.zeros(len(values))
-        widths = np.where(np.ptp(known, axis=0) > 0, np.ptp(known, axis=0), 1.0)
-        distances = np.linalg.norm((values[:, None] - known) / widths, axis=2)
-        return prices[distances.argmin(axis=1)]
 
     def lloyd(self, own: np.ndarray) -> np.ndarray:
         """Return levels (N, m) after Lloyd's algorithm at states that loops visit.
@@ -80,8 +73,9 @@ class Movable:
         like = loops.pool
         again = loops.over(Alphabet(own, None, like.inputs, like.units))
         states, _ = again.visited(range(len(own)))
-        states = states[:: max(1, len(states) // SEEN)]
-        base, sizes = loops.formulation.default, self.box.widths
+        states = states[:: max(1, -(-len(states) // SEEN))]
+        base = loops.formulation.default
+        sizes = np.where(self.box.widths > 0, self.box.widths, 1.0)
         both = np.vstack([base + np.diag(sizes), base])
         found = candidate_gradients(loops.problem, both, states, loops.backend)
         slopes = (found[:, :-1] - found[:, -1:]) / sizes
@@ -112,7 +106,7 @@ class Movable:
             told(f"{len(own)} symbols, moves of {step:.2g} of the range, objective {score[1]:.4g}")
             tried = []
             for k, i, sign in np.ndindex(len(own), m, 2):
-                if (own[k] == self.kept).all(axis=1).any():
+                if self.box.widths[i] == 0 or (own[k] == self.kept).all(axis=1).any():
                     continue
                 moved = own.copy()
                 moved[k, i] += (1 - 2 * sign) * step * self.box.widths[i]

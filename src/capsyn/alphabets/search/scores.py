@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +37,7 @@ class Scores:
     prices: np.ndarray  # (K,) of the pool's symbols [objective]
     storage: Storage
     starts: int  # the first of the loops' starts that count
+    met: set[str] = field(default_factory=set)  # alphabets that were asked for
     part: str = ""  # tells starts of different purposes apart in the storage
 
     @property
@@ -51,6 +53,7 @@ class Scores:
         """Return the scores of alphabets."""
         count = self.starts
         keys = [self._key(own) for own in sets]
+        self.met.update(key.rpartition(" ")[2] for key in keys)
         new = {
             key: own for key, own in zip(keys, sets) if key not in self.storage
         }  # each of them once
@@ -70,12 +73,24 @@ class Scores:
                     for (key, own), gone, mean, used in zip(new.items(), lost, means, found.used)
                 }
             )
-        return [self._score(key, own) for key, own in zip(keys, sets)]
+        scores = [self._score(key, own) for key, own in zip(keys, sets)]
+        if self._forbidden is None:
+            return scores
+        return [score if self._ways(own) else WORST for score, own in zip(scores, sets)]
 
-    def known(self, own: Members) -> Score | None:
-        """Return the score of an alphabet if it was found, else None."""
-        key = self._key(own)
-        return self._score(key, own) if key in self.storage else None
+    @functools.cached_property
+    def _forbidden(self) -> np.ndarray | None:
+        """Forbidden transitions in the pool (K + 1, K + 1), the default last; None if none are."""
+        forbidden = self.loops.test.experiment.loop.holds.forbidden
+        return forbidden if forbidden.any() else None
+
+    def _ways(self, own: Members) -> bool:
+        """Return whether each symbol of an alphabet has an exit, and the start a symbol."""
+        assert self._forbidden is not None
+        places = [*own, -1]
+        free = ~self._forbidden[np.ix_(places, list(own))]
+        free[:-1] &= ~np.eye(len(own), dtype=bool)
+        return bool(free[-1].any() and (len(own) == 1 or free[:-1].any(axis=1).all()))
 
     def used(self, own: Members) -> np.ndarray:
         """Return the samples that each symbol of an alphabet was in force."""
@@ -87,18 +102,20 @@ class Scores:
         return found
 
     def best(self, sets: Sequence[Members]) -> tuple[Score, Members]:
-        """Return the best of alphabets, of equal ones that of fewest symbols, the first.
+        """Return the first of the `ranked` alphabets; `WORST` and none where there are none."""
+        return next(iter(self.ranked(sets)), (WORST, ()))
+
+    def ranked(self, sets: Sequence[Members]) -> list[tuple[Score, Members]]:
+        """Return the best of alphabets in order, of equal ones those of fewest symbols first.
 
         Many are raced: the first starts leave out those that are far behind.
         """
         each = list(dict.fromkeys(sets))
-        if not each:
-            return WORST, ()
         if len(each) > RACED:
             few = self.few.of(each)
             order = sorted(range(len(each)), key=lambda k: (few[k], len(each[k]), each[k]))
             each = [each[k] for k in order[: max(RACED // KEPT, len(each) // KEPT)]]
-        return min(zip(self.of(each), each), key=lambda pair: (pair[0], len(pair[1]), pair[1]))
+        return sorted(zip(self.of(each), each), key=lambda pair: (pair[0], len(pair[1]), pair[1]))
 
     def _score(self, key: str, own: Members) -> Score:
         lost, mean, _ = self.storage[key]

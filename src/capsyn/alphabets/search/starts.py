@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,17 +53,14 @@ class Starts:
     def looked(self, count: int) -> list[Members]:
         """Return alphabets of so many symbols by a first look: by gradients, and evenly spread."""
         found = [tuple(sorted(greedy(self.gains, count, self.pool.keep).tolist()))]
-        if not self.pool.continuous:
-            even = uniform_set(self.pool, count, self.rest)
-            names = self.pool.candidates.names
-            found.append(tuple(sorted(names.index(name) for name in even.names)))
-        else:
-            values = self.pool.candidates.values
-            even = uniform_set(Pool(self.pool.candidates, self.pool.keep), count, self.rest)
-            found.append(
-                tuple(sorted({int((values == v).all(axis=1).argmax()) for v in even.values}))
-            )
+        found.append(self.even(count))
         return [some for some in found if some]
+
+    def even(self, count: int) -> Members:
+        """Return candidates that are evenly spread."""
+        listed = dataclasses.replace(self.pool, continuous=False)
+        names = self.pool.candidates.names
+        return tuple(sorted(map(names.index, uniform_set(listed, count, self.rest).names)))
 
     def unions(self, count: int) -> list[Members]:
         """Return unions of orbits of at most `count` symbols that hold what is kept.
@@ -71,7 +69,7 @@ class Starts:
         """
         found: dict[Members, None] = {}
         fit = [orbit for orbit in self.orbits if len(orbit) <= count]
-        for some in range(1, len(fit) + 1):
+        for some in range(1, min(len(fit), count) + 1):
             for chosen in itertools.islice(itertools.combinations(fit, some), 50 * UNIONS):
                 own = tuple(sorted({*itertools.chain(*chosen), *self.pool.keep}))
                 if 1 < len(own) <= count:

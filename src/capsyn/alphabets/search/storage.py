@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from capsyn.errors import ProblemError
@@ -19,7 +20,9 @@ WAIT = 60.0
 
 
 class Storage:
-    """Plain data by key, in memory or in an SQLite file; of equal keys the first stays.
+    """Scores by key, in memory or in an SQLite file; of equal keys the first stays.
+
+    A score is a list: loops that are lost, the mean of the others or None, and whole numbers.
 
     Parameters
     ----------
@@ -42,22 +45,21 @@ class Storage:
             connection.execute(
                 "CREATE TABLE IF NOT EXISTS found (key TEXT PRIMARY KEY, value TEXT NOT NULL)"
             )
+            if not connection.execute("SELECT key FROM found LIMIT 1").fetchall():
+                first = (ASKED, json.dumps(dict(asked)))  # of two processes, one of them is first
+                connection.execute("INSERT OR IGNORE INTO found VALUES (?, ?)", first)
             rows = connection.execute("SELECT key, value FROM found").fetchall()
         try:
             self._known = {str(key): json.loads(value) for key, value in rows}
-        except (ValueError, RecursionError) as error:
+        except (TypeError, ValueError, RecursionError) as error:
             raise ProblemError(f"`storage` '{path}' holds what is no JSON: {error}") from None
-        known = self._known.get(ASKED)
-        if known is None and self._known:
+        known = self._known.pop(ASKED, None)
+        if not isinstance(known, dict) or not all(map(_is_score, self._known.values())):
             raise ProblemError(f"`storage` '{path}' was not made by a search among alphabets")
-        if known is None:
-            self.add({ASKED: dict(asked)})
-            return
         for what, value in asked.items():
-            if not isinstance(known, dict) or known.get(what) != value:
-                other = known.get(what) if isinstance(known, dict) else known
+            if known.get(what) != value:
                 raise ProblemError(
-                    f"the search in '{path}' has another {what}: {describe(other)}; got "
+                    f"the search in '{path}' has another {what}: {describe(known.get(what))}; got "
                     f"{describe(value)}; give another storage, or the same {what}"
                 )
 
@@ -66,13 +68,6 @@ class Storage:
 
     def __getitem__(self, key: str) -> Any:
         return self._known[key]
-
-    def __len__(self) -> int:
-        return len(self._known)
-
-    def keys(self) -> Iterable[str]:
-        """Return all keys."""
-        return self._known.keys()
 
     def add(self, found: Mapping[str, Any]) -> None:
         """Keep what was found, all of it or nothing."""
@@ -95,3 +90,12 @@ class Storage:
             raise ProblemError(
                 f"`storage` cannot be used: {describe(str(self.path))}: {one_line(str(error))}"
             ) from error
+
+
+def _is_score(value: Any) -> bool:
+    """Return whether plain data are a score."""
+    if not isinstance(value, list) or len(value) != 3 or not isinstance(value[2], list):
+        return False
+    lost, mean, used = value
+    known = mean is None or (type(mean) in (int, float) and math.isfinite(mean))
+    return known and all(type(count) is int and 0 <= count < 1 << 53 for count in [lost, *used])
