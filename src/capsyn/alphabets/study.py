@@ -152,7 +152,7 @@ class AlphabetStudy:
 
     def plot(self) -> Figure:
         """Return a figure: the objective against the number of symbols, and against bytes."""
-        return alphabet_figure(self.table, self.objective, self.problem)
+        return alphabet_figure(self.table, self.objective, self.problem, self.count)
 
     def __repr__(self) -> str:
         names = ", ".join(self.alphabet.names)

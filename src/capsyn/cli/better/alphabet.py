@@ -198,7 +198,7 @@ def _written(study: AlphabetStudy, path: str, options: AlphabetOptions) -> list[
 
     study.save(path)
     if options.plot is not None:
-        save_alphabet_plot(study.table, study.objective, study.problem, options.plot)
+        save_alphabet_plot(study.table, study.objective, study.problem, options.plot, study.count)
     if options.report is not None:
         save_document(study, options.report)
     return [file for file in (path, options.plot, options.report) if file is not None]
