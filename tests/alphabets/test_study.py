@@ -123,6 +123,7 @@ def test_notebooks_show_the_table():
     text = study._repr_html_()
     assert "&lt;b&gt;motor" in text and "<b>" not in text
     assert text.count("<tr>") == 1 + len(study.table) and "535 to 575" in text
+    assert ">names</th>" in text and ">-5, off, 5</td>" in text
     assert repr(study) == "AlphabetStudy('<b>motor</b>': 3 symbols, -5, off, 5)"
 
 
@@ -145,7 +146,8 @@ def test_the_document_has_symbols_table_and_picture_and_is_the_same_again(tmp_pa
     text = document(study)
     assert text == document(study) and "<i>" not in text and "&lt;i&gt;motor" in text
     for words in ("<td>off</td><td>0</td><td>0</td>", "<td>5</td><td>5</td><td>3</td>",
-                  "<td>best of 5 random</td>", "535 to 575", "<svg "):  # fmt: skip
+                  "<td>best of 5 random</td>", "535 to 575",
+                  "<td>-5, -1, 5</td></tr>", "<svg "):  # fmt: skip
         assert words in text, words
     assert "<script" not in text and "http://" not in text.partition("<svg")[0]
     save_document(dataclasses.replace(study, table=()), tmp_path / "bare.html")

@@ -56,7 +56,12 @@ def document(study: AlphabetStudy) -> str:
     rows = columns(summary["rows"], study.time_unit, study.count)
     parts = [f"<p>{escape(chosen_among(summary))}</p>", _table(head, symbols)]
     if rows:
-        parts += [_table(rows[0], (row.values() for row in rows)), _picture(study)]
+        head = [*rows[0], "names"]
+        told = (
+            [*row.values(), ", ".join(judged.alphabet.names)]
+            for row, judged in zip(rows, study.table)
+        )
+        parts += [_table(head, told), _picture(study)]
     return (
         f'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>{title}</title>'
         f"<style>{STYLE}</style>\n<h1>{title}</h1>\n" + "\n".join(parts) + "\n</html>\n"

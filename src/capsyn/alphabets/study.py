@@ -161,6 +161,6 @@ class AlphabetStudy:
     def _repr_html_(self) -> str:
         """Return the table for notebooks."""
         rows = columns(self.summary()["rows"], self.time_unit, self.count)
-        return table(
-            repr(self), [list(row.values()) for row in rows], list(rows[0]) if rows else ()
-        )
+        names = [", ".join(row.alphabet.names) for row in self.table]
+        told = [[*row.values(), text] for row, text in zip(rows, names)]
+        return table(repr(self), told, [*rows[0], "names"] if rows else ())
