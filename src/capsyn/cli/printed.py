@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from capsyn.alphabets.judged import chosen_among, columns
+from capsyn.alphabets.judged import brief, chosen_among
 from capsyn.cli.console import print_line, print_table
 from capsyn.modelling.settings import usual_sample_time
 from capsyn.modelling.time_unit import NAMES
@@ -312,7 +312,8 @@ def print_alphabet(study: dict[str, Any]) -> None:
     """Print what `capsyn.alphabets.study.AlphabetStudy.summary` returns."""
     print_line("alphabet", chosen_among(study))
     if study["rows"]:
-        print_table(columns(study["rows"], study["time_unit"], study["count"]))
+        told = (study["rows"], study["objective"], study["time_unit"], study["count"])
+        print_table(brief(*told))
 
 
 def _print_table_source(counts: dict[str, int]) -> None:
