@@ -59,26 +59,13 @@ class Asked:
             raise ProblemError(f"`exclude` must leave what is kept; got {whole.names[min(both)]}")
         charged = _prices(whole, prices)
         needed = {k for one in sets for k in _places(whole, one)} - gone
-        some = np.array([k for k in range(len(whole)) if k not in gone], dtype=np.int64)
-        if not len(some):
+        left = [k for k in range(len(whole)) if k not in gone]
+        if not left:
             raise ProblemError("`exclude` must leave a candidate; got none")
-        left = some
         if not _by_symbols(problem):
-            places = {int(k): i for i, k in enumerate(some)}
-            stay = [places[k] for k in {*kept, *needed}]
-            part = Alphabet(
-                whole.values[some], [whole.names[k] for k in some], whole.inputs, whole.units
-            )
-            known = {n: p for n, p in (prices or {}).items() if n in part.names}
-            _, instead = without_dominated(problem, part, known, stay)
-            sums = [np.abs(part.values).sum(axis=1)] * bool(weights.get("fuel"))
-            sums += [(part.values**2).sum(axis=1)] * bool(weights.get("effort"))
-            needless = {k for k, j in instead.items() if all(s[j] <= s[k] for s in sums)}
-            left = np.array([k for i, k in enumerate(some.tolist()) if i not in needless])
-        names = [whole.names[k] for k in left]
-        pool = Alphabet(whole.values[left], names, whole.inputs, whole.units)
-        places = {int(k): i for i, k in enumerate(left)}
-        keep_ = tuple(sorted({places[k] for k in kept}))
+            left = _needed(problem, whole, left, {*kept, *needed}, charged, weights)
+        pool = Pool(whole).subset(left)
+        keep_ = tuple(sorted({left.index(k) for k in kept}))
         box = given if isinstance(given, Box) and not gone and not _fixed(problem) else None
         first = problem.alphabet
         if (own_symbols(pool, first.values, first.names) >= 0).all():
@@ -129,6 +116,28 @@ def _by_symbols(problem: Problem) -> bool:
     """Return whether switches have prices by symbols or inputs, so that effects are not all."""
     rules = problem.switching
     return rules is not None and isinstance(rules.price, (tuple, dict))
+
+
+def _needed(
+    problem: Problem,
+    whole: Alphabet,
+    left: list[int],
+    stay: set[int],
+    prices: np.ndarray,
+    weights: Mapping[str, float],
+) -> list[int]:
+    """Return which candidates that are left no other makes needless, ascending.
+
+    One of the same effect does that which has no higher price, effort ``u^T R u``, nor more of what
+    the objective weighs. Those that are to `stay` do.
+    """
+    some = Pool(whole).subset(left)
+    known = dict(zip(some.names, prices[left].tolist()))
+    _, instead = without_dominated(problem, some, known, [left.index(k) for k in stay])
+    sums = [np.abs(some.values).sum(axis=1)] if weights.get("fuel") else []
+    sums += [(some.values**2).sum(axis=1)] if weights.get("effort") else []
+    needless = {k for k, j in instead.items() if all(each[j] <= each[k] for each in sums)}
+    return [k for i, k in enumerate(left) if i not in needless]
 
 
 def _fixed(problem: Problem) -> bool:
