@@ -22,10 +22,10 @@ from capsyn.alphabets.study import AlphabetStudy
 from capsyn.errors import ProblemError
 from capsyn.modelling.alphabet import MAX_SYMBOLS
 from capsyn.modelling.problem import Problem
-from capsyn.modelling.transcription import user_program
 from capsyn.programs.program import Program
 from capsyn.random_streams import derived_seed
 from capsyn.synthesis.synthesize import check_arguments
+from capsyn.tuning.figures import cost_program
 from capsyn.tuning.same_study import digest, loop_facts, problem_facts
 from capsyn.validation import describe, true_or_false, whole_number
 from capsyn.verification.trials import TrialOptions
@@ -203,9 +203,7 @@ def _cost(problem: Problem, cost: Any) -> Program:
     """Return the program of a cost that loops gather."""
     if not callable(cost):
         raise ProblemError(f"`cost` must be a function of x; got {describe(cost)}")
-    n = problem.space.n
-    ports: tuple[Any, ...] = (("x", n),), (("cost", 1),)
-    return user_program("cost", cost, *ports, told=n - problem.domain.n)
+    return cost_program(problem, cost)
 
 
 def _search(

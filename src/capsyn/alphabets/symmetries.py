@@ -21,6 +21,7 @@ from capsyn.modelling.problem import Problem
 from capsyn.modelling.tails.riccati import FIT
 from capsyn.modelling.targets import target_axes, target_program
 from capsyn.modelling.transcription import transcribe_target, user_program
+from capsyn.programs.program import Program
 from capsyn.random_streams import stream
 
 PERMUTED = 6
@@ -122,6 +123,11 @@ def symmetries(problem: Problem, values: np.ndarray) -> tuple[Maps, np.ndarray]:
     return _permuting(problem, values, maps.simplest(MOST_WORK // (FEW * values.size)))
 
 
+def _values(program: Program) -> Rates:
+    """Return what a program of readings gives."""
+    return lambda z: program.evaluate(z)[0]
+
+
 def _of_predictions(problem: Problem) -> Maps:
     """Return the maps that keep what a problem says, and move rates under the default control."""
     dynamics, n, told = dynamics_program(problem), problem.space.n, problem.space.n
@@ -132,7 +138,7 @@ def _of_predictions(problem: Problem) -> Maps:
     for name, function in (("running_cost", problem.running_cost), ("terminal_cost", tail)):
         if function is not None:
             cost = user_program(name, function, ports, one, told=told)
-            kept.append(lambda z, cost=cost: cost.evaluate(z)[0])  # type: ignore[misc]
+            kept.append(_values(cost))
     if problem.limits is not None:
         sizes = (("limits", problem.system()["limits"].numel_out(0)),)
         limits = user_program("limits", problem.limits, ports, sizes, told=told)

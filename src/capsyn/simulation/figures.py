@@ -56,8 +56,7 @@ class Gathered:
         self, experiment: Experiment, trials: np.ndarray, before: np.ndarray, noise: Noise | None
     ) -> dict[str, np.ndarray]:
         """Return the figures (T,) of trials that have run, by name; `before` they had not."""
-        mapped = experiment.plant.sample_time is not None
-        found = {name: trials[name] * (experiment.rate if mapped else 1.0) for name in OWN}
+        found = own_figures(experiment, trials)
         for name, program in self.costs.items():
             plant = dataclasses.replace(experiment.plant, running_cost=program)
             loop = dataclasses.replace(experiment.loop, paid=None)
@@ -89,6 +88,12 @@ class Gathered:
         left = never & self.stays & ~np.isfinite(trials["state"]).all(axis=1)
         sample, never = np.where(left, trials["end"], sample), never & ~left
         return np.where(never, np.nan, sample / experiment.rate)
+
+
+def own_figures(experiment: Experiment, trials: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the figures (T,) that every trial has, of trials that have run, by name; see `OWN`."""
+    mapped = experiment.plant.sample_time is not None
+    return {name: trials[name] * (experiment.rate if mapped else 1.0) for name in OWN}
 
 
 def _forbidden(options: LoopOptions, plant: Plant) -> Program | None:

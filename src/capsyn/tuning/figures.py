@@ -119,15 +119,13 @@ class Charges:
     @staticmethod
     def of(problem: Problem, cost: Any, effort: Any, nodes: bool) -> Charges:
         """Return those of a problem's own cost, or of a function ``x -> cost`` or ``(x, w)``."""
-        model, n = model_of(problem), problem.space.n
-        ports: tuple[Any, ...] = (("x", n),), (("cost", 1),)
-        told = n - problem.domain.n
+        model = model_of(problem)
         own = gathered_cost(model.running_cost, model.terminal_cost)
         if cost is not None:
-            own = user_program("cost", cost, *ports, told=told)
+            own = cost_program(problem, cost)
         if effort is not None and not callable(effort):
             raise ProblemError("`effort` must be a function of the control u; got no function")
-        return Charges(own, user_program("cost", lambda *_: 0.0, *ports, told=told), effort, nodes)
+        return Charges(own, cost_program(problem, lambda *_: 0.0), effort, nodes)
 
     def efforts(self, controls: np.ndarray) -> np.ndarray:
         """Return the efforts (N,) of controls (N, m)."""
@@ -138,6 +136,13 @@ class Charges:
         if not np.isfinite(values).all():
             raise ProblemError("`effort` must be a finite number for every symbol")
         return values
+
+
+def cost_program(problem: Problem, cost: Callable[..., Any]) -> Program:
+    """Return the program of a cost ``x -> scalar``, or ``(x, w)``, that loops gather."""
+    n = problem.space.n
+    ports: tuple[Any, ...] = (("x", n),), (("cost", 1),)
+    return user_program("cost", cost, *ports, told=n - problem.domain.n)
 
 
 def model_of(problem: Problem) -> Model:

@@ -25,6 +25,7 @@ from capsyn.native.compiled import compiled
 from capsyn.programs.model import gathered_cost
 from capsyn.programs.program import Program
 from capsyn.simulation.closed_loop import Noise, Record, new_record, run
+from capsyn.simulation.figures import own_figures
 from capsyn.simulation.kernel import SimulationKernel
 from capsyn.simulation.policy_loop import run_compiled
 from capsyn.verification.monte_carlo import Prepared, succeeded, went_on
@@ -151,7 +152,7 @@ class AlphabetLoops:
             some = alphabets[first : first + size]
             trials = np.tile(self.test.trials[chosen], len(some))
             trials["alphabet"] = np.repeat(np.arange(len(some)), len(chosen))
-            uses = self.advance(some, trials, self._noise(np.tile(chosen, len(some))))
+            uses = self.advance(some, trials, _part(self.test.noise, np.tile(chosen, len(some))))
             parts.append(self._found(some, trials, uses))
         return LoopFigures(
             {name: np.concatenate([part.figures[name] for part in parts]) for name in FIGURES},
@@ -171,7 +172,7 @@ class AlphabetLoops:
             8.0 * len(trials) * samples * (plant.n + plant.m + 2), "`duration` times `rate`"
         )
         record = new_record(len(trials), samples, plant.n, plant.m)
-        noise = self._noise(np.arange(len(trials)))
+        noise = self.test.noise
         self.advance([np.unique(np.asarray(own, dtype=np.int64))], trials, noise, record)
         there = record.symbols >= 0
         return record.states[:, :-1][there], record.symbols[there]
@@ -202,13 +203,6 @@ class AlphabetLoops:
         )  # fmt: skip
         return uses
 
-    def _noise(self, starts: np.ndarray) -> Noise | None:
-        """Return the noise of trials from starts (T,)."""
-        noise = self.test.noise
-        if noise is None:
-            return None
-        return Noise(noise.deviations[starts], [noise.seeds[int(k)] for k in starts])
-
     def figures(self, trials: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return the figures (T,) of trials that have run, by name, and which are lost (T,)."""
         experiment, options = self.test.experiment, self.test.options
@@ -217,11 +211,9 @@ class AlphabetLoops:
         if experiment.target is not None:
             failed = ~succeeded(options, experiment, trials) | lost
             time = np.where(failed, options.loop.duration, trials["arrived"] / experiment.rate)
-        scale = experiment.rate if experiment.plant.sample_time is not None else 1.0
         found = {
             "cost": trials["cost"],
-            "effort": trials["effort"] * scale,
-            "fuel": trials["fuel"] * scale,
+            **own_figures(experiment, trials),
             "time": time,
             "switches": trials["switches"].astype(float),
             "failures": failed.astype(float),
@@ -308,17 +300,21 @@ class AlphabetLoops:
                 labels = np.append(own, len(self.pool))
                 prices = (priced[0] + priced[2][k] * priced[1])[np.ix_(labels, labels)]
             some, seen = trials[part], new_record(len(part), samples, plant.n, plant.m)
-            mine = None
-            if noise is not None:
-                mine = Noise(noise.deviations[part], [noise.seeds[int(i)] for i in part])
             few = part_of(self._solver, own, prices)
             table, outside = experiment.controller.controls, experiment.outside
             assert outside is not None
             decide = decision(few, own, table, self.problem.space, outside)
-            run(decide, plant, experiment.loop, some, mine, seen)
+            run(decide, plant, experiment.loop, some, _part(noise, part), seen)
             trials[part] = some
             order = own[np.argsort(self._efforts[own], kind="stable")]
             uses[part, : len(own)] = (seen.symbols[:, :, None] == order).sum(axis=1)
             if record is not None:
                 for name, values in vars(seen).items():
                     getattr(record, name)[part] = values
+
+
+def _part(noise: Noise | None, trials: np.ndarray) -> Noise | None:
+    """Return the noise of some trials (T,), by their numbers."""
+    if noise is None:
+        return None
+    return Noise(noise.deviations[trials], [noise.seeds[int(k)] for k in trials])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from capsyn.alphabets.judged import weighed
 from capsyn.alphabets.loops.alphabet_loops import FIGURES, LoopFigures
 from capsyn.errors import ProblemError
 from capsyn.validation import describe, finite_number
@@ -56,6 +57,4 @@ class Objective:
         return np.where(found.lost, np.nan, total)
 
     def __str__(self) -> str:
-        return " + ".join(
-            name if weight == 1 else f"{weight:g} {name}" for name, weight in self.weights.items()
-        )
+        return weighed(self.weights)
